@@ -1,0 +1,105 @@
+"""What an impact can come to: the vocabulary of statuses, flags, laws and effects."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """Why the impact ended. ``str(status)`` is a sentence; arrays hold the integer values."""
+
+    SEPARATED = 0
+    ENDED_AT_REST = 1
+    NO_IMPACT = 2
+    LOCKED = 3
+    INVALID_NUMBERS = 4
+    INDEFINITE_DELASSUS = 5
+    UNSTOPPABLE = 6
+    LAW_UNREACHABLE = 7
+    OUT_OF_RANGE = 8
+    NOT_CONVERGED = 9
+
+    def __str__(self) -> str:
+        return _SENTENCES[self]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is an answer (False: the row is NaN and `solve_impact` raises)."""
+        return self <= Status.LOCKED
+
+
+_SENTENCES = {
+    Status.SEPARATED: "The restitution law is met and the contact separates.",
+    Status.ENDED_AT_REST: "The normal velocity is brought to zero and nothing is restored.",
+    Status.NO_IMPACT: "The contact does not approach, so there is no impact.",
+    Status.LOCKED: "Friction locks the mechanism, so the normal velocity cannot rise.",
+    Status.INVALID_NUMBERS: "A number of the problem is not finite or out of its range.",
+    Status.INDEFINITE_DELASSUS: "The Delassus matrix is not symmetric positive semidefinite.",
+    Status.UNSTOPPABLE: "The contact approaches and no normal impulse can stop it.",
+    Status.LAW_UNREACHABLE: "The restitution law asks for what this mechanism cannot reach.",
+    Status.OUT_OF_RANGE: "The answer lies beyond what double precision holds.",
+    Status.NOT_CONVERGED: "The solver ran out of steps.",
+}
+
+
+class Flag(enum.IntFlag):
+    """What was special about an impact; ``describe()`` puts it in sentences."""
+
+    NONE = 0
+    JAM = 1
+    IMPACT_WITHOUT_COLLISION = 2
+    SECOND_COMPRESSION = 4
+    STICK = 8
+    SLIP_RESUMED = 16
+    LOCKED = 32
+    ENERGY_CREATED = 64
+    NEAR_JUMP = 128
+    NEAR_STICK_THRESHOLD = 256
+    SINGULAR_DELASSUS = 512
+
+    def describe(self) -> tuple[str, ...]:
+        """Return one sentence for each flag that is set, in the order of their values."""
+        return tuple(text for flag, text in _FLAG_TEXTS.items() if self & flag)
+
+
+_FLAG_TEXTS = {
+    Flag.JAM: "Friction drove the surface in for a while (jam).",
+    Flag.IMPACT_WITHOUT_COLLISION: "The contact did not approach; friction alone made the impact.",
+    Flag.SECOND_COMPRESSION: "The normal velocity fell back to zero and a second compression followed.",
+    Flag.STICK: "The contact came to stick.",
+    Flag.SLIP_RESUMED: "The slip stopped and resumed along the diverging invariant direction.",
+    Flag.LOCKED: "Stick locked the normal direction.",
+    Flag.ENERGY_CREATED: "The law created kinetic energy.",
+    Flag.NEAR_JUMP: "The impact map is discontinuous nearby: a small change of input may change the outcome.",
+    Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the one that decides between stick and slip.",
+    Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
+}
+
+LAWS = ("poisson", "energetic", "newton")
+"""The restitution laws; a law's position is its code in the kernels."""
+
+EFFECTS = (
+    "friction",
+    "restitution",
+    "normal-tangential coupling",
+    "spatial slip",
+    "stick",
+    "resumed slip",
+    "jam",
+    "second compression",
+    "recorded path",
+)
+"""Vocabulary of `Solution.effects`, in the order in which they are listed.
+
+============================  ==================================================================
+friction                      μ > 0 and the contact slips or may slip
+restitution                   e > 0: a restitution phase was computed
+normal-tangential coupling    b ≠ 0: normal impulse changes the tangential velocity
+spatial slip                  the direction of slip turns and had to be integrated
+stick                         a phase of stick was computed
+resumed slip                  slip resumed along the diverging invariant direction
+jam                           dv₃/dP₃ < 0 during some slip
+second compression            a second compression phase was computed
+recorded path                 the path was recorded
+============================  ==================================================================
+"""
