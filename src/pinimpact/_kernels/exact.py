@@ -1,0 +1,445 @@
+"""The method "exact": slip by power series, everything else in closed form. (theory.md, sections 2 to 5)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .closure import close, nearby_root
+from .codes import (
+    COMPRESSION,
+    ENDED_AT_REST,
+    ENERGETIC,
+    ENERGY_CREATED,
+    FALLS_BACK,
+    IMPACT_WITHOUT_COLLISION,
+    INDEFINITE_DELASSUS,
+    INVALID_NUMBERS,
+    JAM,
+    LAW_MET,
+    LAW_UNREACHABLE,
+    LOCKED,
+    LOCKS,
+    NEAR_JUMP,
+    NEAR_STICK_THRESHOLD,
+    NEWTON,
+    NO_IMPACT,
+    NOT_CONVERGED,
+    NOTHING,
+    OUT_OF_RANGE,
+    POISSON,
+    RESTITUTION,
+    SECOND_COMPRESSION,
+    SEPARATED,
+    SINGULAR_DELASSUS,
+    SLIP,
+    SLIP_RESUMED,
+    STICK,
+    STICKS,
+    STOPS,
+    UNSTOPPABLE,
+)
+from .delassus import EPS, ZERO, classify
+from .jit import jit
+from .normal import linear_event, restitution_goal
+from .record import mark, mark_stretch, note
+from .secular import resumed_direction
+from .slip import TERMS, expand, in_frame, polynomials
+from .stretch import IMPULSE, VELOCITY, WORK, first_root, point, seek, works
+
+MAX_STEPS = 1000
+"""Bound on the moves of one impact; what the worst cases need is in docs/hard-cases.md."""
+
+STRAIGHT = 2.0**-54
+"""An angle that turns no double: slip this close to an invariant direction is straight."""
+
+VANISHED = 2.0**-80
+"""A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
+
+NEAR = 1e-2
+"""Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
+
+NEAR_THRESHOLD = 1e-6
+"""Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
+
+
+@jit
+def canonical(w12, w13, w23, w11, w22, v1, v2):
+    """Choose signs and order of the tangent axes so that mirrored problems are one problem.
+
+    Returns:
+        the signs of t₁ and t₂, and whether they are then swapped.
+    """
+    sign1 = -1.0 if v1 < 0.0 or (v1 == 0.0 and w13 < 0.0) else 1.0
+    sign2 = -1.0 if v2 < 0.0 or (v2 == 0.0 and w23 < 0.0) else 1.0
+    if sign1 * sign2 * w12 < 0.0:
+        if v1 == 0.0 and w13 == 0.0:
+            sign1 = -1.0
+        elif v2 == 0.0 and w23 == 0.0:
+            sign2 = -1.0
+    x1, x2, y1, y2 = abs(v1), abs(v2), sign1 * w13, sign2 * w23
+    swapped = x2 > x1 or (x2 == x1 and (y2 > y1 or (y2 == y1 and w22 > w11)))
+    return sign1, sign2, swapped
+
+
+@jit
+def failed(status, figure):
+    """Return the answer of a problem that has none; `figure` is the number that the message gives."""
+    nan = math.nan
+    return status, 0, 0, nan, nan, nan, nan, nan, nan, nan, figure, 0, 0
+
+
+@jit
+def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, trace, path):
+    """Solve one impact.
+
+    Args:
+        w11 … w33: Upper triangle of W, row by row.
+        v1, v2, v3: Pre-impact velocity.
+        mu, e, law: Friction, restitution and the code of its law.
+        series: Scratch for TERMS + 1 coefficients.
+        trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
+        path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
+
+    Returns:
+        status, flags, iterations, v⁺ (3), P (3), compression impulse, the figure of a failure's message,
+        rows of the trace, rows of the path.
+    """
+    largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
+    largest_v = max(abs(v1), abs(v2), abs(v3))
+    finite = largest_w < math.inf and largest_v < math.inf and v1 + v2 == v1 + v2
+    finite = finite and w12 == w12 and w13 == w13 and w23 == w23 and w11 == w11 and w22 == w22 and w33 == w33
+    if not (finite and v1 == v1 and v2 == v2 and v3 == v3 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0):
+        return failed(INVALID_NUMBERS, 0.0)
+
+    # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
+    scale_w, scale_v = math.frexp(largest_w)[1], math.frexp(largest_v)[1]
+    in1, in2, in3 = v1, v2, v3
+    sign1, sign2, swapped = canonical(w12, w13, w23, w11, w22, v1, v2)
+    w11, w22, w33 = math.ldexp(w11, -scale_w), math.ldexp(w22, -scale_w), math.ldexp(w33, -scale_w)
+    w12 = math.ldexp(sign1 * sign2 * w12, -scale_w)
+    w13, w23 = math.ldexp(sign1 * w13, -scale_w), math.ldexp(sign2 * w23, -scale_w)
+    v1, v2, v3 = math.ldexp(sign1 * v1, -scale_v), math.ldexp(sign2 * v2, -scale_v), math.ldexp(v3, -scale_v)
+    if swapped:
+        v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
+
+    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread = classify(w11, w12, w13, w22, w23, w33)
+    if rank < 0:
+        return failed(INDEFINITE_DELASSUS, math.ldexp(least, scale_w))
+    flags = SINGULAR_DELASSUS if rank < 3 else 0
+
+    speed = math.sqrt(v1 * v1 + v2 * v2)
+    if speed < 1e-140:
+        speed = math.hypot(v1, v2)
+    s1, s2 = 1.0, 0.0
+    if speed > 0.0:
+        s1, s2 = v1 / speed, v2 / speed
+    if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):
+        return NO_IMPACT, 0, 0, in1, in2, in3, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0
+    if c <= 0.0:
+        return failed(UNSTOPPABLE, math.ldexp(v3, scale_v))
+    if v3 == 0.0:
+        flags |= IMPACT_WITHOUT_COLLISION
+
+    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 4.3)
+    offset = 0.0
+    if s == 0.0:
+        offset = v3 - k1 * v1 - k2 * v2
+        if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
+            offset = 0.0
+
+    # the slip equations in units in which their coefficients are of order one
+    largest = max(max(abs(b1), abs(b2)), mu * max(a11, a22))
+    omega = math.ldexp(1.0, math.frexp(largest)[1]) if mu > 0.0 else 1.0
+    per = 1.0 / omega
+    muo = mu * per
+    f11, f12, f22, fb1, fb2 = muo * a11, muo * a12, muo * a22, per * b1, per * b2
+
+    work_wanted = law == ENERGETIC or trace.shape[0] > 0
+    path_wanted = path.shape[0] > 0
+    approach, start1, start2 = v3, v1, v2
+    p1 = p2 = p3 = 0.0
+    phase = COMPRESSION
+    phase_start = compressed = restored = 0.0
+    compression_work = restitution_work = 0.0
+    goal = 0.0
+    turn = 0.0  # p(0) in the present frame, carried along to keep its relative accuracy
+    fresh = True
+    t1 = m0 = 0.0
+    settled = False  # from here on everything is linear
+    mode, rate, gain, dp1, dp2 = SLIP, c, 0.0, 0.0, 0.0
+    rows = points = 0
+    if path_wanted:
+        points = mark(path, points, p3, v1, v2, v3, p1, p2)
+    status = SEPARATED
+    iterations = 0
+
+    while True:
+        iterations += 1
+        if iterations > MAX_STEPS:
+            return failed(NOT_CONVERGED, 0.0)
+
+        # ---- how everything changes from here ----
+        straight = True
+        ends_slip = False
+        reach = math.inf
+        if settled:
+            pass
+        elif mu == 0.0:
+            settled = True
+        elif speed <= VANISHED:
+            settled = True
+            speed = turn = 0.0
+            excess = math.sqrt(k1 * k1 + k2 * k2) - mu
+            if abs(excess) <= NEAR_THRESHOLD * mu:
+                flags |= NEAR_STICK_THRESHOLD
+            if excess <= 0.0:
+                flags |= STICKS
+                mode, rate = STICK, s
+                dp1, dp2, gain = -k1, -k2, 0.0
+                if s == 0.0:
+                    flags |= LOCKS
+                    v3 = offset
+            else:
+                flags |= SLIP_RESUMED
+                gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
+                rate = c - mu * (b1 * s1 + b2 * s2)
+                dp1, dp2 = -mu * s1, -mu * s2
+        else:
+            al, ax, ap, bl, bp = in_frame(f11, f12, f22, fb1, fb2, s1, s2)
+            if fresh:
+                turn = bp - ax
+                fresh = False
+            t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
+            bl *= omega
+            bp *= omega
+            rate = c - mu * bl
+            if rate < 0.0:
+                flags |= JAM
+            bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
+            unbent = bend <= 0.25 * STRAIGHT * abs(m0)
+            straight = unbent or (
+                abs(turn) <= STRAIGHT * abs(t1) and abs(turn * t2) <= 0.1 * t1 * t1
+            )
+            if straight:
+                gain = omega * m0
+                dp1, dp2 = -mu * s1, -mu * s2
+                if m0 < 0.0:
+                    reach, ends_slip = -speed / gain, True
+                if t1 > 0.0 and turn != 0.0 and not unbent:
+                    # leaving an unstable direction: straight until the angle is one that doubles can tell
+                    tau = 2.0 / t1 * math.log(2.0 * STRAIGHT * t1 / abs(turn))
+                    leave = speed * per * (math.expm1(m0 * tau) / m0 if m0 != 0.0 else tau)
+                    if leave < reach:
+                        reach, ends_slip = leave, False
+
+        event = NOTHING
+        span = work = friction_work = 0.0
+        left = goal - v3
+        if law == POISSON:
+            left = goal - restored
+        elif law == ENERGETIC:
+            left = goal - restitution_work
+
+        # ---- a straight move, in closed form ----
+        if straight:
+            span, event = linear_event(phase, law, left, v3, rate)
+            if reach < span:
+                span, event = reach, NOTHING
+            if span == math.inf:
+                if phase == COMPRESSION:
+                    return failed(UNSTOPPABLE, math.ldexp(v3, scale_v))
+                if flags & LOCKS:
+                    break
+                return failed(LAW_UNREACHABLE, math.ldexp(left, scale_v))
+            v3_end = v3 + rate * span
+            speed_end = speed + gain * span
+            if span == reach and ends_slip:
+                speed_end = 0.0
+                if s == 0.0:
+                    v3_end = offset
+            work = 0.5 * (v3 + v3_end) * span
+            friction_work = -0.5 * mu * (speed + speed_end) * span if mode == SLIP else 0.0
+            if turn != 0.0 and speed > 0.0 and speed_end > 0.0:
+                tau = math.log(speed_end / speed) / m0 if m0 != 0.0 else omega * span / speed
+                turn *= math.exp(0.5 * t1 * tau)
+            p1 += dp1 * span
+            p2 += dp2 * span
+            p3 += span
+            v3, speed = v3_end, speed_end
+
+        else:
+            # ---- the last stretch before v_t = 0, if nothing else happens on it ----
+            jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+            scale = speed * per
+            closed = False
+            root = nearby_root(turn, t1, t2, t3, t4)
+            if root != 0.0 and m0 < 0.0 and not work_wanted and not path_wanted:
+                closed, d1, d2, i0, i1, i2 = close(series, f11, f12, f22, fb1, fb2, s1, s2, root)
+                if closed:
+                    span = scale * i0
+                    along, across = -mu * scale * i1, -mu * scale * i2
+                    dp1, dp2 = d1 * along - d2 * across, d2 * along + d1 * across
+                    v3_end = v3 + c * span + b1 * dp1 + b2 * dp2 if s > 0.0 else offset
+                    if phase == COMPRESSION:
+                        closed = v3_end < 0.0 or (s == 0.0 and v3_end == 0.0)
+                    else:
+                        closed = v3_end > 0.0 and (span < left if law == POISSON else v3_end < goal)
+                    closed = closed and first_root(jam0, jam1, jam2, root) == root
+                if closed:
+                    p1 += dp1
+                    p2 += dp2
+                    p3 += span
+                    v3, speed = v3_end, 0.0
+
+            # ---- a stretch of turning slip, short enough for its series and for v₃ to be monotone ----
+            if not closed:
+                h = 0.5 * turn
+                whole = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
+                x = first_root(jam0, jam1, jam2, h * whole) / h
+                peaks = x < whole
+                hh = h * h
+                q = (0.5 * t1, 0.5 * t2 * h, 0.5 * t3 * hh, 0.5 * t4 * hh * h)
+                w = (m0 - 0.5 * t1, (m1 - t2) * h, (m2 - 1.5 * t3) * hh, (m3 - 2.0 * t4) * hh * h)
+                value, t, span, along, across, dv3 = point(series, x, h, scale, mu, c, bl, bp)
+                v3_end = v3 + dv3
+                if phase == COMPRESSION:
+                    if v3_end >= 0.0:
+                        event = STOPS
+                        x = seek(
+                            VELOCITY, 0.0, v3, v3_end, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                        )
+                elif law == NEWTON:
+                    if v3_end >= goal:
+                        event = LAW_MET
+                        if peaks and v3_end - goal < NEAR * goal:
+                            flags |= NEAR_JUMP
+                        x = seek(
+                            VELOCITY, goal, -left, v3_end - goal, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                        )
+                    elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
+                        flags |= NEAR_JUMP
+                elif law == POISSON and span >= left:
+                    event = LAW_MET
+                    x_end = x
+                    x = seek(
+                        IMPULSE, left, -left, span - left, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                    )
+                    if v3_end < 0.0 and v3 + point(series, x, h, scale, mu, c, bl, bp)[5] < 0.0:
+                        event, x = NOTHING, x_end
+                if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
+                    event = FALLS_BACK
+                    x = seek(VELOCITY, 0.0, v3, v3_end, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w)
+                if law == ENERGETIC and phase == RESTITUTION:
+                    work, _ = works(series, x, h, scale, mu, c, bl, bp, v3, speed, *q)
+                    if work >= left:
+                        event = LAW_MET
+                        x = seek(
+                            WORK, left, -left, work - left, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                        )
+                if event != NOTHING:
+                    value, t, span, along, across, dv3 = point(series, x, h, scale, mu, c, bl, bp)
+                if work_wanted:
+                    work, friction_work = works(series, x, h, scale, mu, c, bl, bp, v3, speed, *q)
+                if path_wanted:
+                    points = mark_stretch(
+                        path, points, series, x, h, scale, mu, c, bl, bp, q, s1, s2, speed, v3, p1, p2, p3
+                    )
+                p1 += s1 * along - s2 * across
+                p2 += s2 * along + s1 * across
+                p3 += span
+                v3 += dv3
+                fall = 1.0 + x * (q[0] + x * (q[1] + x * (q[2] + x * q[3])))
+                chord = 1.0 + t * t
+                rate = (jam0 + t * (jam1 + t * jam2)) / chord
+                cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
+                s1, s2 = s1 * cos - s2 * sin, s2 * cos + s1 * sin
+                norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
+                s1 *= norm
+                s2 *= norm
+                speed *= value * fall * chord
+                turn *= fall / (chord * chord)
+
+        # ---- the ledger of the normal direction, and what the event brings ----
+        if trace.shape[0] > 0:
+            rows = note(trace, rows, mode, phase, p3 - span, p3, work, friction_work)
+        if phase == COMPRESSION:
+            compression_work += work
+        else:
+            restitution_work += work
+            restored += span
+        if event == STOPS:
+            v3 = 0.0
+            compressed += p3 - phase_start
+            phase = RESTITUTION
+            goal = restitution_goal(law, e, compressed, compression_work, approach)
+            if e == 0.0:
+                event = LAW_MET
+        elif event == FALLS_BACK:
+            v3 = 0.0
+            flags |= SECOND_COMPRESSION
+            phase = COMPRESSION
+            phase_start = p3
+            if law != NEWTON and left - (span if law == POISSON else work) < NEAR * goal:
+                flags |= NEAR_JUMP
+        if path_wanted:
+            points = mark(path, points, p3, s1 * speed, s2 * speed, v3, p1, p2)
+        if event == LAW_MET:
+            if law == NEWTON:
+                v3 = goal
+            if rate < 0.0 and v3 < -NEAR * p3 * rate:
+                flags |= NEAR_JUMP
+            break
+
+    if mu == 0.0:
+        v1, v2 = start1 + b1 * p3, start2 + b2 * p3
+    else:
+        v1, v2 = s1 * speed, s2 * speed
+    if v3 <= 0.0:
+        v3 = 0.0
+        status = ENDED_AT_REST
+        if flags & LOCKS:
+            status = LOCKED
+
+    # kinetic energy gained, ½ P·(v⁻ + v⁺), against the rounding of its terms
+    gained, size = p3 * (approach + v3), abs(p3 * approach) + abs(p3 * v3)
+    gained += p1 * (start1 + v1) + p2 * (start2 + v2)
+    size += abs(p1) * (abs(start1) + abs(v1)) + abs(p2) * (abs(start2) + abs(v2))
+    if gained > 64.0 * EPS * size:
+        flags |= ENERGY_CREATED
+
+    if swapped:
+        v1, v2, p1, p2 = v2, v1, p2, p1
+    scale_p = scale_v - scale_w
+    v1, v2, v3 = math.ldexp(sign1 * v1, scale_v), math.ldexp(sign2 * v2, scale_v), math.ldexp(v3, scale_v)
+    p1, p2, p3 = math.ldexp(sign1 * p1, scale_p), math.ldexp(sign2 * p2, scale_p), math.ldexp(p3, scale_p)
+    if not (abs(v1) + abs(v2) + abs(v3) + abs(p1) + abs(p2) + abs(p3) < math.inf):
+        return failed(OUT_OF_RANGE, 0.0)
+    for i in range(rows):
+        trace[i, 2] = math.ldexp(trace[i, 2], scale_p)
+        trace[i, 3] = math.ldexp(trace[i, 3], scale_p)
+        trace[i, 4] = math.ldexp(trace[i, 4], scale_p + scale_v)
+        trace[i, 5] = math.ldexp(trace[i, 5], scale_p + scale_v)
+    for i in range(points):
+        x1, x2, y1, y2 = path[i, 1], path[i, 2], path[i, 4], path[i, 5]
+        if mu == 0.0:
+            x1, x2 = start1 + b1 * path[i, 0], start2 + b2 * path[i, 0]
+        if swapped:
+            x1, x2, y1, y2 = x2, x1, y2, y1
+        path[i, 0] = math.ldexp(path[i, 0], scale_p)
+        path[i, 1] = math.ldexp(sign1 * x1, scale_v)
+        path[i, 2] = math.ldexp(sign2 * x2, scale_v)
+        path[i, 3] = math.ldexp(path[i, 3], scale_v)
+        path[i, 4] = math.ldexp(sign1 * y1, scale_p)
+        path[i, 5] = math.ldexp(sign2 * y2, scale_p)
+    compressed = math.ldexp(compressed, scale_p)
+    return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points
+
+
+@jit
+def solve(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
+    """Solve one impact without trace and path; arguments and the first ten results as in `solve_into`."""
+    series = np.empty(TERMS + 1)
+    empty = np.empty((0, 6))
+    return solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, empty, empty)[:10]

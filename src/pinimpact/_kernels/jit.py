@@ -1,0 +1,52 @@
+"""The one decorator of the kernels: numba's njit with a disk cache that never goes stale or in the way."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import caching, dispatcher
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _sources_digest() -> str:
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+_DIGEST = _sources_digest()
+
+
+class _Stamp:
+    """Stamp with the sources of all kernels: numba itself watches only the caller's file, not its callees'."""
+
+    def get_source_stamp(self) -> str:
+        return _DIGEST
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = tuple(
+        type(f"Stamped{locator.__name__}", (_Stamp, locator), {})
+        for locator in caching.CompileResultCacheImpl._locator_classes
+    )
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+
+def jit(function: F) -> F:
+    """Compile `function` on first call, with fused multiply-adds; cached on disk where a place is writable."""
+    compiled = numba.njit(fastmath={"contract"}, error_model="numpy")(function)
+    if isinstance(compiled, dispatcher.Dispatcher):
+        try:
+            compiled._cache = _Cache(function)
+        except RuntimeError:  # no writable place at all: compile in every process
+            pass
+    return compiled

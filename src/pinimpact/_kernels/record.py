@@ -1,0 +1,58 @@
+"""What the exact method writes down on request: the moves of an impact, and points of its path."""
+
+from __future__ import annotations
+
+from .jit import jit
+from .stretch import point
+
+POINTS = 8
+
+
+@jit
+def note(trace, rows, mode, phase, start, end, normal_work, friction_work):
+    """Append a move to the trace and return the number of rows."""
+    if rows < trace.shape[0]:
+        trace[rows, 0] = mode
+        trace[rows, 1] = phase
+        trace[rows, 2] = start
+        trace[rows, 3] = end
+        trace[rows, 4] = normal_work
+        trace[rows, 5] = friction_work
+        return rows + 1
+    return rows
+
+
+@jit
+def mark(path, rows, p3, v1, v2, v3, p1, p2):
+    """Append a point to the path and return the number of rows."""
+    if rows < path.shape[0]:
+        path[rows, 0] = p3
+        path[rows, 1] = v1
+        path[rows, 2] = v2
+        path[rows, 3] = v3
+        path[rows, 4] = p1
+        path[rows, 5] = p2
+        return rows + 1
+    return rows
+
+
+@jit
+def mark_stretch(path, rows, series, x, h, scale, mu, c, bl, bp, q, s1, s2, speed, v3, p1, p2, p3):
+    """Append the points inside a stretch of turning slip from 0 to x, both excluded."""
+    q1, q2, q3, q4 = q
+    for i in range(1, POINTS):
+        y = x * i / POINTS
+        value, t, normal, along, across, dv3 = point(series, y, h, scale, mu, c, bl, bp)
+        radius = speed * value * (1.0 + y * (q1 + y * (q2 + y * (q3 + y * q4))))
+        u1, u2 = radius * (1.0 - t * t), radius * 2.0 * t
+        rows = mark(
+            path,
+            rows,
+            p3 + normal,
+            s1 * u1 - s2 * u2,
+            s2 * u1 + s1 * u2,
+            v3 + dv3,
+            p1 + s1 * along - s2 * across,
+            p2 + s2 * along + s1 * across,
+        )
+    return rows
