@@ -89,9 +89,7 @@ def reset(
             y[j, 0] = y[j, 1] = y[j, 2] = 0.0
     solve_transposed(lower, parents, y)
     w11, w12, w13, w22, w23, w33 = gram(y)
-    status, flags, _, a1, a2, a3, p1, p2, p3, pc = solve(
-        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law
-    )
+    status, flags, _, a1, a2, a3, p1, p2, p3, pc = solve(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law)
     delta = np.empty((n, 1))
     for j in range(n):
         delta[j, 0] = y[j, 0] * p1 + y[j, 1] * p2 + y[j, 2] * p3

@@ -1,0 +1,319 @@
+"""Contacts of a robot: where they are, their gap, and the matrices that an impact there needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ._kernels import geometry, tree
+from .errors import InputError, ModelError
+from .lookup import Workspace, configuration, free_velocities, model_of, workspace
+from .problem import law_code
+from .surfaces import Plane, Vector, check_frame_key, vector
+
+Array = NDArray[np.float64]
+_EPS = float(np.finfo(float).eps)
+_WORLD = np.eye(4)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A point of a robot that may meet a plane, with its friction and restitution.
+
+    The contact point is the frame's origin + `offset` (in the frame's axes) − `radius`·n, so a sphere of
+    that radius about the offset touches the plane where the gap is zero.
+
+    Attributes:
+        frame: Frame that carries the point, by name or id.
+        plane: The surface it meets.
+        friction: Coulomb coefficient μ ≥ 0.
+        restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
+        law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
+        offset: From the frame's origin, in the frame's axes [m].
+        radius: Of a spherical tip [m], 0 for a point.
+        name: How reports call the contact; None for "frame on plane".
+
+    Raises:
+        InputError: A number out of its range or not finite.
+        UnknownNameError: An unknown law.
+    """
+
+    frame: str | int
+    plane: Plane
+    friction: float = 0.0
+    restitution: float | Callable[[float], float] = 0.0
+    law: str = "poisson"
+    offset: Vector = (0.0, 0.0, 0.0)
+    radius: float = 0.0
+    name: str | None = None
+    constants: Array = field(init=False, repr=False, compare=False)
+    law_code: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_frame_key("frame", self.frame)
+        if not isinstance(self.plane, Plane):
+            raise InputError(f"plane: {self.plane!r} is not a Plane", field="plane", value=self.plane)
+        keep = object.__setattr__
+        keep(self, "friction", _at_least_zero("friction", self.friction))
+        if not callable(self.restitution):
+            keep(self, "restitution", coefficient("restitution", self.restitution))
+        keep(self, "law_code", law_code(self.law))
+        keep(self, "offset", vector("offset", self.offset))
+        keep(self, "radius", _at_least_zero("radius", self.radius))
+        plane = self.plane
+        constants = np.array(
+            [*self.offset, self.radius, *plane.point, *plane.normal, *plane.velocity, *plane.angular_velocity]
+        )
+        constants.setflags(write=False)
+        keep(self, "constants", constants)
+
+    @property
+    def label(self) -> str:
+        """The name, or what stands in for it."""
+        if self.name is not None:
+            return self.name
+        return f"{self.frame} on {'plane' if self.plane.body is None else self.plane.body}"
+
+    def restitution_at(self, speed: float) -> float:
+        """Return e for an approach speed [m/s].
+
+        Raises:
+            InputError: The contact's function returns no number between 0 and 1.
+        """
+        if callable(self.restitution):
+            return coefficient(f"restitution({speed:.6g} m/s)", self.restitution(speed))
+        return self.restitution
+
+    def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
+        """Return the signed distance of the contact point from the plane [m], negative inside.
+
+        Changes ``data.oMi``, ``data.liMi`` and the two frames' ``data.oMf``.
+
+        Raises:
+            InputError: A q of the wrong length or not finite.
+            UnknownNameError: A frame that the model does not have.
+        """
+        model = model_of(model)
+        space = workspace(model, data)
+        pin.forwardKinematics(model, data, configuration(space, model, q))
+        frame = pin.updateFramePlacement(model, data, space.frame(self.frame)).homogeneous
+        carrier = _WORLD
+        if self.plane.body is not None:
+            carrier = pin.updateFramePlacement(model, data, space.frame(self.plane.body, "body")).homogeneous
+        return float(geometry.locate(frame, carrier, self.constants)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactGeometry:
+    """Where a contact is and how its point moves.
+
+    Attributes:
+        point: (3,) contact point in world axes [m].
+        gap: Signed distance of the point from the plane [m].
+        axes: (3, 3) contact axes t₁, t₂, n as rows, in world axes.
+        K: (nv, 2) tangential columns of Jᵀ.
+        h: (nv,) normal column of Jᵀ.
+        surface_velocity: (3,) what the surface does beyond its carrier, at the contact point, in contact
+            axes [m/s].
+    """
+
+    point: Array
+    gap: float
+    axes: Array
+    K: Array
+    h: Array
+    surface_velocity: Array
+
+    @property
+    def jacobian(self) -> Array:
+        """(3, nv) J = [K h]ᵀ: velocity of the point relative to the plane's carrier, in contact axes."""
+        return np.column_stack([self.K, self.h]).T
+
+    def velocity(self, v: ArrayLike) -> Array:
+        """Return the (3,) contact velocity J q̇ − v_surface in contact axes [m/s]."""
+        return self.jacobian @ np.asarray(v, dtype=np.float64) - self.surface_velocity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactMatrices(ContactGeometry):
+    """What the robot is, seen from one contact; M Δq̇ = [K h] P for an impulse P in contact axes.
+
+    Attributes, beyond those of `ContactGeometry`:
+        mass: (nv, nv) M, with rotor inertia.
+        delassus: (3, 3) W, with what is held and locked taken into account [1/kg].
+        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with what is held and locked.
+        held: Geometry of each held contact.
+        held_response: (k, 3, 3) impulse on each held contact (world axes) per impulse in contact axes.
+    """
+
+    mass: Array
+    delassus: Array
+    response: Array
+    held: tuple[ContactGeometry, ...]
+    held_response: Array
+
+
+def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact) -> ContactGeometry:
+    """Return where a contact is and its Jacobian. Arguments, Data and errors as in `contact_matrices`."""
+    model = model_of(model)
+    space = workspace(model, data)
+    q = configuration(space, model, q)
+    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q, space, contact)
+    columns = np.empty((space.nv, 3))
+    axes = np.empty((3, 3))
+    surface = geometry.jacobian(
+        frame, frame_jacobian, carrier, carrier_jacobian, contact.constants, columns, axes
+    )
+    gap, _, _, _, *point = geometry.locate(frame, carrier, contact.constants)
+    return ContactGeometry(np.array(point), gap, axes, columns[:, :2], columns[:, 2], np.array(surface))
+
+
+def contact_matrices(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    contact: Contact,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+) -> ContactMatrices:
+    """Return the matrices of a contact at a configuration.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data. Changes ``data.M`` and what else ``pin.crba`` and ``pin.computeFrameJacobian``
+            write; ``data.oMi`` and ``data.oMf`` are brought to q only along the frames in question.
+        q: (nq,) configuration.
+        contact: The contact that the impulse acts at.
+        held: Contacts whose points cannot move relative to their planes: three bilateral rows each,
+            projected out of M⁻¹. One holds a standing point foot; with ``Plane(body=…)`` it closes a loop;
+            three that are not in line make a grasp. Rows that repeat others are allowed: of the impulses
+            that do the same, the least (in norm) are given.
+        locked: Joints, by name or id, whose velocity cannot change.
+
+    Raises:
+        InputError: A q of the wrong length, not finite, or not normalised.
+        UnknownNameError: A frame or joint that the model does not have.
+        ModelError: The mass matrix is not positive definite.
+    """
+    model = model_of(model)
+    space = workspace(model, data)
+    free = free_velocities(model, locked)
+    seen = contact_geometry(model, data, q, contact)
+    anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
+    mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
+    lower = np.zeros_like(mass)
+    stopped = tree.factor(mass, space.parents, free, lower)
+    if stopped >= 0:
+        raise singular_mass(model, stopped)
+
+    def half_solve(rows: Array) -> Array:
+        """L⁻ᵀ rowsᵀ, where what is locked does not move."""
+        y = np.where(free[:, None], rows.T, 0.0)
+        tree.solve_transposed(lower, space.parents, y)
+        return y
+
+    y = half_solve(seen.jacobian)
+    held_response = np.zeros((0, 3, 3))
+    if anchors:
+        world_rows = [anchor.axes.T @ anchor.jacobian for anchor in anchors]
+        y, impulses = _project_out(half_solve(np.vstack(world_rows)), y)
+        held_response = impulses.reshape(-1, 3, 3)
+    delassus = y.T @ y
+    response = y.copy()
+    tree.solve(lower, space.parents, response)
+    return ContactMatrices(
+        point=seen.point,
+        gap=seen.gap,
+        axes=seen.axes,
+        K=seen.K,
+        h=seen.h,
+        surface_velocity=seen.surface_velocity,
+        mass=mass,
+        delassus=0.5 * (delassus + delassus.T),
+        response=response,
+        held=anchors,
+        held_response=held_response,
+    )
+
+
+def kinematics(
+    model: pin.Model, data: pin.Data, q: Array, space: Workspace, contact: Contact
+) -> tuple[Array, Array, Array, Array]:
+    """Return placement (4, 4) and Jacobian (6, nv) of the contact's frame, and of the plane's carrier.
+
+    The Jacobians are in world axes at the frames' origins, linear over angular.
+    """
+    frame = space.frame(contact.frame)
+    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    placement = pin.updateFramePlacement(model, data, frame).homogeneous
+    if contact.plane.body is None:
+        return placement, jacobian, _WORLD, space.still
+    body = space.frame(contact.plane.body, "body")
+    carrier_jacobian = pin.computeFrameJacobian(model, data, q, body, pin.LOCAL_WORLD_ALIGNED)
+    return placement, jacobian, pin.updateFramePlacement(model, data, body).homogeneous, carrier_jacobian
+
+
+def singular_mass(model: pin.Model, velocity: int) -> ModelError:
+    """Return the error for a mass matrix whose factorization stops at a velocity."""
+    joint = next(
+        name
+        for name, start, count in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        if start <= velocity < start + count
+    )
+    return ModelError(
+        f"model: the mass matrix is not positive definite: joint {joint!r} (velocity {velocity}) moves no "
+        f"inertia; give its links inertia, or model.armature[{velocity}] a rotor inertia",
+        field="model",
+        value=joint,
+    )
+
+
+def coefficient(name: str, value: Any) -> float:
+    """Return `value` as a float between 0 and 1, or raise `InputError`."""
+    number = _finite(name, value)
+    if not 0.0 <= number <= 1.0:
+        raise InputError(f"{name}: {number} is not between 0 and 1", field=name, value=value)
+    return number
+
+
+def _at_least_zero(name: str, value: Any) -> float:
+    number = _finite(name, value)
+    if number < 0.0:
+        raise InputError(f"{name}: {number} is negative; it must be at least 0", field=name, value=value)
+    return number
+
+
+def _finite(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: {value!r} is not a number", field=name, value=value) from None
+    if not math.isfinite(number):
+        raise InputError(f"{name}: {number} is not finite", field=name, value=value)
+    return number
+
+
+def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
+    """Take out of the columns of `y` what the columns of `anchored` (both L⁻ᵀ Jᵀ) can balance.
+
+    Returns:
+        What is left of y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
+        least norm that balance the rest.
+    """
+    tolerance = 32.0 * _EPS * max(anchored.shape)
+    left, sizes, right = np.linalg.svd(anchored, full_matrices=False)
+    kept = sizes > tolerance * sizes[0]
+    left, sizes, right = left[:, kept], sizes[kept], right[kept]
+    balanced = left.T @ y
+    impulses = -right.T @ (balanced / sizes[:, None])
+    rest = y - left @ balanced
+    rest -= left @ (left.T @ rest)
+    directions, lengths, axes = np.linalg.svd(rest, full_matrices=False)
+    lengths = np.where(lengths > tolerance * np.linalg.norm(y), lengths, 0.0)
+    return (directions * lengths) @ axes, impulses

@@ -1,0 +1,357 @@
+"""Impacts of robots: (q, v) and a contact in, post-impact velocity and impulse out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ._kernels import reset as kernel
+from .contacts import (
+    Contact,
+    ContactMatrices,
+    contact_geometry,
+    contact_matrices,
+    kinematics,
+    singular_mass,
+)
+from .errors import InputError
+from .lookup import Workspace, configuration, free_velocities, model_of, workspace
+from .outcome import Status
+from .problem import ImpactProblem, finite_array, float_array
+from .solution import Solution
+from .solvers import solve_impact
+
+Array = NDArray[np.float64]
+
+HELD_TOLERANCE = 1e-6
+"""How fast a held point may move before the impact, in parts of what the joints together could make of it."""
+
+
+class HeldContactWarning(UserWarning):
+    """A held contact would have to pull on its surface during an impact."""
+
+
+class Hit:
+    """What an impact does to a robot.
+
+    Attributes:
+        v: (nv,) post-impact generalized velocity.
+        held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
+    """
+
+    __slots__ = ("_answer", "_contact", "_restitution", "_solution", "held_impulses", "v")
+
+    def __init__(
+        self,
+        answer: Array,
+        nv: int,
+        contact: Contact,
+        restitution: float,
+        solution: Solution | None = None,
+        held_impulses: Array | None = None,
+    ) -> None:
+        self.v: Array = answer[:nv]
+        self.held_impulses: Array = _NONE_HELD if held_impulses is None else held_impulses
+        self._answer = answer[nv:]
+        self._contact = contact
+        self._restitution = restitution
+        self._solution = solution
+
+    @property
+    def impulse_world(self) -> Array:
+        """(3,) impulse on the robot at the contact, in world axes [N s]."""
+        return self._part(kernel.IMPULSE, 3) @ self.axes
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) contact axes t₁, t₂, n as rows, in world axes."""
+        return self._part(kernel.AXES, 9).reshape(3, 3)
+
+    @property
+    def problem(self) -> ImpactProblem:
+        """The contact-space problem that was solved."""
+        w11, w12, w13, w22, w23, w33 = self._part(kernel.DELASSUS, 6)
+        return ImpactProblem(
+            np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]),
+            self._part(kernel.VELOCITY, 3),
+            self._contact.friction,
+            self._restitution,
+            self._contact.law,
+            self._part(kernel.SURFACE, 3),
+        )
+
+    @property
+    def solution(self) -> Solution:
+        """The solution in contact axes: segments, work, status, flags; made on first access."""
+        if self._solution is None:
+            self._solution = solve_impact(self.problem)
+        return self._solution
+
+    def __repr__(self) -> str:
+        return f"Hit(v={self.v}, impulse_world={self.impulse_world}, status={str(self.solution.status)!r})"
+
+    def _part(self, start: int, count: int) -> Array:
+        return self._answer[start : start + count]
+
+
+_NONE_HELD = np.zeros((0, 3))
+_NONE_HELD.setflags(write=False)
+
+
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+    method: str = "exact",
+    record: bool = False,
+    **options: Any,
+) -> Hit:
+    """Resolve the impact of one contact of a robot, M Δq̇ = Jᵀ P. (theory.md, section 1)
+
+    The contact is taken as closed, whatever its gap. A contact that does not approach changes nothing;
+    ``hit.solution.status`` says so.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data; what changes is told in `contact_matrices`.
+        q: (nq,) configuration.
+        v: (nv,) pre-impact velocity.
+        contact: The contact that collides.
+        held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
+            surface, to `HELD_TOLERANCE`. One that would have to pull gives a `HeldContactWarning`.
+        locked: Joints, by name or id, whose velocity the impact does not change.
+        method: Method of `solve_impact`.
+        record: Whether ``hit.solution.path`` is wanted.
+        **options: The method's own keywords.
+
+    Raises:
+        InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves.
+        UnknownNameError: A frame or joint that the model does not have; an unknown method.
+        ModelError: The mass matrix is not positive definite.
+        UnstoppableApproachError: No normal impulse can stop the approach.
+        LawError: The restitution law cannot be met.
+    """
+    if type(model) is not pin.Model:
+        model = model_of(model)
+    space = workspace(model, data)
+    if held or record or options or method != "exact":
+        return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
+    q, v = _state(space, model, q, v)
+    restitution = contact.restitution
+    if callable(restitution):
+        speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
+        restitution = contact.restitution_at(max(speed, 0.0))
+    free = free_velocities(model, locked) if locked else space.free
+    status, detail, answer = _reset(model, data, q, v, contact, contact.friction, restitution, space, free)
+    hit = Hit(answer, space.nv, contact, restitution)
+    if not 0 <= status <= Status.LOCKED:
+        if status == kernel.SINGULAR_MASS:
+            raise singular_mass(model, detail)
+        finite_array("q", q, (space.nq,))
+        finite_array("v", v, (space.nv,))
+        solve_impact(hit.problem)
+    return hit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """Many impacts of one robot, row by row.
+
+    Attributes:
+        v: (N, nv) post-impact velocities; NaN where the status is an error's.
+        impulse_world: (N, 3) impulses on the robot in world axes [N s]; NaN likewise.
+        status: (N,) integer values of `Status`.
+        flags: (N,) integer values of `Flag`.
+    """
+
+    v: Array
+    impulse_world: Array
+    status: NDArray[np.int64]
+    flags: NDArray[np.int64]
+
+
+def impacts(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    friction: ArrayLike | None = None,
+    restitution: ArrayLike | None = None,
+) -> Hits:
+    """Resolve one contact's impact from many states, and with many coefficients.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data; what changes is told in `contact_matrices`.
+        q: (N, nq) configurations.
+        v: (N, nv) pre-impact velocities.
+        contact: The contact that collides.
+        friction: Scalar or (N,) to take instead of the contact's.
+        restitution: Scalar or (N,) to take instead of the contact's.
+
+    Returns:
+        Row by row the answers; a row with bad numbers gets its status and NaN and spoils no other.
+
+    Raises:
+        InputError: Wrong shapes.
+        UnknownNameError: A frame that the model does not have.
+        ModelError: The mass matrix is not positive definite.
+    """
+    model = model_of(model)
+    space = workspace(model, data)
+    count = len(q) if np.ndim(q) == 2 else 0
+    q = float_array("q", q, (count, space.nq))
+    v = float_array("v", v, (count, space.nv))
+    mu = _per_row("friction", contact.friction if friction is None else friction, count)
+    e = None
+    if restitution is not None or not callable(contact.restitution):
+        e = _per_row("restitution", contact.restitution if restitution is None else restitution, count)
+    found = Hits(
+        np.full((count, space.nv), np.nan),
+        np.full((count, 3), np.nan),
+        np.full(count, int(Status.INVALID_NUMBERS)),
+        np.zeros(count, dtype=np.int64),
+    )
+    for row in range(count):
+        if not np.isfinite(q[row]).all() or (space.curved and not pin.isNormalized(model, q[row], 1e-8)):
+            continue
+        if e is None:
+            speed = -float(contact_geometry(model, data, q[row], contact).velocity(v[row])[2])
+            if not np.isfinite(speed):
+                continue
+            row_e = contact.restitution_at(max(speed, 0.0))
+        else:
+            row_e = e[row]
+        status, detail, answer = _reset(
+            model, data, q[row], v[row], contact, mu[row], row_e, space, space.free
+        )
+        if status == kernel.SINGULAR_MASS:
+            raise singular_mass(model, detail)
+        found.status[row] = status
+        if status <= Status.LOCKED:
+            hit = Hit(answer, space.nv, contact, row_e)
+            found.v[row] = hit.v
+            found.impulse_world[row] = hit.impulse_world
+            found.flags[row] = detail
+    return found
+
+
+def _state(space: Workspace, model: pin.Model, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Check shapes and normalisation; the kernel looks for numbers that are not finite."""
+    q = np.ascontiguousarray(q, dtype=np.float64)
+    v = np.ascontiguousarray(v, dtype=np.float64)
+    if q.shape != (space.nq,) or (space.curved and not pin.isNormalized(model, q, 1e-8)):
+        configuration(space, model, q)
+    if v.shape != (space.nv,):
+        float_array("v", v, (space.nv,))
+    return q, v
+
+
+def _reset(
+    model: pin.Model,
+    data: pin.Data,
+    q: Array,
+    v: Array,
+    contact: Contact,
+    friction: float,
+    restitution: float,
+    space: Workspace,
+    free: NDArray[np.bool_],
+) -> tuple[int, int, Array]:
+    """Run Pinocchio and the kernel; return status, flags and the kernel's answer."""
+    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q, space, contact)
+    answer = np.empty(space.nv + kernel.SIZE)
+    status, detail = kernel.reset(
+        pin.crba(model, data, q),
+        space.parents,
+        free,
+        frame,
+        frame_jacobian,
+        carrier,
+        carrier_jacobian,
+        contact.constants,
+        q,
+        v,
+        friction,
+        restitution,
+        contact.law_code,
+        answer,
+    )
+    return status, detail, answer
+
+
+def _impact_in_steps(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    method: str,
+    record: bool,
+    options: dict[str, Any],
+) -> Hit:
+    """Go by way of `contact_matrices` and `solve_impact`, for all that the kernel does not do."""
+    matrices = contact_matrices(model, data, q, contact, held, locked)
+    nv = len(matrices.h)
+    v = finite_array("v", v, (nv,))
+    _check_held(matrices, held, v)
+    velocity = matrices.velocity(v)
+    restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
+    problem = ImpactProblem(
+        matrices.delassus, velocity, contact.friction, restitution, contact.law, matrices.surface_velocity
+    )
+    solution = solve_impact(problem, method=method, record=record, **options)
+    held_impulses = matrices.held_response @ solution.impulse
+    for anchor, geometry, impulse in zip(held, matrices.held, held_impulses, strict=True):
+        pull = -float(geometry.axes[2] @ impulse)
+        if pull > 1e-12 * float(np.linalg.norm(solution.impulse)):
+            warnings.warn(
+                f"held: {anchor.label!r} would have to pull with {pull:.3g} N s to hold; if it can lift off, "
+                "leave it out of held",
+                HeldContactWarning,
+                stacklevel=3,
+            )
+    answer = np.concatenate(
+        [
+            v + matrices.response @ solution.impulse,
+            matrices.delassus[np.triu_indices(3)],
+            velocity,
+            matrices.surface_velocity,
+            matrices.axes.ravel(),
+            solution.velocity,
+            solution.impulse,
+            [solution.compression_impulse],
+        ]
+    )
+    return Hit(answer, nv, contact, restitution, solution, held_impulses)
+
+
+def _check_held(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
+    for anchor, geometry in zip(held, matrices.held, strict=True):
+        speed = float(np.linalg.norm(geometry.velocity(v)))
+        scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
+        scale += float(np.linalg.norm(geometry.surface_velocity))
+        if speed > HELD_TOLERANCE * scale:
+            raise InputError(
+                f"held: {anchor.label!r} moves at {speed:.3g} m/s against its surface before the impact; a "
+                "held contact must be at rest there: correct v, or leave it out of held",
+                field="held",
+                value=anchor,
+            )
+
+
+def _per_row(name: str, value: ArrayLike, count: int) -> Array:
+    return float_array(name, np.full(count, value) if np.ndim(value) == 0 else value, (count,))
