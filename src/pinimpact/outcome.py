@@ -56,6 +56,7 @@ class Flag(enum.IntFlag):
     NEAR_JUMP = 128
     NEAR_STICK_THRESHOLD = 256
     SINGULAR_DELASSUS = 512
+    SLIP_TURNED = 1024
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence for each flag that is set, in the order of their values."""
@@ -73,6 +74,7 @@ _FLAG_TEXTS = {
     Flag.NEAR_JUMP: "The impact map is discontinuous nearby: a small change of input may change the outcome.",
     Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the one that decides between stick and slip.",
     Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
+    Flag.SLIP_TURNED: "The direction of slip turned along the path.",
 }
 
 LAWS = ("poisson", "energetic", "newton")

@@ -35,6 +35,7 @@ from .codes import (
     SINGULAR_DELASSUS,
     SLIP,
     SLIP_RESUMED,
+    SLIP_TURNS,
     STICK,
     STICKS,
     STOPS,
@@ -219,9 +220,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
                 flags |= JAM
             bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
             unbent = bend <= 0.25 * STRAIGHT * abs(m0)
-            straight = unbent or (
-                abs(turn) <= STRAIGHT * abs(t1) and abs(turn * t2) <= 0.1 * t1 * t1
-            )
+            straight = unbent or (abs(turn) <= STRAIGHT * abs(t1) and abs(turn * t2) <= 0.1 * t1 * t1)
             if straight:
                 gain = omega * m0
                 dp1, dp2 = -mu * s1, -mu * s2
@@ -270,6 +269,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
             v3, speed = v3_end, speed_end
 
         else:
+            flags |= SLIP_TURNS
             # ---- the last stretch before v_t = 0, if nothing else happens on it ----
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
             scale = speed * per
@@ -316,7 +316,22 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
                         if peaks and v3_end - goal < NEAR * goal:
                             flags |= NEAR_JUMP
                         x = seek(
-                            VELOCITY, goal, -left, v3_end - goal, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                            VELOCITY,
+                            goal,
+                            -left,
+                            v3_end - goal,
+                            x,
+                            series,
+                            h,
+                            scale,
+                            mu,
+                            c,
+                            bl,
+                            bp,
+                            v3,
+                            speed,
+                            q,
+                            w,
                         )
                     elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
                         flags |= NEAR_JUMP
@@ -336,7 +351,22 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
                     if work >= left:
                         event = LAW_MET
                         x = seek(
-                            WORK, left, -left, work - left, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                            WORK,
+                            left,
+                            -left,
+                            work - left,
+                            x,
+                            series,
+                            h,
+                            scale,
+                            mu,
+                            c,
+                            bl,
+                            bp,
+                            v3,
+                            speed,
+                            q,
+                            w,
                         )
                 if event != NOTHING:
                     value, t, span, along, across, dv3 = point(series, x, h, scale, mu, c, bl, bp)

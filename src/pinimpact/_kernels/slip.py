@@ -103,4 +103,3 @@ def advance(series, x, h):
     h2 = h * h
     h4 = h2 * h2
     return value, h * x, n0 + 2.0 * h2 * n2 + h4 * n4, n0 - h4 * n4, 2.0 * h * (n1 + h2 * n3)
-
