@@ -268,7 +268,7 @@ def singular_mass(model: pin.Model, velocity: int) -> ModelError:
     )
     return ModelError(
         f"model: the mass matrix is not positive definite: joint {joint!r} (velocity {velocity}) moves no "
-        f"inertia; give its links inertia, or model.armature[{velocity}] a rotor inertia",
+        f"inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock the joint",
         field="model",
         value=joint,
     )

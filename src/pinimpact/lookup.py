@@ -36,7 +36,7 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     if not isinstance(key, str):
         if not 0 <= key < model.nframes:
             raise UnknownNameError(
-                f"{field}: there is no frame {key}; the ids of this model's frames are 0 to {model.nframes - 1}",
+                f"{field}: there is no frame {key}; this model's frames are 0 to {model.nframes - 1}",
                 field=field,
                 value=key,
             )
@@ -83,7 +83,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
                 )
         elif not 0 < key < model.njoints:
             raise UnknownNameError(
-                f"locked: there is no joint {key}; the ids of this model's joints are 1 to {model.njoints - 1}",
+                f"locked: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}",
                 field="locked",
                 value=key,
             )

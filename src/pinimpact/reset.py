@@ -116,7 +116,7 @@ def impact(
     record: bool = False,
     **options: Any,
 ) -> Hit:
-    """Resolve the impact of one contact of a robot, M Δq̇ = Jᵀ P. (theory.md, section 1)
+    """Resolve the impact of one contact of a robot: M Δq̇ = Jᵀ P.
 
     The contact is taken as closed, whatever its gap. A contact that does not approach changes nothing;
     ``hit.solution.status`` says so.

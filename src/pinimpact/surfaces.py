@@ -60,7 +60,7 @@ def unit_vector(field: str, value: ArrayLike) -> Vector:
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
         raise InputError(
-            f"{field}: {(x, y, z)} has no direction; give the vector that points from the surface into free space",
+            f"{field}: {(x, y, z)} has no direction; give the vector from the surface into free space",
             field=field,
             value=value,
         )
@@ -81,7 +81,7 @@ def check_frame_key(field: str, value: object, *, optional: bool = False) -> Non
 
 
 def contact_axes(normal: ArrayLike) -> NDArray[np.float64]:
-    """Return the (3, 3) contact axes of a normal: t₁, t₂ and n as rows, right-handed, in the axes of `normal`.
+    """Return the (3, 3) contact axes of a normal: t₁, t₂ and n as rows, right-handed, in the normal's axes.
 
     For n = z: t₁ = x, t₂ = y. For any other n: the axes to which the smallest rotation that takes z to n
     carries x and y; for n = −z half a turn about x. Accurate to rounding for every n.

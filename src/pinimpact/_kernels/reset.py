@@ -64,10 +64,16 @@ def reset(
         mass: (nv, nv) M.
         parents: (nv,) the next velocity on the way to the root, or −1.
         free: (nv,) False where the velocity is locked.
-        frame, frame_jacobian, carrier, carrier_jacobian, constants: As in `geometry.jacobian`.
+        frame: This and the next four as in `geometry.jacobian`.
+        frame_jacobian: See there.
+        carrier: See there.
+        carrier_jacobian: See there.
+        constants: See there.
         q: (nq,), only looked through for numbers that are not finite.
         v: (nv,) pre-impact velocity.
-        mu, e, law: Friction, restitution and the code of its law.
+        mu: Friction.
+        e: Restitution.
+        law: Code of its law.
         out: (nv + SIZE,) takes the answer; see `DELASSUS` and its neighbours.
 
     Returns:
