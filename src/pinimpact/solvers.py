@@ -54,11 +54,10 @@ def register_method(name: str, method: Method) -> None:
 
 
 def _load_exact() -> Run:
-    from ._kernels.exact import solve_into
-    from ._kernels.slip import TERMS
+    from ._kernels.exact import SCRATCH, solve_into
 
     def run(inputs: Inputs, trace: Array, path: Array) -> tuple[Any, ...]:
-        raw: tuple[Any, ...] = solve_into(*inputs, np.empty(TERMS + 1), trace, path)
+        raw: tuple[Any, ...] = solve_into(*inputs, np.empty(SCRATCH), trace, path)
         return raw
 
     return run

@@ -8,9 +8,8 @@ import numpy as np
 
 from .codes import INDEFINITE_DELASSUS
 from .delassus import ZERO
-from .exact import solve_into
+from .exact import SCRATCH, solve_into
 from .jit import jit
-from .slip import TERMS
 
 
 @jit
@@ -33,7 +32,7 @@ def solve_rows(delassus, velocity, friction, restitution, law, numbers, codes, w
         codes: (N, 3) receives status, flags and iterations.
         works: (N, 3) receives the work of compression, restitution and friction; (0, 3): not wanted.
     """
-    series = np.empty(TERMS + 1)
+    scratch = np.empty(SCRATCH)
     path = np.empty((0, 6))
     trace = np.empty((32 if works.shape[0] > 0 else 0, 6))
     for i in range(velocity.shape[0]):
@@ -51,7 +50,7 @@ def solve_rows(delassus, velocity, friction, restitution, law, numbers, codes, w
             friction[i],
             restitution[i],
             law,
-            series,
+            scratch,
             trace,
             path,
         )

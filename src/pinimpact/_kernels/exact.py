@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from .closure import close, nearby_root
 from .codes import (
     COMPRESSION,
     ENDED_AT_REST,
@@ -43,11 +42,15 @@ from .codes import (
 )
 from .delassus import EPS, ZERO, classify
 from .jit import jit
+from .node import expand_node, nearby_root
 from .normal import linear_event, restitution_goal
 from .record import mark, mark_stretch, note
 from .secular import resumed_direction
 from .slip import TERMS, expand, in_frame, polynomials
 from .stretch import IMPULSE, VELOCITY, WORK, first_root, point, seek, works
+
+SCRATCH = 2 * TERMS + 6
+"""Floats of scratch space that an impact needs."""
 
 MAX_STEPS = 1000
 """Bound on the moves of one impact; what the worst cases need is in docs/hard-cases.md."""
@@ -92,14 +95,14 @@ def failed(status, figure):
 
 
 @jit
-def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, trace, path):
+def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, trace, path):
     """Solve one impact.
 
     Args:
         w11 … w33: Upper triangle of W, row by row.
         v1, v2, v3: Pre-impact velocity.
         mu, e, law: Friction, restitution and the code of its law.
-        series: Scratch for TERMS + 1 coefficients.
+        scratch: SCRATCH floats.
         trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
 
@@ -157,6 +160,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
     muo = mu * per
     f11, f12, f22, fb1, fb2 = muo * a11, muo * a12, muo * a22, per * b1, per * b2
 
+    series, inverse = scratch[: TERMS + 1], scratch[TERMS + 1 :]
     work_wanted = law == ENERGETIC or trace.shape[0] > 0
     path_wanted = path.shape[0] > 0
     approach, start1, start2 = v3, v1, v2
@@ -270,126 +274,109 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
 
         else:
             flags |= SLIP_TURNS
-            # ---- the last stretch before v_t = 0, if nothing else happens on it ----
+            # ---- a stretch of turning slip, on which its series converges and v₃ is monotone ----
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-            scale = speed * per
-            closed = False
             root = nearby_root(turn, t1, t2, t3, t4)
-            if root != 0.0 and m0 < 0.0 and not work_wanted and not path_wanted:
-                closed, d1, d2, i0, i1, i2 = close(series, f11, f12, f22, fb1, fb2, s1, s2, root)
-                if closed:
-                    span = scale * i0
-                    along, across = -mu * scale * i1, -mu * scale * i2
-                    dp1, dp2 = d1 * along - d2 * across, d2 * along + d1 * across
-                    v3_end = v3 + c * span + b1 * dp1 + b2 * dp2 if s > 0.0 else offset
-                    if phase == COMPRESSION:
-                        closed = v3_end < 0.0 or (s == 0.0 and v3_end == 0.0)
-                    else:
-                        closed = v3_end > 0.0 and (span < left if law == POISSON else v3_end < goal)
-                    closed = closed and first_root(jam0, jam1, jam2, root) == root
-                if closed:
-                    p1 += dp1
-                    p2 += dp2
-                    p3 += span
-                    v3, speed = v3_end, 0.0
-
-            # ---- a stretch of turning slip, short enough for its series and for v₃ to be monotone ----
-            if not closed:
-                h = 0.5 * turn
-                whole = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
-                x = first_root(jam0, jam1, jam2, h * whole) / h
+            node = False
+            d1, d2, n1, f = s1, s2, 0.0, (0.0,) * 12
+            if root != 0.0:
+                node, d1, d2, n1, dl, dp, f = expand_node(
+                    series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
+                )
+            if node:
+                t = first_root(jam0, jam1, jam2, root)
+                peaks = t != root
+                x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
+                bl, bp = dl * omega, dp * omega
+                jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+            else:
+                d1, d2 = s1, s2
+                whole, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
+                x = first_root(jam0, jam1, jam2, f[0] * whole) / f[0]
                 peaks = x < whole
-                hh = h * h
-                q = (0.5 * t1, 0.5 * t2 * h, 0.5 * t3 * hh, 0.5 * t4 * hh * h)
-                w = (m0 - 0.5 * t1, (m1 - t2) * h, (m2 - 1.5 * t3) * hh, (m3 - 2.0 * t4) * hh * h)
-                value, t, span, along, across, dv3 = point(series, x, h, scale, mu, c, bl, bp)
+            scale = speed * per
+            if x == math.inf and f[3] <= 0.0:
+                # slip goes on for ever along the invariant direction
+                span = math.inf
+                v3_end = math.inf if jam0 > 0.0 else -math.inf if jam0 < 0.0 else v3
+            else:
+                span, along, across, dv3, ratio, t, _, _ = point(
+                    node, series, inverse, x, f, scale, mu, c, bl, bp
+                )
                 v3_end = v3 + dv3
-                if phase == COMPRESSION:
-                    if v3_end >= 0.0:
-                        event = STOPS
-                        x = seek(
-                            VELOCITY, 0.0, v3, v3_end, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
-                        )
-                elif law == NEWTON:
-                    if v3_end >= goal:
-                        event = LAW_MET
-                        if peaks and v3_end - goal < NEAR * goal:
-                            flags |= NEAR_JUMP
-                        x = seek(
-                            VELOCITY,
-                            goal,
-                            -left,
-                            v3_end - goal,
-                            x,
-                            series,
-                            h,
-                            scale,
-                            mu,
-                            c,
-                            bl,
-                            bp,
-                            v3,
-                            speed,
-                            q,
-                            w,
-                        )
-                    elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
-                        flags |= NEAR_JUMP
-                elif law == POISSON and span >= left:
-                    event = LAW_MET
-                    x_end = x
+                if x == math.inf and s == 0.0:
+                    v3_end = offset
+            x_end = x
+            if phase == COMPRESSION:
+                if v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
+                    event = STOPS
                     x = seek(
-                        IMPULSE, left, -left, span - left, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w
+                        VELOCITY, 0.0, v3, v3_end, x, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed
                     )
-                    if v3_end < 0.0 and v3 + point(series, x, h, scale, mu, c, bl, bp)[5] < 0.0:
-                        event, x = NOTHING, x_end
-                if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
-                    event = FALLS_BACK
-                    x = seek(VELOCITY, 0.0, v3, v3_end, x, series, h, scale, mu, c, bl, bp, v3, speed, q, w)
-                if law == ENERGETIC and phase == RESTITUTION:
-                    work, _ = works(series, x, h, scale, mu, c, bl, bp, v3, speed, *q)
-                    if work >= left:
-                        event = LAW_MET
-                        x = seek(
-                            WORK,
-                            left,
-                            -left,
-                            work - left,
-                            x,
-                            series,
-                            h,
-                            scale,
-                            mu,
-                            c,
-                            bl,
-                            bp,
-                            v3,
-                            speed,
-                            q,
-                            w,
-                        )
-                if event != NOTHING:
-                    value, t, span, along, across, dv3 = point(series, x, h, scale, mu, c, bl, bp)
-                if work_wanted:
-                    work, friction_work = works(series, x, h, scale, mu, c, bl, bp, v3, speed, *q)
-                if path_wanted:
-                    points = mark_stretch(
-                        path, points, series, x, h, scale, mu, c, bl, bp, q, s1, s2, speed, v3, p1, p2, p3
+            elif law == NEWTON:
+                if v3_end >= goal:
+                    event = LAW_MET
+                    if peaks and v3_end - goal < NEAR * goal:
+                        flags |= NEAR_JUMP
+                    x = seek(
+                        VELOCITY, goal, -left, v3_end - goal, x,
+                        node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
                     )
-                p1 += s1 * along - s2 * across
-                p2 += s2 * along + s1 * across
-                p3 += span
-                v3 += dv3
-                fall = 1.0 + x * (q[0] + x * (q[1] + x * (q[2] + x * q[3])))
-                chord = 1.0 + t * t
-                rate = (jam0 + t * (jam1 + t * jam2)) / chord
-                cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
-                s1, s2 = s1 * cos - s2 * sin, s2 * cos + s1 * sin
-                norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
-                s1 *= norm
-                s2 *= norm
-                speed *= value * fall * chord
-                turn *= fall / (chord * chord)
+                elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
+                    flags |= NEAR_JUMP
+            elif law == POISSON and span >= left:
+                event = LAW_MET
+                x = seek(
+                    IMPULSE, left, -left, span - left, x,
+                    node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
+                )
+                if v3_end < 0.0 and v3 + point(node, series, inverse, x, f, scale, mu, c, bl, bp)[3] < 0.0:
+                    event, x = NOTHING, x_end
+            if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
+                event = FALLS_BACK
+                x = seek(
+                    VELOCITY, 0.0, v3, v3_end, x, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed
+                )
+            if law == ENERGETIC and phase == RESTITUTION:
+                work = math.inf
+                if x < math.inf or f[3] > 0.0:
+                    work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
+                if work >= left:
+                    event = LAW_MET
+                    x = seek(
+                        WORK, left, -left, work - left, x,
+                        node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
+                    )
+            if x == math.inf and f[3] <= 0.0:
+                return failed(UNSTOPPABLE if phase == COMPRESSION else LAW_UNREACHABLE, math.ldexp(v3, scale_v))
+            if event != NOTHING:
+                span, along, across, dv3, ratio, t, _, _ = point(
+                    node, series, inverse, x, f, scale, mu, c, bl, bp
+                )
+                v3_end = v3 + dv3
+            if work_wanted:
+                work, friction_work = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
+            if path_wanted:
+                points = mark_stretch(
+                    path, points, node, series, inverse, x, f, scale, mu, c, bl, bp, d1, d2, speed, v3, p1, p2, p3
+                )
+            p1 += d1 * along - d2 * across
+            p2 += d2 * along + d1 * across
+            p3 += span
+            v3 = v3_end
+            chord = 1.0 + t * t
+            rate = (jam0 + t * (jam1 + t * jam2)) / chord
+            cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
+            s1, s2 = d1 * cos - d2 * sin, d2 * cos + d1 * sin
+            norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
+            s1 *= norm
+            s2 *= norm
+            speed *= ratio
+            if node:
+                y = t / f[0]
+                turn = n1 * t * (1.0 + y * (f[4] + y * (f[5] + y * f[6]))) / (chord * chord)
+            else:
+                turn *= (1.0 + x * (f[4] + x * (f[5] + x * (f[6] + x * f[10])))) / (chord * chord)
 
         # ---- the ledger of the normal direction, and what the event brings ----
         if trace.shape[0] > 0:
@@ -470,6 +457,6 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, tra
 @jit
 def solve(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
     """Solve one impact without trace and path; arguments and the first ten results as in `solve_into`."""
-    series = np.empty(TERMS + 1)
+    scratch = np.empty(SCRATCH)
     empty = np.empty((0, 6))
-    return solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, series, empty, empty)[:10]
+    return solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, empty, empty)[:10]

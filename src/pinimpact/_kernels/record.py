@@ -42,22 +42,30 @@ def mark(path, rows, p3, v1, v2, v3, p1, p2):
 
 
 @jit
-def mark_stretch(path, rows, series, x, h, scale, mu, c, bl, bp, q, s1, s2, speed, v3, p1, p2, p3):
+def mark_stretch(
+    path, rows, node, series, inverse, x, f, scale, mu, c, bl, bp, d1, d2, speed, v3, p1, p2, p3
+):
     """Append the points inside a stretch of turning slip from 0 to x, both excluded."""
-    q1, q2, q3, q4 = q
-    for i in range(1, POINTS):
-        y = x * i / POINTS
-        value, t, normal, along, across, dv3 = point(series, y, h, scale, mu, c, bl, bp)
-        radius = speed * value * (1.0 + y * (q1 + y * (q2 + y * (q3 + y * q4))))
+    count = POINTS
+    end = x
+    if node:
+        end = min(x, 38.0)
+        count = 2 * POINTS
+    for i in range(1, count):
+        y = end * i / count
+        normal, along, across, dv3, ratio, t, _, _ = point(
+            node, series, inverse, y, f, scale, mu, c, bl, bp
+        )
+        radius = speed * ratio / (1.0 + t * t)
         u1, u2 = radius * (1.0 - t * t), radius * 2.0 * t
         rows = mark(
             path,
             rows,
             p3 + normal,
-            s1 * u1 - s2 * u2,
-            s2 * u1 + s1 * u2,
+            d1 * u1 - d2 * u2,
+            d2 * u1 + d1 * u2,
             v3 + dv3,
-            p1 + s1 * along - s2 * across,
-            p2 + s2 * along + s1 * across,
+            p1 + d1 * along - d2 * across,
+            p2 + d2 * along + d1 * across,
         )
     return rows

@@ -49,17 +49,18 @@ def polynomials(al, ax, ap, bl, bp):
 
 @jit
 def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
-    """Fill `series` with the coefficients of S(x)/S(0) and return how far x may go. (3.10), (3.11)"""
+    """Fill `series` with the coefficients of S(x)/S(0). (3.10), (3.11)
+
+    Returns:
+        how far x may go, and the constants of the stretch: t/x, twice 1 for the factors of speed and impulse,
+        0 for the exponent, the coefficients of p/p₀ and those of the logarithmic derivative of S.
+    """
     h = 0.5 * p0
     h2 = h * h
     q1, q2, q3, q4 = 0.5 * p1, 0.5 * p2 * h, 0.5 * p3 * h2, 0.5 * p4 * h2 * h
-    # coefficients of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each falling by q with k
-    c0, c1, c2, c3 = (
-        m0 - q1,
-        (m1 - p2) * h + q2,
-        (m2 - 1.5 * p3) * h2 + 2.0 * q3,
-        (m3 - 2.0 * p4) * h2 * h + 3.0 * q4,
-    )
+    w0, w1, w2, w3 = m0 - q1, (m1 - p2) * h, (m2 - 1.5 * p3) * h2, (m3 - 2.0 * p4) * h2 * h
+    # the factors of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each falling by q with k
+    c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
     s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
     series[0] = 1.0
     for k in range(TERMS):
@@ -75,7 +76,7 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     reach = 1.0 / abs(h)
     if last > 0.0:
         reach = min(reach, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
-    return reach
+    return reach, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
 @jit
@@ -95,11 +96,3 @@ def moments(series, x):
     x2 = x * x
     return value, n0 * x, n1 * x2, n2 * x2 * x, n3 * x2 * x2, n4 * x2 * x2 * x
 
-
-@jit
-def advance(series, x, h):
-    """Return S(x), t and the integrals of S(1+t²)², S(1−t⁴), 2S t(1+t²) over (0, x). (3.12)"""
-    value, n0, n1, n2, n3, n4 = moments(series, x)
-    h2 = h * h
-    h4 = h2 * h2
-    return value, h * x, n0 + 2.0 * h2 * n2 + h4 * n4, n0 - h4 * n4, 2.0 * h * (n1 + h2 * n3)

@@ -1,6 +1,7 @@
 """One stretch of turning slip, on which v₃ is monotone: its state at any x, its works, its events.
 
-(theory.md, 3.3)
+A stretch is a power series in x = 2t/p(0) (slip.py), or one around the invariant direction ahead, with
+x = L (node.py); here the two are one thing. (theory.md, 3.3 and 4.2)
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 import numpy as np
 
 from .jit import jit
-from .slip import advance
+from .slip import TERMS, moments
 
 VELOCITY, IMPULSE, WORK = 0, 1, 2
 
@@ -42,71 +43,173 @@ def first_root(k0, k1, k2, end):
 
 
 @jit
-def point(series, x, h, scale, mu, c, bl, bp):
-    """Return S, t, ΔP₃, ΔP∥, ΔP⊥ and Δv₃ at x; `scale` is the speed at x = 0 over ω. (3.12)"""
-    value, t, i0, i1, i2 = advance(series, x, h)
-    normal, along, across = scale * i0, -mu * scale * i1, -mu * scale * i2
-    return value, t, normal, along, across, c * normal + bl * along + bp * across
+def node_moments(series, inverse, exponent, span):
+    """Return yᵃ, y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
+    if span == math.inf:
+        y, power, drop, part = 0.0, 0.0, 1.0, 1.0
+    else:
+        drop = -math.expm1(-span)
+        part = -math.expm1(-exponent * span)
+        y, power = 1.0 - drop, 1.0 - part
+    fill0 = part * inverse[0]
+    if abs(exponent) < 0.5 and inverse[0] == 0.0:
+        fill0 = span
+    # fill_k = (1 − y^{a+k})/(a+k), its numerator summed without cancellation
+    start = power
+    resonant = -1
+    if exponent < -0.25:
+        resonant = int(0.5 - exponent)
+    pw = power
+    part += pw * drop
+    fill1 = part * inverse[1]
+    pw *= y
+    part += pw * drop
+    fill2 = part * inverse[2]
+    pw *= y
+    part += pw * drop
+    fill3 = part * inverse[3]
+    pw *= y
+    value = n0 = n1 = n2 = n3 = n4 = 0.0
+    for k in range(TERMS + 1):
+        part += pw * drop
+        fill4 = part * inverse[k + 4]
+        pw *= y
+        if resonant >= 0 and resonant <= k + 4:
+            z = exponent + resonant
+            exact = -math.expm1(-z * span) / z if z != 0.0 else span
+            if resonant == k + 4:
+                fill4 = exact
+            elif k == 0 and resonant == 1:
+                fill1 = exact
+            elif k == 0 and resonant == 2:
+                fill2 = exact
+            elif k == 0 and resonant == 3:
+                fill3 = exact
+        term = series[k]
+        value += term * power
+        power *= y
+        n0 += term * fill0
+        n1 += term * fill1
+        n2 += term * fill2
+        n3 += term * fill3
+        n4 += term * fill4
+        fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
+    return start, y, value, n0, n1, n2, n3, n4
 
 
 @jit
-def works(series, x, h, scale, mu, c, bl, bp, v3, speed, q1, q2, q3, q4):
+def point(node, series, inverse, x, f, scale, mu, c, bl, bp):
+    """Return the state at x. (3.12), (4.5)
+
+    Args:
+        node: Which of the two series it is.
+        f: Its constants, as `slip_constants` or `expand_node` gives them.
+        scale: Speed at x = 0 over ω.
+
+    Returns:
+        ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
+    """
+    h, factor, unit, exponent, q1, q2, q3, w0, w1, w2, q4, w3 = f
+    if node:
+        power, y, value, n0, n1, n2, n3, n4 = node_moments(series, inverse, exponent, x)
+        t = h * y
+        fall = 1.0 + y * (q1 + y * (q2 + y * q3))
+        tt = t * t
+        bend = -exponent - y * (w0 + y * (w1 + y * w2)) / fall - 4.0 * tt / (1.0 + tt)
+    else:
+        value, n0, n1, n2, n3, n4 = moments(series, x)
+        t = h * x
+        tt = t * t
+        fall = 1.0 + x * (q1 + x * (q2 + x * (q3 + x * q4)))
+        bend = (w0 + x * (w1 + x * (w2 + x * w3))) / fall + 4.0 * h * t / (1.0 + tt)
+    hh = h * h
+    h4 = hh * hh
+    unit *= scale
+    chord = 1.0 + tt
+    normal = unit * (n0 + 2.0 * hh * n2 + h4 * n4)
+    along = -mu * unit * (n0 - h4 * n4)
+    across = -2.0 * mu * unit * h * (n1 + hh * n3)
+    return (
+        normal,
+        along,
+        across,
+        c * normal + bl * along + bp * across,
+        factor * value * fall * chord,
+        t,
+        unit * value * chord * chord,
+        bend,
+    )
+
+
+@jit
+def works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed):
     """Integrate the normal work and the friction work over (0, x) by Gauss quadrature. (3.14)"""
     normal_work = friction_work = 0.0
-    for i in range(_NODES.size):
-        y = x * _NODES[i]
-        value, t, _, _, _, dv3 = point(series, y, h, scale, mu, c, bl, bp)
-        chord = 1.0 + t * t
-        rate = _WEIGHTS[i] * scale * value * chord * chord
-        normal_work += rate * (v3 + dv3)
-        friction_work -= rate * mu * speed * value * chord * (1.0 + y * (q1 + y * (q2 + y * (q3 + y * q4))))
-    return normal_work * x, friction_work * x
+    panels, end = 1, x
+    if node:
+        # beyond this the direction is settled and the rest is straight
+        end = min(x, 38.0)
+        panels = 1 + int(end * max(1.0, 0.5 * abs(f[3])))
+    width = end / panels
+    for j in range(panels):
+        for i in range(_NODES.size):
+            normal, along, across, dv3, ratio, t, slope, _ = point(
+                node, series, inverse, (j + _NODES[i]) * width, f, scale, mu, c, bl, bp
+            )
+            rate = _WEIGHTS[i] * width * slope
+            normal_work += rate * (v3 + dv3)
+            friction_work -= rate * mu * speed * ratio
+    if end < x:
+        a = point(node, series, inverse, end, f, scale, mu, c, bl, bp)
+        b = point(node, series, inverse, x, f, scale, mu, c, bl, bp)
+        normal_work += (b[0] - a[0]) * (v3 + 0.5 * (a[3] + b[3]))
+        friction_work -= 0.5 * mu * speed * (b[0] - a[0]) * (a[4] + b[4])
+    return normal_work, friction_work
 
 
 @jit
-def seek(kind, goal, f_low, f_high, high, series, h, scale, mu, c, bl, bp, v3, speed, q, w):
+def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `goal` in (0, high).
 
     Halley's iteration inside a bracket; the work, whose curvature costs as much as itself, takes Newton's.
 
     Args:
         f_low, f_high: The quantity less its goal at 0 and at `high`; of opposite signs.
-        q, w: The coefficients of p/p(0) and of the logarithmic derivative of S. (3.9)
 
     Returns:
         x.
     """
-    q1, q2, q3, q4 = q
-    w0, w1, w2, w3 = w
     low, top = 0.0, high
-    x = high if kind == WORK else high * (f_low / (f_low - f_high))
+    if math.isfinite(f_high) and high < math.inf:
+        x = high if kind == WORK else high * (f_low / (f_low - f_high))
+    else:
+        x = 0.5
     k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-    for _ in range(60):
-        value, t, normal, _, _, dv3 = point(series, x, h, scale, mu, c, bl, bp)
-        chord = 1.0 + t * t
-        slope = scale * value * chord
-        bend = (w0 + x * (w1 + x * (w2 + x * w3))) / (1.0 + x * (q1 + x * (q2 + x * (q3 + x * q4))))
+    for _ in range(100):
+        normal, _, _, dv3, _, t, slope, bend = point(
+            node, series, inverse, x, f, scale, mu, c, bl, bp
+        )
         if kind == VELOCITY:
-            rate = k0 + t * (k1 + t * k2)
-            f = (v3 - goal) + dv3
+            chord = 1.0 + t * t
+            rate = (k0 + t * (k1 + t * k2)) / chord
+            turn = -t if node else f[0]
+            now = (v3 - goal) + dv3
+            bend += turn * ((k1 + 2.0 * t * k2) / chord - 2.0 * t * rate / chord) / rate
             slope *= rate
-            bend += h * (2.0 * t / chord + (k1 + 2.0 * t * k2) / rate)
         elif kind == IMPULSE:
-            f = normal - goal
-            slope *= chord
-            bend += h * 4.0 * t / chord
+            now = normal - goal
         else:
-            work, _ = works(series, x, h, scale, mu, c, bl, bp, v3, speed, q1, q2, q3, q4)
-            f = work - goal
-            slope *= chord * (v3 + dv3)
+            work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
+            now = work - goal
+            slope *= v3 + dv3
             bend = 0.0
-        if f == 0.0:
+        if now == 0.0:
             return x
-        if (f > 0.0) == (f_high > 0.0):
+        if (now > 0.0) == (f_high > 0.0):
             top = x
         else:
             low = x
-        step = -f / slope
+        step = -now / slope
         halley = 1.0 + 0.5 * bend * step
         if halley > 0.5:
             step /= halley
@@ -114,7 +217,9 @@ def seek(kind, goal, f_low, f_high, high, series, h, scale, mu, c, bl, bp, v3, s
         if not (low < new < top):
             if top - low <= 2.0**-52 * top:
                 return x
-            new = 0.5 * (low + top)
+            new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
+        elif new > 2.0 * x + 2.0:
+            new = 2.0 * x + 2.0
         elif abs(step) <= 2e-6 * x and (kind != WORK or abs(step) <= 1e-9 * x):
             return new
         x = new

@@ -14,13 +14,12 @@ EPS = 2.0**-52
 
 
 @jit
-def factor(mass, parents, free, lower):
+def factor(mass, parents, lower):
     """Fill `lower` with L; its entries that are no ancestor's are left as they are.
 
     Args:
         mass: (nv, nv) M.
         parents: (nv,) the next velocity on the way to the root, or −1.
-        free: (nv,) False where the velocity is locked: its row and column of M become the identity's.
         lower: (nv, nv) takes L.
 
     Returns:
@@ -30,61 +29,52 @@ def factor(mass, parents, free, lower):
     for i in range(n):
         j = i
         while j >= 0:
-            lower[i, j] = mass[i, j] if free[i] and free[j] else 0.0
+            lower[i, j] = mass[i, j]
             j = parents[j]
-        if not free[i]:
-            lower[i, i] = 1.0
     for k in range(n - 1, -1, -1):
         pivot = lower[k, k]
-        if not (pivot > n * EPS * mass[k, k]) and free[k]:
+        if not pivot > n * EPS * mass[k, k]:
             return k
         root = math.sqrt(pivot)
+        inverse = 1.0 / root
         lower[k, k] = root
         i = parents[k]
         while i >= 0:
-            lower[k, i] /= root
+            lower[k, i] *= inverse
             i = parents[i]
         i = parents[k]
         while i >= 0:
             x = lower[k, i]
-            if x != 0.0:
-                j = i
-                while j >= 0:
-                    lower[i, j] -= x * lower[k, j]
-                    j = parents[j]
+            j = i
+            while j >= 0:
+                lower[i, j] -= x * lower[k, j]
+                j = parents[j]
             i = parents[i]
     return -1
 
 
 @jit
-def solve_transposed(lower, parents, rhs):
-    """Solve Lᵀ y = x in place for the columns of `rhs` (nv, m)."""
-    m = rhs.shape[1]
-    for i in range(lower.shape[0] - 1, -1, -1):
-        moved = False
-        for c in range(m):
-            if rhs[i, c] != 0.0:
-                moved = True
-                rhs[i, c] /= lower[i, i]
-        if moved:
-            j = parents[i]
-            while j >= 0:
-                x = lower[i, j]
-                for c in range(m):
-                    rhs[j, c] -= x * rhs[i, c]
-                j = parents[j]
+def solve_transposed(lower, parents, rows):
+    """Solve Lᵀ y = x in place for each row x (nv,) of `rows` (m, nv)."""
+    for row in rows:
+        for i in range(len(row) - 1, -1, -1):
+            if row[i] != 0.0:
+                x = row[i] / lower[i, i]
+                row[i] = x
+                j = parents[i]
+                while j >= 0:
+                    row[j] -= x * lower[i, j]
+                    j = parents[j]
 
 
 @jit
-def solve(lower, parents, rhs):
-    """Solve L y = x in place for the columns of `rhs` (nv, m)."""
-    m = rhs.shape[1]
-    for i in range(lower.shape[0]):
-        j = parents[i]
-        while j >= 0:
-            x = lower[i, j]
-            for c in range(m):
-                rhs[i, c] -= x * rhs[j, c]
-            j = parents[j]
-        for c in range(m):
-            rhs[i, c] /= lower[i, i]
+def solve(lower, parents, rows):
+    """Solve L y = x in place for each row x (nv,) of `rows` (m, nv)."""
+    for row in rows:
+        for i in range(len(row)):
+            x = row[i]
+            j = parents[i]
+            while j >= 0:
+                x -= lower[i, j] * row[j]
+                j = parents[j]
+            row[i] = x / lower[i, i]

@@ -1,0 +1,144 @@
+"""Motion of one contact point relative to its plane: gap, velocity, acceleration, Jacobian.
+
+Bodies are given by the placement of their joint (rotation, translation) and by spatial vectors in world axes at
+the world's origin (linear over angular), as Pinocchio's ABA in world convention leaves them in its data. The
+acceleration may include gravity, for only differences of two bodies enter.
+
+The contact point is the point of the tip that is closest to the plane, so on a sphere it is not a material point:
+with c the centre, p = c − r n and ṗ = ċ − r ṅ. The contact velocity is that of the two bodies' material at p.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .jit import jit
+
+CONSTANTS = 22
+"""Length of the constants of a contact, in the axes of the two joints: centre of the tip (3) and radius; then of
+the plane its point (3), axes t₁, t₂, n (9), and the velocity and angular velocity of its material (3 + 3)."""
+
+
+@jit
+def cross(a1, a2, a3, b1, b2, b3):
+    return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
+
+
+@jit
+def apply(R, k, i):
+    """Rotate the vector that stands at k[i:i + 3]."""
+    a, b, c = k[i], k[i + 1], k[i + 2]
+    return (
+        R[0, 0] * a + R[0, 1] * b + R[0, 2] * c,
+        R[1, 0] * a + R[1, 1] * b + R[1, 2] * c,
+        R[2, 0] * a + R[2, 1] * b + R[2, 2] * c,
+    )
+
+
+@jit
+def gap_and_rate(R, t, V, S, s, U, k):
+    """Return the gap [m] and its rate [m/s]; the tip's joint is at (R, t) with velocity V, the plane's at (S, s), U."""
+    c1, c2, c3 = apply(R, k, 0)
+    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
+    x1, x2, x3 = apply(S, k, 4)
+    x1, x2, x3 = x1 + s[0], x2 + s[1], x3 + s[2]
+    n1, n2, n3 = apply(S, k, 13)
+    r1, r2, r3 = c1 - x1, c2 - x2, c3 - x3
+    a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
+    b1, b2, b3 = cross(U[3], U[4], U[5], c1, c2, c3)
+    rate = n1 * (V[0] + a1 - U[0] - b1) + n2 * (V[1] + a2 - U[1] - b2) + n3 * (V[2] + a3 - U[2] - b3)
+    return n1 * r1 + n2 * r2 + n3 * r3 - k[3], rate
+
+
+@jit
+def curvature(J, weights, R, t, k, peak, h):
+    """Return a bound of |d²gap/dt²| over a step of length h.
+
+    Lever arms are those of the present J, lengthened by the way the point can go; `peak` (2 nv) holds the largest
+    |ξ̇| and |v̇| of the step. With s = Σ|∂p/∂q||q̇|, a = Σ|∂p/∂q||q̈| and ω = Σ|q̇| over rotations: a + 2 ω s.
+    """
+    n = len(weights)
+    c1, c2, c3 = apply(R, k, 0)
+    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
+    s = a = w = 0.0
+    way = 0.0
+    for sweep in range(2):
+        s = a = w = 0.0
+        for m in range(n):
+            if weights[m] == 0.0:
+                continue
+            u1, u2, u3 = cross(J[3, m], J[4, m], J[5, m], c1, c2, c3)
+            turn = math.sqrt(J[3, m] ** 2 + J[4, m] ** 2 + J[5, m] ** 2)
+            lever = math.sqrt((J[0, m] + u1) ** 2 + (J[1, m] + u2) ** 2 + (J[2, m] + u3) ** 2) + way * turn
+            s += lever * peak[m]
+            a += lever * peak[n + m]
+            w += turn * peak[m]
+        way = h * s
+    return a + 2.0 * w * s
+
+
+@jit
+def contact_motion(R, t, V, A, S, s, U, B, k, J, weights, rows, velocity, acceleration, surface):
+    """Fill what a sustained contact needs, in the plane's axes t₁, t₂, n.
+
+    Args:
+        R, t, V, A: Placement, velocity and acceleration of the tip's joint.
+        S, s, U, B: Those of the joint that carries the plane.
+        k: (22,) see `CONSTANTS`.
+        J: (6, nv) joint Jacobian in world axes at the world's origin.
+        weights: (nv,) 1 for velocities that move the tip only, −1 the plane only, 0 neither or both.
+        rows: (3, nv) takes the contact Jacobian.
+        velocity: (3,) takes the contact velocity v.
+        acceleration: (3,) takes dv/dt for the accelerations given.
+        surface: (3,) takes the velocity of the surface beyond its carrier's.
+
+    Returns:
+        The gap [m].
+    """
+    c1, c2, c3 = apply(R, k, 0)
+    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
+    x1, x2, x3 = apply(S, k, 4)
+    x1, x2, x3 = x1 + s[0], x2 + s[1], x3 + s[2]
+    n1, n2, n3 = apply(S, k, 13)
+    r = k[3]
+    p1, p2, p3 = c1 - r * n1, c2 - r * n2, c3 - r * n3
+    # rate of the contact point and of the plane's own point
+    a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
+    b1, b2, b3 = cross(U[3], U[4], U[5], n1, n2, n3)
+    dp1, dp2, dp3 = V[0] + a1 - r * b1, V[1] + a2 - r * b2, V[2] + a3 - r * b3
+    a1, a2, a3 = cross(U[3], U[4], U[5], x1, x2, x3)
+    dr1, dr2, dr3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
+    # relative velocity of the bodies' material at p, and its rate
+    w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
+    a1, a2, a3 = cross(w1, w2, w3, p1, p2, p3)
+    v1, v2, v3 = V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3
+    a1, a2, a3 = cross(A[3] - B[3], A[4] - B[4], A[5] - B[5], p1, p2, p3)
+    b1, b2, b3 = cross(w1, w2, w3, dp1, dp2, dp3)
+    g1, g2, g3 = A[0] - B[0] + a1 + b1, A[1] - B[1] + a2 + b2, A[2] - B[2] + a3 + b3
+    # the surface's own motion u = u₀ + Ω × (p − x), and its rate
+    u1, u2, u3 = apply(S, k, 16)
+    o1, o2, o3 = apply(S, k, 19)
+    y1, y2, y3 = p1 - x1, p2 - x2, p3 - x3
+    a1, a2, a3 = cross(U[3], U[4], U[5], u1, u2, u3)
+    e1, e2, e3 = cross(U[3], U[4], U[5], o1, o2, o3)
+    b1, b2, b3 = cross(e1, e2, e3, y1, y2, y3)
+    d1, d2, d3 = cross(o1, o2, o3, dr1, dr2, dr3)
+    g1, g2, g3 = g1 - a1 - b1 - d1, g2 - a2 - b2 - d2, g3 - a3 - b3 - d3
+    a1, a2, a3 = cross(o1, o2, o3, y1, y2, y3)
+    u1, u2, u3 = u1 + a1, u2 + a2, u3 + a3
+    v1, v2, v3 = v1 - u1, v2 - u2, v3 - u3
+    # the axes turn with the plane's carrier
+    a1, a2, a3 = cross(U[3], U[4], U[5], v1, v2, v3)
+    g1, g2, g3 = g1 - a1, g2 - a2, g3 - a3
+    n = len(weights)
+    for i in range(3):
+        e1, e2, e3 = apply(S, k, 7 + 3 * i)
+        velocity[i] = e1 * v1 + e2 * v2 + e3 * v3
+        acceleration[i] = e1 * g1 + e2 * g2 + e3 * g3
+        surface[i] = e1 * u1 + e2 * u2 + e3 * u3
+        for m in range(n):
+            rows[i, m] = 0.0
+            if weights[m] != 0.0:
+                a1, a2, a3 = cross(J[3, m], J[4, m], J[5, m], p1, p2, p3)
+                rows[i, m] = weights[m] * (e1 * (J[0, m] + a1) + e2 * (J[1, m] + a2) + e3 * (J[2, m] + a3))
+    return n1 * y1 + n2 * y2 + n3 * y3
