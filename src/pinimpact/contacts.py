@@ -19,7 +19,9 @@ from .surfaces import Plane, Vector, check_frame_key, vector
 
 Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
-_WORLD = np.eye(4)
+_jacobian = pin.computeFrameJacobian
+_placement = pin.updateFramePlacement
+_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 @dataclass(frozen=True)
@@ -102,10 +104,10 @@ class Contact:
         model = model_of(model)
         space = workspace(model, data)
         pin.forwardKinematics(model, data, configuration(space, model, q))
-        frame = pin.updateFramePlacement(model, data, space.frame(self.frame)).homogeneous
-        carrier = _WORLD
+        frame = _placement(model, data, space.frame(self.frame)).homogeneous
+        carrier = None
         if self.plane.body is not None:
-            carrier = pin.updateFramePlacement(model, data, space.frame(self.plane.body, "body")).homogeneous
+            carrier = _placement(model, data, space.frame(self.plane.body, "body")).homogeneous
         return float(geometry.locate(frame, carrier, self.constants)[0])
 
 
@@ -164,14 +166,11 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     model = model_of(model)
     space = workspace(model, data)
     q = configuration(space, model, q)
-    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q, space, contact)
-    columns = np.empty((space.nv, 3))
-    axes = np.empty((3, 3))
-    surface = geometry.jacobian(
-        frame, frame_jacobian, carrier, carrier_jacobian, contact.constants, columns, axes
-    )
-    gap, _, _, _, *point = geometry.locate(frame, carrier, contact.constants)
-    return ContactGeometry(np.array(point), gap, axes, columns[:, :2], columns[:, 2], np.array(surface))
+    kinematic = kinematics(model, data, q, space, contact)
+    rows = np.empty((3, space.nv))
+    seen = np.array(geometry.jacobian(*kinematic, contact.constants, rows))
+    gap, _, _, _, *point = geometry.locate(kinematic[0], kinematic[2], contact.constants)
+    return ContactGeometry(np.array(point), gap, seen[:9].reshape(3, 3), rows[:2].T, rows[2], seen[9:])
 
 
 def contact_matrices(
@@ -207,14 +206,15 @@ def contact_matrices(
     seen = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
     mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
+    loose = np.where(free[:, None] & free, mass, np.diag(np.where(free, 0.0, 1.0)))
     lower = np.zeros_like(mass)
-    stopped = tree.factor(mass, space.parents, free, lower)
+    stopped = tree.factor(loose, space.parents, lower)
     if stopped >= 0:
         raise singular_mass(model, stopped)
 
     def half_solve(rows: Array) -> Array:
-        """L⁻ᵀ rowsᵀ, where what is locked does not move."""
-        y = np.where(free[:, None], rows.T, 0.0)
+        """L⁻ᵀ of each row, where what is locked does not move."""
+        y = np.where(free, rows, 0.0)
         tree.solve_transposed(lower, space.parents, y)
         return y
 
@@ -224,7 +224,7 @@ def contact_matrices(
         world_rows = [anchor.axes.T @ anchor.jacobian for anchor in anchors]
         y, impulses = _project_out(half_solve(np.vstack(world_rows)), y)
         held_response = impulses.reshape(-1, 3, 3)
-    delassus = y.T @ y
+    delassus = y @ y.T
     response = y.copy()
     tree.solve(lower, space.parents, response)
     return ContactMatrices(
@@ -236,7 +236,7 @@ def contact_matrices(
         surface_velocity=seen.surface_velocity,
         mass=mass,
         delassus=0.5 * (delassus + delassus.T),
-        response=response,
+        response=response.T,
         held=anchors,
         held_response=held_response,
     )
@@ -244,19 +244,19 @@ def contact_matrices(
 
 def kinematics(
     model: pin.Model, data: pin.Data, q: Array, space: Workspace, contact: Contact
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array | None, Array | None]:
     """Return placement (4, 4) and Jacobian (6, nv) of the contact's frame, and of the plane's carrier.
 
     The Jacobians are in world axes at the frames' origins, linear over angular.
     """
     frame = space.frame(contact.frame)
-    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    placement = pin.updateFramePlacement(model, data, frame).homogeneous
+    rows = _jacobian(model, data, q, frame, _ALIGNED)
+    placement = _placement(model, data, frame).homogeneous
     if contact.plane.body is None:
-        return placement, jacobian, _WORLD, space.still
+        return placement, rows, None, None
     body = space.frame(contact.plane.body, "body")
-    carrier_jacobian = pin.computeFrameJacobian(model, data, q, body, pin.LOCAL_WORLD_ALIGNED)
-    return placement, jacobian, pin.updateFramePlacement(model, data, body).homogeneous, carrier_jacobian
+    carrier_rows = _jacobian(model, data, q, body, _ALIGNED)
+    return placement, rows, _placement(model, data, body).homogeneous, carrier_rows
 
 
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:
@@ -300,7 +300,7 @@ def _finite(name: str, value: Any) -> float:
 
 
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
-    """Take out of the columns of `y` what the columns of `anchored` (both L⁻ᵀ Jᵀ) can balance.
+    """Take out of the rows of `y` what the rows of `anchored` (both L⁻ᵀ of rows of Jacobians) can balance.
 
     Returns:
         What is left of y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
@@ -310,10 +310,10 @@ def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
     left, sizes, right = np.linalg.svd(anchored, full_matrices=False)
     kept = sizes > tolerance * sizes[0]
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    balanced = left.T @ y
-    impulses = -right.T @ (balanced / sizes[:, None])
-    rest = y - left @ balanced
-    rest -= left @ (left.T @ rest)
-    directions, lengths, axes = np.linalg.svd(rest, full_matrices=False)
+    balanced = right @ y.T
+    impulses = -left @ (balanced / sizes[:, None])
+    rest = y - balanced.T @ right
+    rest -= (rest @ right.T) @ right
+    axes, lengths, directions = np.linalg.svd(rest, full_matrices=False)
     lengths = np.where(lengths > tolerance * np.linalg.norm(y), lengths, 0.0)
-    return (directions * lengths) @ axes, impulses
+    return (axes * lengths) @ directions, impulses

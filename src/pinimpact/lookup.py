@@ -124,17 +124,13 @@ class Workspace:
         self.nv = model.nv
         self.curved = model.nq != model.nv
         self.parents = np.array(list(data.parents_fromRow)[: model.nv], dtype=np.int64)
-        self.free = np.ones(model.nv, dtype=np.bool_)
-        self.still = np.zeros((6, model.nv))
-        self.frames: dict[str | int, int] = {}
+        self.frames: dict[Any, int] = {}
 
     def frame(self, key: str | int, field: str = "frame") -> int:
         """Return the id of a frame given by name or id; see `frame_id`."""
         found = self.frames.get(key)
         if found is None:
-            model = self.model()
-            assert model is not None
-            found = self.frames[key] = frame_id(model, key, field)
+            found = self.frames[key] = frame_id(self.model(), key, field)
         return found
 
 

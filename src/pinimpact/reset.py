@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ._kernels import reset as kernel
+from ._kernels.exact import SCRATCH, solve_into
 from .contacts import (
     Contact,
     ContactMatrices,
@@ -21,13 +24,18 @@ from .contacts import (
     singular_mass,
 )
 from .errors import InputError
-from .lookup import Workspace, configuration, free_velocities, model_of, workspace
+from .lookup import configuration, model_of, workspace
 from .outcome import Status
 from .problem import ImpactProblem, finite_array, float_array
-from .solution import Solution
-from .solvers import solve_impact
+from .solution import Inputs, Solution
+from .solvers import TRACE_ROWS, solve_impact, solve_inputs
+
+LOCKED = int(Status.LOCKED)
+"""The last status that is an answer."""
 
 Array = NDArray[np.float64]
+_NONE_HELD = np.zeros((0, 3))
+_NONE_HELD.setflags(write=False)
 
 HELD_TOLERANCE = 1e-6
 """How fast a held point may move before the impact, in parts of what the joints together could make of it."""
@@ -41,32 +49,38 @@ class Hit:
     """What an impact does to a robot.
 
     Attributes:
-        v: (nv,) post-impact generalized velocity.
         held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
     """
 
-    __slots__ = ("_answer", "_contact", "_restitution", "_solution", "held_impulses", "v")
+    __slots__ = ("_answer", "_contact", "_nv", "_outcome", "_restitution", "_solution", "held_impulses")
 
     def __init__(
         self,
         answer: Array,
         nv: int,
+        outcome: tuple[int, int, int],
         contact: Contact,
         restitution: float,
         solution: Solution | None = None,
-        held_impulses: Array | None = None,
+        held_impulses: Array = _NONE_HELD,
     ) -> None:
-        self.v: Array = answer[:nv]
-        self.held_impulses: Array = _NONE_HELD if held_impulses is None else held_impulses
-        self._answer = answer[nv:]
+        self._answer = answer
+        self._nv = nv
+        self._outcome = outcome
         self._contact = contact
         self._restitution = restitution
         self._solution = solution
+        self.held_impulses = held_impulses
+
+    @property
+    def v(self) -> Array:
+        """(nv,) post-impact generalized velocity."""
+        return self._answer[: self._nv]
 
     @property
     def impulse_world(self) -> Array:
         """(3,) impulse on the robot at the contact, in world axes [N s]."""
-        return self._part(kernel.IMPULSE, 3) @ self.axes
+        return self._part(kernel.AFTER + 3, 3) @ self.axes
 
     @property
     def axes(self) -> Array:
@@ -74,34 +88,37 @@ class Hit:
         return self._part(kernel.AXES, 9).reshape(3, 3)
 
     @property
-    def problem(self) -> ImpactProblem:
-        """The contact-space problem that was solved."""
-        w11, w12, w13, w22, w23, w33 = self._part(kernel.DELASSUS, 6)
-        return ImpactProblem(
-            np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]),
-            self._part(kernel.VELOCITY, 3),
-            self._contact.friction,
-            self._restitution,
-            self._contact.law,
-            self._part(kernel.SURFACE, 3),
-        )
-
-    @property
     def solution(self) -> Solution:
-        """The solution in contact axes: segments, work, status, flags; made on first access."""
+        """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
-            self._solution = solve_impact(self.problem)
+            inputs = self._inputs()
+            raw = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
+            surface = self._part(kernel.SURFACE, 3)
+            self._solution = Solution(raw, inputs, partial(_trace, inputs), None, surface)
         return self._solution
 
     def __repr__(self) -> str:
         return f"Hit(v={self.v}, impulse_world={self.impulse_world}, status={str(self.solution.status)!r})"
 
+    def _inputs(self) -> Inputs:
+        w11, w12, w13, w22, w23, w33, v1, v2, v3 = self._part(kernel.DELASSUS, 9).tolist()
+        contact = self._contact
+        return (
+            *(w11, w12, w13, w22, w23, w33, v1, v2, v3),
+            contact.friction,
+            self._restitution,
+            contact.law_code,
+        )
+
     def _part(self, start: int, count: int) -> Array:
+        start += self._nv
         return self._answer[start : start + count]
 
 
-_NONE_HELD = np.zeros((0, 3))
-_NONE_HELD.setflags(write=False)
+def _trace(inputs: Inputs) -> Array:
+    """Return the trace of the exact method; see `solve_into`."""
+    rows = np.empty((TRACE_ROWS, 6))
+    return rows[: solve_into(*inputs, np.empty(SCRATCH), rows, rows[:0])[11]]
 
 
 def impact(
@@ -144,22 +161,38 @@ def impact(
     if type(model) is not pin.Model:
         model = model_of(model)
     space = workspace(model, data)
-    if held or record or options or method != "exact":
+    if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
-    q, v = _state(space, model, q, v)
+    q = np.ascontiguousarray(q, dtype=np.float64)
+    v = np.ascontiguousarray(v, dtype=np.float64)
+    nv = space.nv
+    if len(q) != space.nq or q.ndim != 1 or (space.curved and not pin.isNormalized(model, q, 1e-8)):
+        configuration(space, model, q)
+    if len(v) != nv or v.ndim != 1:
+        float_array("v", v, (nv,))
     restitution = contact.restitution
     if callable(restitution):
-        speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
-        restitution = contact.restitution_at(max(speed, 0.0))
-    free = free_velocities(model, locked) if locked else space.free
-    status, detail, answer = _reset(model, data, q, v, contact, contact.friction, restitution, space, free)
-    hit = Hit(answer, space.nv, contact, restitution)
-    if not 0 <= status <= Status.LOCKED:
-        if status == kernel.SINGULAR_MASS:
-            raise singular_mass(model, detail)
+        restitution = _restitution_of_approach(model, data, q, v, contact)
+    answer = np.empty(nv + kernel.SIZE)
+    outcome = kernel.reset(
+        pin.crba(model, data, q),
+        space.parents,
+        *kinematics(model, data, q, space, contact),
+        contact.constants,
+        q,
+        v,
+        contact.friction,
+        restitution,
+        contact.law_code,
+        answer,
+    )
+    hit = Hit(answer, nv, outcome, contact, restitution)
+    if not 0 <= outcome[0] <= LOCKED:
+        if outcome[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, outcome[1])
         finite_array("q", q, (space.nq,))
-        finite_array("v", v, (space.nv,))
-        solve_impact(hit.problem)
+        finite_array("v", v, (nv,))
+        solve_inputs(hit._inputs())
     return hit
 
 
@@ -210,85 +243,49 @@ def impacts(
     """
     model = model_of(model)
     space = workspace(model, data)
-    count = len(q) if np.ndim(q) == 2 else 0
+    count = np.shape(q)[0] if np.ndim(q) == 2 else 0
     q = float_array("q", q, (count, space.nq))
     v = float_array("v", v, (count, space.nv))
     mu = _per_row("friction", contact.friction if friction is None else friction, count)
-    e = None
-    if restitution is not None or not callable(contact.restitution):
-        e = _per_row("restitution", contact.restitution if restitution is None else restitution, count)
+    law = contact.restitution if restitution is None else restitution
+    e = None if callable(law) else _per_row("restitution", law, count)
     found = Hits(
         np.full((count, space.nv), np.nan),
         np.full((count, 3), np.nan),
         np.full(count, int(Status.INVALID_NUMBERS)),
         np.zeros(count, dtype=np.int64),
     )
+    answer = np.empty(space.nv + kernel.SIZE)
     for row in range(count):
         if not np.isfinite(q[row]).all() or (space.curved and not pin.isNormalized(model, q[row], 1e-8)):
             continue
-        if e is None:
-            speed = -float(contact_geometry(model, data, q[row], contact).velocity(v[row])[2])
-            if not np.isfinite(speed):
-                continue
-            row_e = contact.restitution_at(max(speed, 0.0))
-        else:
-            row_e = e[row]
-        status, detail, answer = _reset(
-            model, data, q[row], v[row], contact, mu[row], row_e, space, space.free
+        outcome = kernel.reset(
+            pin.crba(model, data, q[row]),
+            space.parents,
+            *kinematics(model, data, q[row], space, contact),
+            contact.constants,
+            q[row],
+            v[row],
+            mu[row],
+            _restitution_of_approach(model, data, q[row], v[row], contact) if e is None else e[row],
+            contact.law_code,
+            answer,
         )
-        if status == kernel.SINGULAR_MASS:
-            raise singular_mass(model, detail)
-        found.status[row] = status
-        if status <= Status.LOCKED:
-            hit = Hit(answer, space.nv, contact, row_e)
+        if outcome[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, outcome[1])
+        found.status[row] = outcome[0]
+        if outcome[0] <= LOCKED:
+            hit = Hit(answer, space.nv, outcome, contact, 0.0)
             found.v[row] = hit.v
             found.impulse_world[row] = hit.impulse_world
-            found.flags[row] = detail
+            found.flags[row] = outcome[1]
     return found
 
 
-def _state(space: Workspace, model: pin.Model, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Check shapes and normalisation; the kernel looks for numbers that are not finite."""
-    q = np.ascontiguousarray(q, dtype=np.float64)
-    v = np.ascontiguousarray(v, dtype=np.float64)
-    if q.shape != (space.nq,) or (space.curved and not pin.isNormalized(model, q, 1e-8)):
-        configuration(space, model, q)
-    if v.shape != (space.nv,):
-        float_array("v", v, (space.nv,))
-    return q, v
-
-
-def _reset(
-    model: pin.Model,
-    data: pin.Data,
-    q: Array,
-    v: Array,
-    contact: Contact,
-    friction: float,
-    restitution: float,
-    space: Workspace,
-    free: NDArray[np.bool_],
-) -> tuple[int, int, Array]:
-    """Run Pinocchio and the kernel; return status, flags and the kernel's answer."""
-    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q, space, contact)
-    answer = np.empty(space.nv + kernel.SIZE)
-    status, detail = kernel.reset(
-        pin.crba(model, data, q),
-        space.parents,
-        free,
-        frame,
-        frame_jacobian,
-        carrier,
-        carrier_jacobian,
-        contact.constants,
-        q,
-        v,
-        friction,
-        restitution,
-        contact.law_code,
-        answer,
-    )
-    return status, detail, answer
+def _restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
+    """Return e for the speed at which the contact approaches; 0 where v is not finite."""
+    speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
+    return contact.restitution_at(max(speed, 0.0)) if speed < math.inf else 0.0
 
 
 def _impact_in_steps(
@@ -336,7 +333,8 @@ def _impact_in_steps(
             [solution.compression_impulse],
         ]
     )
-    return Hit(answer, nv, contact, restitution, solution, held_impulses)
+    outcome = (solution.status, solution.flags, solution.iterations)
+    return Hit(answer, nv, outcome, contact, restitution, solution, held_impulses)
 
 
 def _check_held(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
