@@ -1,0 +1,370 @@
+"""Contact space: what must hold for every impact, and what is said of input that cannot be used."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import pinimpact
+from pinimpact import Flag, ImpactProblem, InputError, Status, solve_impact, solve_impacts
+
+LAWS = pinimpact.LAWS
+W = np.array([[1.0, 0.2, 0.3], [0.2, 1.5, -0.4], [0.3, -0.4, 2.0]])
+V = np.array([1.0, 0.5, -1.0])
+
+
+@st.composite
+def problems(draw, laws=LAWS):
+    """Spatial problems over many scales of slip, friction and coupling, with exact zeros now and then."""
+    seed = draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    columns = draw(st.sampled_from([3, 4, 7]))
+    X = rng.standard_normal((3, columns)) * 10.0 ** rng.uniform(-draw(st.sampled_from([0, 1, 2])), 0, (3, 1))
+    delassus = X @ X.T / columns
+    delassus = (delassus + delassus.T) / 2
+    velocity = rng.standard_normal(3)
+    velocity[2] = -abs(velocity[2])
+    velocity[:2] *= 10.0 ** draw(st.sampled_from([0, 0, -1, -2, -6, -200]))
+    velocity[2] *= 10.0 ** draw(st.sampled_from([0, 0, 0, -1, -4]))
+    if draw(st.booleans()) and draw(st.booleans()):
+        velocity[draw(st.integers(0, 2))] = 0.0
+    mu = draw(st.sampled_from([0.0, 0.1, 0.3, 0.6, 1.0, 3.0, 1e3])) * rng.uniform(0.5, 1)
+    e = draw(st.sampled_from([0.0, 0.3, 0.8, 1.0]))
+    return ImpactProblem(delassus, velocity, float(mu), e, draw(st.sampled_from(laws)))
+
+
+def _sizes(problem, solution):
+    """The sizes of velocities and impulses that occur, against which rounding is measured."""
+    P = np.abs(solution.impulse).max()  # no squares: they may underflow
+    return np.abs(problem.velocity).max() + np.abs(problem.delassus).max() * P, P
+
+
+@given(problems())
+@settings(max_examples=300, deadline=None)
+def test_every_impact_obeys_mechanics(problem):
+    solution = solve_impact(problem)
+    v0, v, P = np.asarray(problem.velocity), solution.velocity, solution.impulse
+    speed, impulse = _sizes(problem, solution)
+    small = 1e-13 * speed
+
+    assert np.isfinite(v).all()
+    assert np.isfinite(P).all()
+    assert v[2] >= 0
+    assert np.abs(v - v0 - problem.delassus @ P).max() <= small
+    assert np.hypot(P[0], P[1]) <= problem.friction * P[2] * (1 + 1e-14)
+
+    work = solution.work
+    assert work.compression <= 0 <= work.restitution
+    assert work.friction <= small * impulse
+    assert work.surface == 0
+    assert abs(work.total - P @ (v0 + v) / 2) <= small * impulse
+    if problem.law == "energetic" or problem.restitution == 0:
+        assert work.total <= small * impulse
+    assert (Flag.ENERGY_CREATED in solution.flags) <= (problem.law == "newton")
+
+    rest = P[2] - solution.compression_impulse
+    assert rest >= -1e-14 * P[2]
+    if solution.status == Status.SEPARATED:
+        if problem.law == "poisson":
+            assert abs(rest - problem.restitution * solution.compression_impulse) <= 1e-13 * P[2]
+        elif problem.law == "newton":
+            assert abs(v[2] + problem.restitution * v0[2]) <= 1e-13 * abs(v0[2])
+        else:
+            lack = work.restitution + problem.restitution**2 * work.compression
+            assert abs(lack) <= 1e-12 * abs(work.compression) + small * impulse
+
+
+@given(problems())
+@settings(max_examples=100, deadline=None)
+def test_segments_tile_the_impact(problem):
+    solution = solve_impact(problem)
+    assume(solution.status != Status.NO_IMPACT)
+    segments = solution.segments
+    assert segments[0].start == 0
+    small = 1e-13 * solution.impulse[2]
+    assert segments[-1].end == pytest.approx(solution.impulse[2], abs=small)
+    for before, after in pairwise(segments):
+        assert after.start == pytest.approx(before.end, abs=small)
+        assert not (before.mode == "stick" and after.mode == "slip")
+        assert (before.mode, before.phase) != (after.mode, after.phase)
+    compression = sum(s.end - s.start for s in segments if s.phase == "compression")
+    assert compression == pytest.approx(solution.compression_impulse, rel=1e-12)
+    assert (Flag.STICK in solution.flags) == any(s.mode == "stick" for s in segments)
+
+
+@given(problems())
+@settings(max_examples=60, deadline=None)
+def test_recorded_path_ends_where_the_solution_does(problem):
+    solution = solve_impact(problem, record=True)
+    assume(solution.status != Status.NO_IMPACT)
+    path = solution.path
+    speed, impulse = _sizes(problem, solution)
+    assert (np.diff(path.normal_impulse) >= 0).all()
+    assert path.velocity[-1] == pytest.approx(solution.velocity, abs=1e-13 * speed)
+    assert path.impulse[-1] == pytest.approx(solution.impulse, abs=1e-13 * impulse)
+    assert path.impulse[:, 2] == pytest.approx(path.normal_impulse)
+    v = np.asarray(problem.velocity) + path.impulse @ problem.delassus
+    assert np.abs(v - path.velocity).max() <= 1e-12 * speed
+
+
+MAPS = {
+    "mirror in t1": np.diag([-1.0, 1.0, 1.0]),
+    "mirror in t2": np.diag([1.0, -1.0, 1.0]),
+    "axis swap": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "half turn": np.diag([-1.0, -1.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+@given(problem=problems())
+@settings(max_examples=60, deadline=None)
+def test_the_same_answer_in_mapped_axes_bit_for_bit(name, problem):
+    T = MAPS[name]
+    mapped = ImpactProblem(
+        T @ problem.delassus @ T.T, T @ problem.velocity, problem.friction, problem.restitution, problem.law
+    )
+    one, other = solve_impact(problem), solve_impact(mapped)
+    assert (T @ one.velocity).tolist() == other.velocity.tolist()
+    assert (T @ one.impulse).tolist() == other.impulse.tolist()
+    assert one.flags == other.flags
+
+
+@given(problems(), st.integers(-60, 60), st.integers(-60, 60))
+@settings(max_examples=100, deadline=None)
+def test_masses_and_speeds_scale_bit_for_bit(problem, mass, speed):
+    """W → W/m and v → s v for powers of two give v⁺ → s v⁺ and P → m s P."""
+    m, s = 2.0**mass, 2.0**speed
+    assume(np.linalg.norm(problem.velocity[:2]) * s > 1e-280 or not problem.velocity[:2].any())
+    scaled = ImpactProblem(
+        problem.delassus / m, s * problem.velocity, problem.friction, problem.restitution, problem.law
+    )
+    one, other = solve_impact(problem), solve_impact(scaled)
+    assert (s * one.velocity).tolist() == other.velocity.tolist()
+    assert (m * s * one.impulse).tolist() == other.impulse.tolist()
+    assert one.flags == other.flags
+
+
+@given(problems(laws=("poisson", "energetic")), st.floats(0, 6.3))
+@settings(max_examples=100, deadline=None)
+def test_tangent_axes_do_not_matter(problem, angle):
+    """Where the impact map does not jump, turned axes give the turned answer to rounding."""
+    co, si = np.cos(angle), np.sin(angle)
+    T = np.array([[co, -si, 0], [si, co, 0], [0, 0, 1]])
+    delassus = T @ problem.delassus @ T.T
+    turned = ImpactProblem(
+        (delassus + delassus.T) / 2, T @ problem.velocity, problem.friction, problem.restitution, problem.law
+    )
+    one, other = solve_impact(problem), solve_impact(turned)
+    assume(not (one.flags | other.flags) & (Flag.NEAR_JUMP | Flag.JAM))
+    speed, impulse = _sizes(problem, one)
+    assert T @ one.velocity == pytest.approx(other.velocity, abs=1e-11 * speed)
+    condition = np.linalg.cond(problem.delassus)
+    assert T @ one.impulse == pytest.approx(other.impulse, abs=1e-13 * (10 + condition) * impulse)
+
+
+@given(problems(), st.tuples(*[st.floats(-5, 5)] * 3))
+@settings(max_examples=30, deadline=None)
+def test_a_moving_surface_only_adds_its_work(problem, surface):
+    moving = ImpactProblem(
+        problem.delassus, problem.velocity, problem.friction, problem.restitution, problem.law, surface
+    )
+    one, other = solve_impact(problem), solve_impact(moving)
+    assert one.velocity.tolist() == other.velocity.tolist()
+    assert other.work.surface == pytest.approx(one.impulse @ surface)
+    assert other.work.total == pytest.approx(one.work.total + other.work.surface)
+
+
+@given(st.lists(problems(laws=("energetic",)), min_size=1, max_size=6))
+@settings(max_examples=30, deadline=None)
+def test_batch_is_the_single_problem_row_by_row(rows):
+    batch = solve_impacts(
+        [p.delassus for p in rows],
+        [p.velocity for p in rows],
+        [p.friction for p in rows],
+        [p.restitution for p in rows],
+        law="energetic",
+    )
+    for k, problem in enumerate(rows):
+        one = solve_impact(problem)
+        assert batch.velocity[k].tolist() == one.velocity.tolist()
+        assert batch.impulse[k].tolist() == one.impulse.tolist()
+        assert batch.compression_impulse[k] == one.compression_impulse
+        assert (batch.status[k], batch.flags[k]) == (one.status, one.flags)
+        for part in ("compression", "restitution", "friction", "total"):
+            assert getattr(batch.work, part)[k] == pytest.approx(getattr(one.work, part), rel=1e-14)
+
+
+def _with(matrix, i, j, value):
+    changed = np.array(matrix)
+    changed[i, j] = value
+    return changed
+
+
+BAD = {
+    "W of the wrong shape": (dict(delassus=np.eye(2)), "delassus", ["(2, 2)", "(3, 3)"]),
+    "W not numbers": (dict(delassus="stone"), "delassus", ["stone"]),
+    "NaN in W": (dict(delassus=np.full((3, 3), np.nan)), "delassus", ["finite"]),
+    "infinity in W": (dict(delassus=_with(W, 2, 2, np.inf)), "delassus", ["finite"]),
+    "W not symmetric": (dict(delassus=_with(W, 0, 1, 0.25)), "delassus", ["symmetric", "0.05"]),
+    "W indefinite": (
+        dict(delassus=np.diag([1.0, -0.125, 1.0])),
+        "delassus",
+        ["semidefinite", "-0.125", "7.11e-15"],
+    ),
+    "v of the wrong shape": (dict(velocity=[1.0, 2.0]), "velocity", ["(2,)", "(3,)"]),
+    "NaN in v": (dict(velocity=[np.nan, 0.0, -1.0]), "velocity", ["finite"]),
+    "negative friction": (dict(friction=-0.25), "friction", ["-0.25"]),
+    "infinite friction": (dict(friction=np.inf), "friction", ["inf"]),
+    "friction not a number": (dict(friction="rough"), "friction", ["rough"]),
+    "restitution above one": (dict(restitution=1.25), "restitution", ["1.25"]),
+    "restitution below zero": (dict(restitution=-0.5), "restitution", ["-0.5"]),
+    "restitution NaN": (dict(restitution=np.nan), "restitution", ["nan"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_numbers_are_named(name):
+    change, field, words = BAD[name]
+    numbers = dict(delassus=W, velocity=V, friction=0.3, restitution=0.5) | change
+    with pytest.raises(InputError) as caught:
+        solve_impact(ImpactProblem(**numbers))
+    assert caught.value.field == field
+    assert caught.value.value is not None
+    for word in (field, *words):
+        assert word in str(caught.value)
+
+
+def test_unknown_names():
+    with pytest.raises(pinimpact.UnknownNameError, match=r"'stronge'.*energetic") as caught:
+        solve_impact(ImpactProblem(W, V, 0.3, 0.5, law="stronge"))
+    assert (caught.value.field, caught.value.value) == ("law", "stronge")
+    with pytest.raises(pinimpact.UnknownNameError, match=r"'newmark'.*exact") as caught:
+        solve_impact(ImpactProblem(W, V, 0.3, 0.5), method="newmark")
+    assert caught.value.field == "method"
+    with pytest.raises(pinimpact.UnknownNameError, match="steps"):
+        solve_impact(ImpactProblem(W, V, 0.3, 0.5), steps=10)
+    with pytest.raises(pinimpact.UnknownNameError, match="'stronge'"):
+        solve_impacts([W], [V], 0.3, 0.5, law="stronge")
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_an_approach_that_nothing_stops(law, friction):
+    """c = 0: no normal impulse changes v₃."""
+    with pytest.raises(pinimpact.UnstoppableApproachError, match="-1") as caught:
+        solve_impact(ImpactProblem(np.diag([1.0, 2.0, 0.0]), V, friction, 0.5, law))
+    assert caught.value.field == "velocity"
+    with pytest.raises(pinimpact.UnstoppableApproachError):
+        solve_impact(ImpactProblem(np.zeros((3, 3)), V, friction, 0.5, law))
+
+
+def test_an_approach_that_friction_blocks():
+    """Rank two, struck with a velocity that W cannot produce: stick holds v₃ below zero for ever."""
+    locked = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])
+    with pytest.raises(pinimpact.UnstoppableApproachError):
+        solve_impact(ImpactProblem(locked, [0.0, 0.0, -1.0], 2.0, 0.5))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_no_impact(law):
+    """Departing, or touching without anything that drives the surface in."""
+    for v3 in (0.0, 0.25):
+        solution = solve_impact(ImpactProblem(W, [1.0, 0.5, v3], 0.3, 0.5, law))
+        assert solution.status == Status.NO_IMPACT
+        assert solution.velocity.tolist() == [1.0, 0.5, v3]
+        assert solution.impulse.tolist() == [0.0, 0.0, 0.0]
+        assert solution.segments == ()
+        assert solution.work.total == 0
+        assert solution.effects == ()
+
+
+def test_what_was_special_is_said():
+    locked = np.array([[1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
+    kinds = {
+        Flag.LOCKED | Flag.STICK | Flag.SINGULAR_DELASSUS: ImpactProblem(locked, [-1, 0.5, -1], 3.0, 0.5),
+        Flag.JAM | Flag.IMPACT_WITHOUT_COLLISION: ImpactProblem(
+            [[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], [1.0, 0.5, 0.0], 1.5, 0.5
+        ),
+        Flag.SECOND_COMPRESSION: ImpactProblem(
+            [[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], [0.5, 12, -0.54], 1.5, 1.0
+        ),
+        Flag.SLIP_RESUMED: ImpactProblem([[1, 0, 0.9], [0, 1, 0], [0.9, 0, 1]], [-0.1, 0.0, -1], 0.3, 0.5),
+    }
+    for expected, problem in kinds.items():
+        solution = solve_impact(problem)
+        assert expected & solution.flags == expected
+        sentences = solution.flags.describe()
+        assert len(sentences) == int(solution.flags).bit_count()
+        assert all(s[0].isupper() and s.endswith(".") for s in sentences)
+        assert str(solution.status).endswith(".")
+    assert Flag.NONE.describe() == ()
+
+
+@pytest.mark.parametrize(
+    ("problem", "record", "effects"),
+    [
+        (ImpactProblem(np.diag([1, 2, 1]), [1, 2, -1], 0.0, 0.0), False, ()),
+        (ImpactProblem(np.diag([1, 2, 1]), [1, 2, -1], 0.0, 0.5), True, ("restitution", "recorded path")),
+        (ImpactProblem(W, [1, 2, -1], 0.0, 0.0), False, ("normal-tangential coupling",)),
+        (ImpactProblem(np.diag([1, 1, 1]), [3, 0, -1], 0.5, 0.0), False, ("friction",)),
+        (ImpactProblem(np.diag([1, 2, 1]), [3, 4, -1], 0.5, 0.0), False, ("friction", "spatial slip")),
+        (ImpactProblem(np.diag([1, 1, 1]), [0.5, 0, -1], 1.0, 0.0), False, ("friction", "stick")),
+    ],
+)
+def test_effects_are_those_that_were_computed(problem, record, effects):
+    assert solve_impact(problem, record=record).effects == effects
+
+
+def test_jump_of_the_impact_map():
+    """The restitution that just misses the second compression: P₃ jumps from 1.26 to 10.1."""
+    edge = [[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]
+    P = [solve_impact(ImpactProblem(edge, [0.5, 12, v3], 1.5, 1.0)).impulse[2] for v3 in (-0.52915, -0.5292)]
+    assert sorted(P) == pytest.approx([1.26, 10.1], abs=0.05)
+
+
+def test_bad_rows_spoil_no_other():
+    good = np.stack([W, 2 * W, W])
+    matrices = np.concatenate([good, [np.full((3, 3), np.nan), -W, np.diag([1.0, 1.0, 0.0]), W, W]])
+    velocities = np.tile(V, (8, 1))
+    velocities[6, 0] = np.inf
+    friction = np.array([0.3, 0.2, 0.1, 0.3, 0.3, 0.3, 0.3, -1.0])
+    batch = solve_impacts(matrices, velocities, friction, 0.5)
+    alone = solve_impacts(good, velocities[:3], friction[:3], 0.5)
+    assert batch.velocity[:3].tolist() == alone.velocity.tolist()
+    assert batch.impulse[:3].tolist() == alone.impulse.tolist()
+    assert batch.work.total[:3].tolist() == alone.work.total.tolist()
+    assert [Status(s).name for s in batch.status[3:].tolist()] == [
+        "INVALID_NUMBERS",
+        "INDEFINITE_DELASSUS",
+        "UNSTOPPABLE",
+        "INVALID_NUMBERS",
+        "INVALID_NUMBERS",
+    ]
+    for column in (batch.velocity, batch.impulse, batch.compression_impulse, batch.work.total):
+        assert np.isnan(column[3:]).all()
+        assert np.isfinite(column[:3]).all()
+
+
+@pytest.mark.parametrize(
+    ("field", "arguments"),
+    [
+        ("delassus", (W, [V], 0.3, 0.5)),
+        ("delassus", ([W, W], [V], 0.3, 0.5)),
+        ("velocity", ([W], V, 0.3, 0.5)),
+        ("friction", ([W], [V], [0.3, 0.4], 0.5)),
+        ("restitution", ([W], [V], 0.3, [[0.5]])),
+        ("velocity", ([W], [["a", "b", "c"]], 0.3, 0.5)),
+    ],
+)
+def test_batch_shapes(field, arguments):
+    with pytest.raises(InputError, match=field) as caught:
+        solve_impacts(*arguments)
+    assert caught.value.field == field
+
+
+def test_empty_batch():
+    batch = solve_impacts(np.empty((0, 3, 3)), np.empty((0, 3)), 0.3, 0.5)
+    assert len(batch) == 0
+    assert batch.velocity.shape == (0, 3)
