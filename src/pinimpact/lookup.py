@@ -123,7 +123,9 @@ class Workspace:
         self.nq = model.nq
         self.nv = model.nv
         self.curved = model.nq != model.nv
-        self.parents = np.array(list(data.parents_fromRow)[: model.nv], dtype=np.int64)
+        self.parents = np.array(data.parents_fromRow, dtype=np.int64)
+        if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
+            self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
 
     def frame(self, key: str | int, field: str = "frame") -> int:
@@ -147,13 +149,8 @@ def workspace(model: pin.Model, data: pin.Data) -> Workspace:
     Frame placements, inertias and rotor inertias may be changed between calls. Adding a frame calls for
     new data; a frame that is renamed in place keeps answering to the name first asked for.
     """
-    found = _workspaces.get(id(data))
-    if (
-        found is None
-        or found.data() is not data
-        or found.model() is not model
-        or found.nframes != model.nframes
-    ):
+    found, nframes = _workspaces.get(id(data)), model.nframes
+    if found is None or found.data() is not data or found.model() is not model or found.nframes != nframes:
         found = _workspaces[id(data)] = Workspace(model, data)
     return found
 

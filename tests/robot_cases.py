@@ -1,0 +1,78 @@
+"""What the robot-level tests share: robots with a contact frame, random states, physics by other means."""
+
+import functools
+
+import numpy as np
+import pinocchio as pin
+
+import pinimpact
+
+FRAMES = {
+    "panda": "panda_hand_tcp",
+    "ur5": "tool0",
+    "kinova": "j2s6s200_end_effector",  # continuous joints: nq ≠ nv
+    "talos_arm": "gripper_left_base_link",
+    "solo12": "FL_FOOT",  # free-flyer
+    "talos": "right_sole_link",  # free-flyer
+    "xarm7": "link_tcp",
+    "double_pendulum_continuous": "link2",
+}
+
+
+@functools.cache
+def _loaded(name):
+    return pinimpact.load_robot(name)
+
+
+def load(name):
+    """A model of one's own, with new data."""
+    model = _loaded(name).model.copy()
+    return model, model.createData()
+
+
+def random_state(model, rng):
+    """Any configuration near the neutral one, any velocity."""
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
+    return q, rng.normal(size=model.nv)
+
+
+def random_rotation(rng):
+    return pin.Quaternion(*(x := rng.normal(size=4)) / np.linalg.norm(x)).matrix()
+
+
+def random_plane(rng, body=None, **rates):
+    return pinimpact.Plane(point=rng.normal(size=3), normal=rng.normal(size=3), body=body, **rates)
+
+
+def random_contact(frame, rng, plane=None, **changes):
+    settings = {
+        "friction": rng.uniform(0.0, 1.0),
+        "restitution": rng.uniform(0.0, 1.0),
+        "offset": rng.normal(scale=0.1, size=3),
+        "radius": rng.uniform(0.0, 0.1),
+    }
+    return pinimpact.Contact(frame, plane or random_plane(rng), **(settings | changes))
+
+
+def approaching(model, data, q, v, contact):
+    """v, with its sign turned if the contact would separate."""
+    return v if pinimpact.contact_matrices(model, data, q, contact).velocity(v)[2] < 0.0 else -v
+
+
+def mass_by_rnea(model, q):
+    """M column by column from inverse dynamics, which takes another way than crba."""
+    data = model.createData()
+    at_rest = pin.rnea(model, data, q, np.zeros(model.nv), np.zeros(model.nv)).copy()
+    columns = [
+        pin.rnea(model, data, q, np.zeros(model.nv), unit).copy() - at_rest for unit in np.eye(model.nv)
+    ]
+    mass = np.array(columns).T
+    return 0.5 * (mass + mass.T)
+
+
+def kinetic_energy(model, q, v):
+    """½ v·(rnea(q, 0, v) − rnea(q, 0, 0)): Pinocchio's energy without the matrix M, rotors included."""
+    data = model.createData()
+    zero = np.zeros(model.nv)
+    momentum = pin.rnea(model, data, q, zero, v).copy() - pin.rnea(model, data, q, zero, zero)
+    return 0.5 * float(v @ momentum)
