@@ -101,6 +101,6 @@ def solve_impacts(
 
 def _numbers(field: str, value: ArrayLike) -> Array:
     try:
-        return np.ascontiguousarray(value, dtype=np.float64)
+        return np.asarray(value, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         raise InputError(f"{field}: {value!r} is not an array of numbers", field=field, value=value) from None

@@ -58,9 +58,7 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
             value=value,
         ) from None
     if array.shape != shape:
-        raise InputError(
-            f"{field}: shape {array.shape} given, {shape} expected", field=field, value=value
-        )
+        raise InputError(f"{field}: shape {array.shape} given, {shape} expected", field=field, value=value)
     return array
 
 

@@ -46,8 +46,8 @@ from .node import expand_node, nearby_root
 from .normal import linear_event, restitution_goal
 from .record import mark, mark_stretch, note
 from .secular import resumed_direction
-from .slip import TERMS, expand, in_frame, polynomials
-from .stretch import IMPULSE, VELOCITY, WORK, first_root, point, seek, works
+from .slip import TERMS, expand, in_frame, polynomials, reach
+from .stretch import IMPULSE, VELOCITY, WORK, first_root, halley, point, seek, seek_near, works
 
 SCRATCH = 2 * TERMS + 6
 """Floats of scratch space that an impact needs."""
@@ -88,6 +88,13 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
 
 
 @jit
+def halves(exponent):
+    """Return two powers of two whose product is 2^exponent, also where that one would overflow."""
+    half = exponent // 2
+    return math.ldexp(1.0, half), math.ldexp(1.0, exponent - half)
+
+
+@jit
 def failed(status, figure):
     """Return the answer of a problem that has none; `figure` is the number that the message gives."""
     nan = math.nan
@@ -121,10 +128,11 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     scale_w, scale_v = math.frexp(largest_w)[1], math.frexp(largest_v)[1]
     in1, in2, in3 = v1, v2, v3
     sign1, sign2, swapped = canonical(w12, w13, w23, w11, w22, v1, v2)
-    w11, w22, w33 = math.ldexp(w11, -scale_w), math.ldexp(w22, -scale_w), math.ldexp(w33, -scale_w)
-    w12 = math.ldexp(sign1 * sign2 * w12, -scale_w)
-    w13, w23 = math.ldexp(sign1 * w13, -scale_w), math.ldexp(sign2 * w23, -scale_w)
-    v1, v2, v3 = math.ldexp(sign1 * v1, -scale_v), math.ldexp(sign2 * v2, -scale_v), math.ldexp(v3, -scale_v)
+    fw1, fw2 = halves(-scale_w)
+    fv1, fv2 = halves(-scale_v)
+    w11, w22, w33 = w11 * fw1 * fw2, w22 * fw1 * fw2, w33 * fw1 * fw2
+    w12, w13, w23 = sign1 * sign2 * w12 * fw1 * fw2, sign1 * w13 * fw1 * fw2, sign2 * w23 * fw1 * fw2
+    v1, v2, v3 = sign1 * v1 * fv1 * fv2, sign2 * v2 * fv1 * fv2, v3 * fv1 * fv2
     if swapped:
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
 
@@ -188,7 +196,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         # ---- how everything changes from here ----
         straight = True
         ends_slip = False
-        reach = math.inf
+        until = math.inf
         if settled:
             pass
         elif mu == 0.0:
@@ -229,13 +237,13 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 gain = omega * m0
                 dp1, dp2 = -mu * s1, -mu * s2
                 if m0 < 0.0:
-                    reach, ends_slip = -speed / gain, True
+                    until, ends_slip = -speed / gain, True
                 if t1 > 0.0 and turn != 0.0 and not unbent:
                     # leaving an unstable direction: straight until the angle is one that doubles can tell
                     tau = 2.0 / t1 * math.log(2.0 * STRAIGHT * t1 / abs(turn))
                     leave = speed * per * (math.expm1(m0 * tau) / m0 if m0 != 0.0 else tau)
-                    if leave < reach:
-                        reach, ends_slip = leave, False
+                    if leave < until:
+                        until, ends_slip = leave, False
 
         event = NOTHING
         span = work = friction_work = 0.0
@@ -248,8 +256,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         # ---- a straight move, in closed form ----
         if straight:
             span, event = linear_event(phase, law, left, v3, rate)
-            if reach < span:
-                span, event = reach, NOTHING
+            if until < span:
+                span, event = until, NOTHING
             if span == math.inf:
                 if phase == COMPRESSION:
                     return failed(UNSTOPPABLE, math.ldexp(v3, scale_v))
@@ -258,7 +266,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 return failed(LAW_UNREACHABLE, math.ldexp(left, scale_v))
             v3_end = v3 + rate * span
             speed_end = speed + gain * span
-            if span == reach and ends_slip:
+            if span == until and ends_slip:
                 speed_end = 0.0
                 if s == 0.0:
                     v3_end = offset
@@ -276,89 +284,215 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             flags |= SLIP_TURNS
             # ---- a stretch of turning slip, on which its series converges and v₃ is monotone ----
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-            root = nearby_root(turn, t1, t2, t3, t4)
-            node = False
-            d1, d2, n1, f = s1, s2, 0.0, (0.0,) * 12
-            if root != 0.0:
-                node, d1, d2, n1, dl, dp, f = expand_node(
-                    series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
-                )
-            if node:
-                t = first_root(jam0, jam1, jam2, root)
-                peaks = t != root
-                x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
-                bl, bp = dl * omega, dp * omega
-                jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-            else:
-                d1, d2 = s1, s2
-                whole, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
-                x = first_root(jam0, jam1, jam2, f[0] * whole) / f[0]
-                peaks = x < whole
             scale = speed * per
-            if x == math.inf and f[3] <= 0.0:
-                # slip goes on for ever along the invariant direction
-                span = math.inf
-                v3_end = math.inf if jam0 > 0.0 else -math.inf if jam0 < 0.0 else v3
-            else:
-                span, along, across, dv3, ratio, t, _, _ = point(
-                    node, series, inverse, x, f, scale, mu, c, bl, bp
-                )
-                v3_end = v3 + dv3
-                if x == math.inf and s == 0.0:
-                    v3_end = offset
-            x_end = x
-            if phase == COMPRESSION:
-                if v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
-                    event = STOPS
-                    x = seek(
-                        VELOCITY, 0.0, v3, v3_end, x, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed
+            node = expanded = False
+            d1, d2, n1, x = s1, s2, 0.0, 0.0
+            last, f = 0.0, (0.0,) * 12
+
+            # most often the next event is near: try for it at once
+            kind = VELOCITY
+            sought = goal if phase == RESTITUTION else 0.0
+            bend = m0 - 0.5 * t1
+            guess = 0.0
+            if law == POISSON and phase == RESTITUTION:
+                kind, sought = IMPULSE, left
+                guess = halley(-left, scale, bend)
+            elif rate > 0.0 and not (law == ENERGETIC and phase == RESTITUTION):
+                guess = halley(v3 - sought, scale * rate, bend + 0.5 * turn * jam1 / jam0)
+            if guess > 0.0 and guess * max(abs(turn), -t1) < 1.0:
+                last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
+                expanded = True
+                x = seek_near(kind, sought, guess, last, series, inverse, f, scale, mu, c, bl, bp, v3)
+                if x > 0.0:
+                    event = STOPS if phase == COMPRESSION else LAW_MET
+                    span, along, across, dv3, ratio, t, _, _ = point(
+                        node, series, inverse, x, f, scale, mu, c, bl, bp
                     )
-            elif law == NEWTON:
-                if v3_end >= goal:
-                    event = LAW_MET
-                    if peaks and v3_end - goal < NEAR * goal:
+                    v3_end = v3 + dv3
+                    if v3_end < 0.0 and kind == IMPULSE:
+                        x = 0.0
+                        event = NOTHING
+
+            if x == 0.0:
+                root = nearby_root(turn, t1, t2, t3, t4)
+                if root != 0.0:
+                    node, d1, d2, n1, dl, dp, g = expand_node(
+                        series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
+                    )
+                    expanded = False
+                if node:
+                    f = g
+                    t = first_root(jam0, jam1, jam2, root)
+                    peaks = t != root
+                    x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
+                    bl, bp = dl * omega, dp * omega
+                    jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+                else:
+                    d1, d2 = s1, s2
+                    if not expanded:
+                        last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
+                    whole = reach(last, f[0])
+                    x = first_root(jam0, jam1, jam2, f[0] * whole) / f[0]
+                    peaks = x < whole
+                if x == math.inf and f[3] <= 0.0:
+                    # slip goes on for ever along the invariant direction
+                    span = math.inf
+                    v3_end = math.inf if jam0 > 0.0 else -math.inf if jam0 < 0.0 else v3
+                else:
+                    span, along, across, dv3, ratio, t, _, _ = point(
+                        node, series, inverse, x, f, scale, mu, c, bl, bp
+                    )
+                    v3_end = v3 + dv3
+                    if x == math.inf and s == 0.0:
+                        v3_end = offset
+                x_end = x
+                if phase == COMPRESSION:
+                    if v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
+                        event = STOPS
+                        x = seek(
+                            VELOCITY,
+                            0.0,
+                            v3,
+                            v3_end,
+                            x,
+                            node,
+                            series,
+                            inverse,
+                            f,
+                            scale,
+                            mu,
+                            c,
+                            bl,
+                            bp,
+                            v3,
+                            speed,
+                        )
+                elif law == NEWTON:
+                    if v3_end >= goal:
+                        event = LAW_MET
+                        if peaks and v3_end - goal < NEAR * goal:
+                            flags |= NEAR_JUMP
+                        x = seek(
+                            VELOCITY,
+                            goal,
+                            -left,
+                            v3_end - goal,
+                            x,
+                            node,
+                            series,
+                            inverse,
+                            f,
+                            scale,
+                            mu,
+                            c,
+                            bl,
+                            bp,
+                            v3,
+                            speed,
+                        )
+                    elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
                         flags |= NEAR_JUMP
-                    x = seek(
-                        VELOCITY, goal, -left, v3_end - goal, x,
-                        node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
-                    )
-                elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
-                    flags |= NEAR_JUMP
-            elif law == POISSON and span >= left:
-                event = LAW_MET
-                x = seek(
-                    IMPULSE, left, -left, span - left, x,
-                    node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
-                )
-                if v3_end < 0.0 and v3 + point(node, series, inverse, x, f, scale, mu, c, bl, bp)[3] < 0.0:
-                    event, x = NOTHING, x_end
-            if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
-                event = FALLS_BACK
-                x = seek(
-                    VELOCITY, 0.0, v3, v3_end, x, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed
-                )
-            if law == ENERGETIC and phase == RESTITUTION:
-                work = math.inf
-                if x < math.inf or f[3] > 0.0:
-                    work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
-                if work >= left:
+                elif law == POISSON and span >= left:
                     event = LAW_MET
                     x = seek(
-                        WORK, left, -left, work - left, x,
-                        node, series, inverse, f, scale, mu, c, bl, bp, v3, speed,
+                        IMPULSE,
+                        left,
+                        -left,
+                        span - left,
+                        x,
+                        node,
+                        series,
+                        inverse,
+                        f,
+                        scale,
+                        mu,
+                        c,
+                        bl,
+                        bp,
+                        v3,
+                        speed,
                     )
-            if x == math.inf and f[3] <= 0.0:
-                return failed(UNSTOPPABLE if phase == COMPRESSION else LAW_UNREACHABLE, math.ldexp(v3, scale_v))
-            if event != NOTHING:
-                span, along, across, dv3, ratio, t, _, _ = point(
-                    node, series, inverse, x, f, scale, mu, c, bl, bp
-                )
-                v3_end = v3 + dv3
+                    if (
+                        v3_end < 0.0
+                        and v3 + point(node, series, inverse, x, f, scale, mu, c, bl, bp)[3] < 0.0
+                    ):
+                        event, x = NOTHING, x_end
+                if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
+                    event = FALLS_BACK
+                    x = seek(
+                        VELOCITY,
+                        0.0,
+                        v3,
+                        v3_end,
+                        x,
+                        node,
+                        series,
+                        inverse,
+                        f,
+                        scale,
+                        mu,
+                        c,
+                        bl,
+                        bp,
+                        v3,
+                        speed,
+                    )
+                if law == ENERGETIC and phase == RESTITUTION:
+                    work = math.inf
+                    if x < math.inf or f[3] > 0.0:
+                        work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
+                    if work >= left:
+                        event = LAW_MET
+                        x = seek(
+                            WORK,
+                            left,
+                            -left,
+                            work - left,
+                            x,
+                            node,
+                            series,
+                            inverse,
+                            f,
+                            scale,
+                            mu,
+                            c,
+                            bl,
+                            bp,
+                            v3,
+                            speed,
+                        )
+                if x == math.inf and f[3] <= 0.0:
+                    return failed(
+                        UNSTOPPABLE if phase == COMPRESSION else LAW_UNREACHABLE, math.ldexp(v3, scale_v)
+                    )
+                if event != NOTHING:
+                    span, along, across, dv3, ratio, t, _, _ = point(
+                        node, series, inverse, x, f, scale, mu, c, bl, bp
+                    )
+                    v3_end = v3 + dv3
             if work_wanted:
                 work, friction_work = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
             if path_wanted:
                 points = mark_stretch(
-                    path, points, node, series, inverse, x, f, scale, mu, c, bl, bp, d1, d2, speed, v3, p1, p2, p3
+                    path,
+                    points,
+                    node,
+                    series,
+                    inverse,
+                    x,
+                    f,
+                    scale,
+                    mu,
+                    c,
+                    bl,
+                    bp,
+                    d1,
+                    d2,
+                    speed,
+                    v3,
+                    p1,
+                    p2,
+                    p3,
                 )
             p1 += d1 * along - d2 * across
             p2 += d2 * along + d1 * across
@@ -429,8 +563,12 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     if swapped:
         v1, v2, p1, p2 = v2, v1, p2, p1
     scale_p = scale_v - scale_w
-    v1, v2, v3 = math.ldexp(sign1 * v1, scale_v), math.ldexp(sign2 * v2, scale_v), math.ldexp(v3, scale_v)
-    p1, p2, p3 = math.ldexp(sign1 * p1, scale_p), math.ldexp(sign2 * p2, scale_p), math.ldexp(p3, scale_p)
+    fv1, fv2 = halves(scale_v)
+    fp1, fp2 = halves(scale_p)
+    # adding zero turns −0 into 0
+    v1, v2, v3 = sign1 * v1 * fv1 * fv2 + 0.0, sign2 * v2 * fv1 * fv2 + 0.0, v3 * fv1 * fv2
+    p1, p2, p3 = sign1 * p1 * fp1 * fp2 + 0.0, sign2 * p2 * fp1 * fp2 + 0.0, p3 * fp1 * fp2
+    compressed = compressed * fp1 * fp2
     if not (abs(v1) + abs(v2) + abs(v3) + abs(p1) + abs(p2) + abs(p3) < math.inf):
         return failed(OUT_OF_RANGE, 0.0)
     for i in range(rows):
@@ -450,7 +588,6 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         path[i, 3] = math.ldexp(path[i, 3], scale_v)
         path[i, 4] = math.ldexp(sign1 * y1, scale_p)
         path[i, 5] = math.ldexp(sign2 * y2, scale_p)
-    compressed = math.ldexp(compressed, scale_p)
     return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points
 
 

@@ -37,7 +37,7 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
 
     Args:
         series: Receives the coefficients of G(y) = H/π. (4.3)
-        inverse: Receives 1/(a + k).
+        inverse: Receives 1/(a + k), and 0 where that is close to a pole.
         a11 … b2: μA/ω and b/ω as in `slip`.
 
     Returns:
@@ -63,7 +63,9 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
     total = 1.0
     series[0] = 1.0
     for k in range(TERMS):
-        new = (c0 * g0 + c1 * g1 + c2 * g2) * RECIPROCAL[k + 1]
+        share = RECIPROCAL[k + 1]
+        rest = (c1 * g1 + c2 * g2) * share
+        new = (c0 * share) * g0 + rest
         c0 -= q1
         c1 -= q2
         c2 -= q3
@@ -74,6 +76,14 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
     if good:
         for k in range(TERMS + 5):
             z = exponent + k
-            inverse[k] = 1.0 / z if z != 0.0 else 0.0
+            inverse[k] = 1.0 / z if abs(z) > 0.5 else 0.0
     speed = 1.0 / (total * (1.0 + q1 + q2 + q3) * (1.0 + t * t))
-    return good, d1, d2, p1, bl, bp, (t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0)
+    return (
+        good,
+        d1,
+        d2,
+        p1,
+        bl,
+        bp,
+        (t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
+    )

@@ -53,9 +53,7 @@ def mark_stretch(
         count = 2 * POINTS
     for i in range(1, count):
         y = end * i / count
-        normal, along, across, dv3, ratio, t, _, _ = point(
-            node, series, inverse, y, f, scale, mu, c, bl, bp
-        )
+        normal, along, across, dv3, ratio, t, _, _ = point(node, series, inverse, y, f, scale, mu, c, bl, bp)
         radius = speed * ratio / (1.0 + t * t)
         u1, u2 = radius * (1.0 - t * t), radius * 2.0 * t
         rows = mark(

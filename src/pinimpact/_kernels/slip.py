@@ -52,7 +52,7 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     """Fill `series` with the coefficients of S(x)/S(0). (3.10), (3.11)
 
     Returns:
-        how far x may go, and the constants of the stretch: t/x, twice 1 for the factors of speed and impulse,
+        the size of the last terms, and the constants of the stretch: t/x, twice 1 for the factors of speed and impulse,
         0 for the exponent, the coefficients of p/p₀ and those of the logarithmic derivative of S.
     """
     h = 0.5 * p0
@@ -64,19 +64,37 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
     series[0] = 1.0
     for k in range(TERMS):
-        total = c0 * s0 + c1 * s1 + c2 * s2 + c3 * s3
+        share = RECIPROCAL[k + 1]
+        rest = (c1 * s1 + (c2 * s2 + c3 * s3)) * share
+        new = (c0 * share) * s0 + rest
         c0 -= q1
         c1 -= q2
         c2 -= q3
         c3 -= q4
         s3, s2, s1 = s2, s1, s0
-        s0 = total * RECIPROCAL[k + 1]
-        series[k + 1] = s0
+        s0 = new
+        series[k + 1] = new
     last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
-    reach = 1.0 / abs(h)
+    return last, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
+
+
+@jit
+def reach(last, h):
+    """Return how far x may go: the last term is then below rounding, and t ≤ 1. (3.11)"""
+    end = 1.0 / abs(h)
     if last > 0.0:
-        reach = min(reach, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
-    return reach, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
+        end = min(end, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
+    return end
+
+
+@jit
+def within_reach(x, last, h):
+    """Return whether x ≤ reach(last, h), without its logarithm."""
+    power = x * x
+    power *= power
+    power *= power
+    power *= power
+    return last * (power * power) <= 0.5 * EPS and abs(h * x) <= 1.0
 
 
 @jit
@@ -95,4 +113,3 @@ def moments(series, x):
         n4 += term * RECIPROCAL[k + 5]
     x2 = x * x
     return value, n0 * x, n1 * x2, n2 * x2 * x, n3 * x2 * x2, n4 * x2 * x2 * x
-

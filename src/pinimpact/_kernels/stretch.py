@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .jit import jit
-from .slip import TERMS, moments
+from .slip import TERMS, moments, within_reach
 
 VELOCITY, IMPULSE, WORK = 0, 1, 2
 
@@ -43,6 +43,14 @@ def first_root(k0, k1, k2, end):
 
 
 @jit
+def halley(f, slope, bend):
+    """Return the step of Halley's iteration, or Newton's where the curvature forbids it."""
+    step = -f / slope
+    damp = 1.0 + 0.5 * bend * step
+    return step / damp if damp > 0.5 else step
+
+
+@jit
 def node_moments(series, inverse, exponent, span):
     """Return yᵃ, y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
     if span == math.inf:
@@ -51,40 +59,22 @@ def node_moments(series, inverse, exponent, span):
         drop = -math.expm1(-span)
         part = -math.expm1(-exponent * span)
         y, power = 1.0 - drop, 1.0 - part
+    start = rising = power
+    # fill_k = (1 − y^{a+k})/(a+k); its numerator is summed without cancellation
     fill0 = part * inverse[0]
-    if abs(exponent) < 0.5 and inverse[0] == 0.0:
-        fill0 = span
-    # fill_k = (1 − y^{a+k})/(a+k), its numerator summed without cancellation
-    start = power
-    resonant = -1
-    if exponent < -0.25:
-        resonant = int(0.5 - exponent)
-    pw = power
-    part += pw * drop
+    part += rising * drop
     fill1 = part * inverse[1]
-    pw *= y
-    part += pw * drop
+    rising *= y
+    part += rising * drop
     fill2 = part * inverse[2]
-    pw *= y
-    part += pw * drop
+    rising *= y
+    part += rising * drop
     fill3 = part * inverse[3]
-    pw *= y
     value = n0 = n1 = n2 = n3 = n4 = 0.0
     for k in range(TERMS + 1):
-        part += pw * drop
+        rising *= y
+        part += rising * drop
         fill4 = part * inverse[k + 4]
-        pw *= y
-        if resonant >= 0 and resonant <= k + 4:
-            z = exponent + resonant
-            exact = -math.expm1(-z * span) / z if z != 0.0 else span
-            if resonant == k + 4:
-                fill4 = exact
-            elif k == 0 and resonant == 1:
-                fill1 = exact
-            elif k == 0 and resonant == 2:
-                fill2 = exact
-            elif k == 0 and resonant == 3:
-                fill3 = exact
         term = series[k]
         value += term * power
         power *= y
@@ -94,6 +84,17 @@ def node_moments(series, inverse, exponent, span):
         n3 += term * fill3
         n4 += term * fill4
         fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
+    if exponent <= 0.5:
+        # the one k at which a + k is close to zero was left out
+        k = int(0.5 - exponent)
+        z = exponent + k
+        if abs(z) <= 0.5:
+            fill0 = span if z == 0.0 else (1.0 / z if span == math.inf else -math.expm1(-z * span) / z)
+            n0 += series[k] * fill0 if k <= TERMS else 0.0
+            n1 += series[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0
+            n2 += series[k - 2] * fill0 if 2 <= k <= TERMS + 2 else 0.0
+            n3 += series[k - 3] * fill0 if 3 <= k <= TERMS + 3 else 0.0
+            n4 += series[k - 4] * fill0 if 4 <= k <= TERMS + 4 else 0.0
     return start, y, value, n0, n1, n2, n3, n4
 
 
@@ -186,9 +187,7 @@ def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c
         x = 0.5
     k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     for _ in range(100):
-        normal, _, _, dv3, _, t, slope, bend = point(
-            node, series, inverse, x, f, scale, mu, c, bl, bp
-        )
+        normal, _, _, dv3, _, t, slope, bend = point(node, series, inverse, x, f, scale, mu, c, bl, bp)
         if kind == VELOCITY:
             chord = 1.0 + t * t
             rate = (k0 + t * (k1 + t * k2)) / chord
@@ -209,10 +208,7 @@ def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c
             top = x
         else:
             low = x
-        step = -now / slope
-        halley = 1.0 + 0.5 * bend * step
-        if halley > 0.5:
-            step /= halley
+        step = halley(now, slope, bend)
         new = x + step
         if not (low < new < top):
             if top - low <= 2.0**-52 * top:
@@ -224,3 +220,29 @@ def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c
             return new
         x = new
     return x
+
+
+@jit
+def seek_near(kind, goal, x, last, series, inverse, f, scale, mu, c, bl, bp, v3):
+    """Try to find an event by Halley's iteration from the guess x, without a bracket.
+
+    Returns:
+        x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
+    """
+    k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    for _ in range(8):
+        if not (x > 0.0 and within_reach(x, last, f[0])):
+            return 0.0
+        normal, _, _, dv3, _, t, slope, bend = point(False, series, inverse, x, f, scale, mu, c, bl, bp)
+        now = normal - goal
+        if kind == VELOCITY:
+            chord = 1.0 + t * t
+            rate = (k0 + t * (k1 + t * k2)) / chord
+            now = (v3 - goal) + dv3
+            bend += f[0] * ((k1 + 2.0 * t * k2) / chord - 2.0 * t * rate / chord) / rate
+            slope *= rate
+        step = halley(now, slope, bend)
+        x += step
+        if abs(step) <= 2e-6 * x:
+            return x if first_root(k0, k1, k2, f[0] * x) == f[0] * x else 0.0
+    return 0.0
