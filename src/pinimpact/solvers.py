@@ -1,9 +1,7 @@
-"""The front end of the contact-space solver, and the registry of its methods."""
+"""The front end of the contact-space solver."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -16,6 +14,7 @@ from .errors import (
     UnknownNameError,
     UnstoppableApproachError,
 )
+from .methods import METHODS, Run
 from .outcome import LAWS, Status
 from .problem import ImpactProblem, float_array, law_code
 from .solution import Array, Inputs, Path, Solution
@@ -24,46 +23,6 @@ ZERO = 32.0 * 2.0**-52
 """Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
 
 TRACE_ROWS = 32
-
-Run = Callable[..., tuple[Any, ...]]
-"""run(inputs, trace, path, **options) -> the tuple that `_kernels.exact.solve_into` returns."""
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A method of `solve_impact`.
-
-    Attributes:
-        load: Returns the function that runs it; called on first use, so that importing costs nothing.
-        options: Names of its keyword options and their defaults.
-        summary: One line on what it is.
-    """
-
-    load: Callable[[], Run]
-    summary: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-
-METHODS: dict[str, Method] = {}
-"""The registered methods by name."""
-
-
-def register_method(name: str, method: Method) -> None:
-    """Make `method` available to `solve_impact` under `name`."""
-    METHODS[name] = method
-
-
-def _load_exact() -> Run:
-    from ._kernels.exact import SCRATCH, solve_into
-
-    def run(inputs: Inputs, trace: Array, path: Array) -> tuple[Any, ...]:
-        raw: tuple[Any, ...] = solve_into(*inputs, np.empty(SCRATCH), trace, path)
-        return raw
-
-    return run
-
-
-register_method("exact", Method(_load_exact, "power series and closed forms, to rounding error"))
 
 _loaded: dict[str, Run] = {}
 _EMPTY = np.empty((0, 6))
@@ -90,7 +49,7 @@ def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, fl
     if not (w12 == w21 and w13 == w31 and w23 == w32):
         asymmetry = max(abs(w12 - w21), abs(w13 - w31), abs(w23 - w32))
         largest = max(abs(x) for row in rows for x in row)
-        if not asymmetry <= ZERO * largest:
+        if asymmetry > ZERO * largest:  # NaN is left to the solver's own checks
             raise InputError(
                 f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, "
                 f"but W and its transpose differ by {asymmetry:.6g}",

@@ -141,6 +141,16 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         return failed(INDEFINITE_DELASSUS, math.ldexp(least, scale_w))
     flags = SINGULAR_DELASSUS if rank < 3 else 0
 
+    # where A is singular nothing acts across its range: v_t either has a part there for good, or none
+    planar = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    if planar:
+        norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
+        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
+        across = d1 * v2 - d2 * v1
+        along = d1 * v1 + d2 * v2
+        planar = abs(across) <= ZERO * spread * (abs(v1) + abs(v2))
+        if planar:
+            v1, v2 = d1 * along, d2 * along
     speed = math.sqrt(v1 * v1 + v2 * v2)
     if speed < 1e-140:
         speed = math.hypot(v1, v2)
@@ -222,7 +232,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         else:
             al, ax, ap, bl, bp = in_frame(f11, f12, f22, fb1, fb2, s1, s2)
             if fresh:
-                turn = bp - ax
+                turn = 0.0 if planar else bp - ax
                 fresh = False
             t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
             bl *= omega
@@ -256,7 +266,9 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         # ---- a straight move, in closed form ----
         if straight:
             span, event = linear_event(phase, law, left, v3, rate)
-            if until < span:
+            # v₃ = k·v_t: on a straight line the two vanish together
+            together = s == 0.0 and offset == 0.0 and event == STOPS and ends_slip
+            if until < span or together:
                 span, event = until, NOTHING
             if span == math.inf:
                 if phase == COMPRESSION:
