@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
+    from .methods import METHODS, Method, register_method
     from .outcome import EFFECTS, LAWS, Flag, Status
     from .problem import ImpactProblem
     from .reset import impact, impacts
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from .scene import Scene
     from .simulation import simulate
     from .solution import Path, Segment, Solution, Work
-    from .solvers import METHODS, Method, register_method, solve_impact
+    from .solvers import solve_impact
     from .surfaces import Plane
     from .trajectory import Trajectory
     from .visual.html import replay
@@ -83,6 +84,7 @@ _HOMES = {
         "UnknownNameError",
         "UnstoppableApproachError",
     ),
+    "methods": ("METHODS", "Method", "register_method"),
     "outcome": ("EFFECTS", "LAWS", "Flag", "Status"),
     "problem": ("ImpactProblem",),
     "reset": ("impact", "impacts"),
@@ -90,7 +92,7 @@ _HOMES = {
     "scene": ("Scene",),
     "simulation": ("simulate",),
     "solution": ("Path", "Segment", "Solution", "Work"),
-    "solvers": ("METHODS", "Method", "register_method", "solve_impact"),
+    "solvers": ("solve_impact",),
     "surfaces": ("Plane",),
     "trajectory": ("Trajectory",),
     "visual.html": ("replay",),

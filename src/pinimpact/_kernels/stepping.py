@@ -38,6 +38,7 @@ from .codes import (
     SINGULAR_DELASSUS,
     SLIP,
     SLIP_RESUMED,
+    SLIP_TURNS,
     STICK,
     STICKS,
     STOPS,
@@ -53,6 +54,9 @@ from .secular import resumed_direction
 MAX_SCALES = 10_000
 """An impact that slips for more than this many times the scale of its steps is given up."""
 
+TURNED = 64.0 * EPS
+"""Angle between two steps that is more than rounding."""
+
 SLIP_ENDS, V3_ZERO, LAW = 0, 1, 2
 
 
@@ -63,6 +67,10 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
     Args:
         table: The method.
         tangent: A₁₁, A₁₂, A₂₂, b₁, b₂.
+        mu: Friction.
+        v1: Tangential velocity at the start,
+        v2: its second component.
+        h: Increment of P₃.
         k: (m, 2) scratch for the stages.
 
     Returns:
@@ -152,10 +160,7 @@ def stop_impulse(a11, a12, a22, v1, v2):
 def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, steps, rtol, trace, path):
     """Solve one impact by steps in P₃.
 
-    Args:
-        w11 … w33: Upper triangle of W, row by row.
-        v1, v2, v3: Pre-impact velocity.
-        mu, e, law: Friction, restitution and the code of its law.
+    Beside the twelve numbers of the problem it takes:
         table: The Runge–Kutta method.
         steps: Steps over the scale |v₃ᵒ|/c, or where that is zero over the impulse that would end slip.
         rtol: 0 for steps of that length; else they are chosen so that the error of P_t in one step stays
@@ -247,7 +252,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                 if flags & LOCKS:
                     break
                 return failed(LAW_UNREACHABLE, left)
-            v3_end = 0.0 if event == STOPS or event == FALLS_BACK else v3 + rate * h
+            v3_end = 0.0 if event in (STOPS, FALLS_BACK) else v3 + rate * h
             work = 0.5 * h * (v3 + v3_end)
             u1, u2 = v1 + dv1 * h, v2 + dv2 * h
             d1, d2 = dp1 * h, dp2 * h
@@ -285,7 +290,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
             friction_work += 0.5 * h * (b1 * d1 + b2 * d2) - b1 * q1 - b2 * q2
             v3_end = v3 + c * h + b1 * d1 + b2 * d2
-            if event == STOPS or event == FALLS_BACK:
+            if event in (STOPS, FALLS_BACK):
                 v3_end = 0.0
             if vanishes:
                 # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on
@@ -305,6 +310,8 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else s
             if c * math.hypot(v1, v2) < mu * (b1 * v1 + b2 * v2):
                 flags |= JAM
+            if abs(v1 * u2 - v2 * u1) > TURNED * math.hypot(v1, v2) * speed:
+                flags |= SLIP_TURNS
 
         if rows > 0 and (rows == len(trace) or (trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase)):
             trace[rows - 1, 3] = p3 + h
