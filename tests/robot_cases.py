@@ -14,7 +14,7 @@ FRAMES = {
     "talos_arm": "gripper_left_base_link",
     "solo12": "FL_FOOT",  # free-flyer
     "talos": "right_sole_link",  # free-flyer
-    "xarm7": "link_tcp",
+    "xarm7": "link_eef",
     "double_pendulum_continuous": "link2",
 }
 

@@ -94,19 +94,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
 class Workspace:
     """What does not change about a model and its data from one call to the next; see `workspace`."""
 
-    __slots__ = (
-        "carriers",
-        "curved",
-        "data",
-        "frames",
-        "free",
-        "model",
-        "nframes",
-        "nq",
-        "nv",
-        "parents",
-        "still",
-    )
+    __slots__ = ("curved", "data", "frames", "model", "nframes", "nv", "parents", "q_shape", "v_shape")
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
         if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
@@ -120,8 +108,9 @@ class Workspace:
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(id(data)))
         self.nframes = model.nframes
-        self.nq = model.nq
         self.nv = model.nv
+        self.q_shape = (model.nq,)
+        self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
         self.parents = np.array(data.parents_fromRow, dtype=np.int64)
         if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
@@ -180,7 +169,7 @@ def configuration(space: Workspace, model: pin.Model, q: Any) -> np.ndarray:
         InputError: Wrong length, not finite, or a quaternion or (cos, sin) pair that is not of unit length
             to within 1e-8.
     """
-    q = finite_array("q", q, (space.nq,))
+    q = finite_array("q", q, space.q_shape)
     if space.curved and not pin.isNormalized(model, q, 1e-8):
         raise InputError(
             "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)",

@@ -163,16 +163,14 @@ def impact(
     space = workspace(model, data)
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
-    q = np.ascontiguousarray(q, dtype=np.float64)
-    v = np.ascontiguousarray(v, dtype=np.float64)
-    nv = space.nv
-    if len(q) != space.nq or q.ndim != 1 or (space.curved and not pin.isNormalized(model, q, 1e-8)):
+    q = float_array("q", q, space.q_shape)
+    v = float_array("v", v, space.v_shape)
+    if space.curved and not pin.isNormalized(model, q, 1e-8):
         configuration(space, model, q)
-    if len(v) != nv or v.ndim != 1:
-        float_array("v", v, (nv,))
     restitution = contact.restitution
     if callable(restitution):
         restitution = _restitution_of_approach(model, data, q, v, contact)
+    nv = space.nv
     answer = np.empty(nv + kernel.SIZE)
     outcome = kernel.reset(
         pin.crba(model, data, q),
@@ -190,8 +188,8 @@ def impact(
     if not 0 <= outcome[0] <= LOCKED:
         if outcome[0] == kernel.SINGULAR_MASS:
             raise singular_mass(model, outcome[1])
-        finite_array("q", q, (space.nq,))
-        finite_array("v", v, (nv,))
+        finite_array("q", q, space.q_shape)
+        finite_array("v", v, space.v_shape)
         solve_inputs(hit._inputs())
     return hit
 
@@ -244,8 +242,8 @@ def impacts(
     model = model_of(model)
     space = workspace(model, data)
     count = np.shape(q)[0] if np.ndim(q) == 2 else 0
-    q = float_array("q", q, (count, space.nq))
-    v = float_array("v", v, (count, space.nv))
+    q = float_array("q", q, (count, *space.q_shape))
+    v = float_array("v", v, (count, *space.v_shape))
     mu = _per_row("friction", contact.friction if friction is None else friction, count)
     law = contact.restitution if restitution is None else restitution
     e = None if callable(law) else _per_row("restitution", law, count)

@@ -1,0 +1,343 @@
+"""Gap, J, M and W of contacts, against finite differences, inverse dynamics and dense algebra."""
+
+import gc
+import weakref
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact.contacts import contact_geometry
+from pinimpact.surfaces import contact_axes
+
+from . import robot_cases as cases
+
+
+@pytest.fixture
+def rng(request):
+    return np.random.default_rng(list(request.node.name.encode()))
+
+
+def points(model, contact, q):
+    """Contact point and plane from forward kinematics of every frame, in world axes."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    plane, frame = contact.plane, data.oMf[model.getFrameId(contact.frame)]
+    carrier = pin.SE3.Identity() if plane.body is None else data.oMf[model.getFrameId(plane.body)]
+    normal = carrier.rotation @ plane.normal
+    point = frame.act(np.array(contact.offset)) - contact.radius * normal
+    return point, carrier.act(np.array(plane.point)), normal, frame.actInv(point), carrier.actInv(point)
+
+
+@pytest.mark.parametrize("body", [None, "panda_link2"])
+def test_gap_and_jacobian_are_those_of_the_moving_points(rng, body):
+    model, data = cases.load("panda")
+    for _ in range(10):
+        q, v = cases.random_state(model, rng)
+        contact = cases.random_contact("panda_hand_tcp", rng, cases.random_plane(rng, body))
+        matrices = pinimpact.contact_matrices(model, data, q, contact)
+        point, origin, normal, in_frame, in_carrier = points(model, contact, q)
+        assert contact.gap(model, data, q) == pytest.approx(normal @ (point - origin), abs=1e-14)
+        assert matrices.gap == contact.gap(model, data, q)
+        assert np.abs(matrices.point - point).max() < 1e-14
+        assert np.abs(matrices.axes - contact_axes(normal)).max() < 1e-14
+
+        def displacement(t, q=q, v=v, contact=contact, in_frame=in_frame, in_carrier=in_carrier):
+            """How far the two material points at the contact move apart."""
+            moved = model.createData()
+            pin.framesForwardKinematics(model, moved, pin.integrate(model, q, t * v))
+            carried = in_carrier
+            if contact.plane.body is not None:
+                carried = moved.oMf[model.getFrameId(contact.plane.body)].act(in_carrier)
+            return moved.oMf[model.getFrameId(contact.frame)].act(in_frame) - carried
+
+        step = 1e-5
+        rate = (displacement(step) - displacement(-step)) / (2 * step)
+        assert np.abs(matrices.velocity(v) - matrices.axes @ rate).max() < 1e-8
+        gap_rate = (
+            contact.gap(model, data, pin.integrate(model, q, step * v))
+            - contact.gap(model, data, pin.integrate(model, q, -step * v))
+        ) / (2 * step)
+        assert matrices.velocity(v)[2] == pytest.approx(gap_rate, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", cases.FRAMES)
+def test_mass_and_delassus_by_inverse_dynamics_and_dense_algebra(name, rng):
+    model, data = cases.load(name)
+    for _ in range(3):
+        q, _ = cases.random_state(model, rng)
+        contact = cases.random_contact(cases.FRAMES[name], rng)
+        matrices = pinimpact.contact_matrices(model, data, q, contact)
+        mass = cases.mass_by_rnea(model, q)
+        assert np.abs(matrices.mass - mass).max() < 1e-12 * np.abs(mass).max()
+        response = np.linalg.solve(mass, matrices.jacobian.T)
+        scale = 1e-14 * np.linalg.cond(mass)
+        assert np.abs(matrices.response - response).max() < scale * np.abs(response).max()
+        delassus = matrices.jacobian @ response
+        assert np.abs(matrices.delassus - delassus).max() < scale * np.abs(delassus).max()
+        assert (matrices.delassus == matrices.delassus.T).all()
+
+
+def test_rotor_inertia_counts(rng):
+    model, data = cases.load("ur5")
+    q, _ = cases.random_state(model, rng)
+    contact = cases.random_contact("tool0", rng)
+    without = pinimpact.contact_matrices(model, data, q, contact)
+    armature = rng.uniform(0.1, 1.0, model.nv)
+    model.armature = armature
+    loaded = pinimpact.contact_matrices(model, data, q, contact)
+    assert np.abs(loaded.mass - without.mass - np.diag(armature)).max() < 1e-14
+    expected = without.jacobian @ np.linalg.solve(without.mass + np.diag(armature), without.jacobian.T)
+    assert np.abs(loaded.delassus - expected).max() < 1e-13
+
+
+def test_surface_velocity_is_that_of_the_surface_at_the_contact_point(rng):
+    model, data = cases.load("panda")
+    q, _ = cases.random_state(model, rng)
+    velocity, spin = rng.normal(size=3), rng.normal(size=3)
+    plane = cases.random_plane(rng, velocity=velocity, angular_velocity=spin)
+    seen = contact_geometry(model, data, q, cases.random_contact("panda_hand_tcp", rng, plane))
+    expected = velocity + np.cross(spin, seen.point - plane.point)
+    assert np.abs(seen.surface_velocity - seen.axes @ expected).max() < 1e-14
+
+    carried = cases.random_plane(rng, "panda_link1", velocity=velocity, angular_velocity=spin)
+    seen = contact_geometry(model, data, q, cases.random_contact("panda_hand_tcp", rng, carried))
+    placement = data.oMf[model.getFrameId("panda_link1")]
+    local = velocity + np.cross(spin, placement.actInv(seen.point) - carried.point)
+    assert np.abs(seen.surface_velocity - seen.axes @ placement.rotation @ local).max() < 1e-14
+
+
+def test_a_plane_on_a_fixed_frame_is_a_plane_in_the_world(rng):
+    model, data = cases.load("panda")
+    q, _ = cases.random_state(model, rng)
+    mount = pin.SE3(cases.random_rotation(rng), rng.normal(size=3))
+    model.addFrame(pin.Frame("mount", 0, 0, mount, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    carried = cases.random_plane(rng, "mount", velocity=(1, 2, 3), angular_velocity=(3, 2, 1))
+    world = pinimpact.Plane(
+        mount.act(np.array(carried.point)),
+        mount.rotation @ carried.normal,
+        mount.rotation @ carried.velocity,
+        mount.rotation @ carried.angular_velocity,
+    )
+    one, other = (
+        pinimpact.contact_matrices(model, data, q, pinimpact.Contact("panda_hand_tcp", plane))
+        for plane in (carried, world)
+    )
+    for field in ("gap", "K", "h", "delassus", "axes", "surface_velocity"):
+        assert np.abs(getattr(one, field) - getattr(other, field)).max() < 1e-13, field
+
+
+@pytest.mark.parametrize("distance", [1.0, 2.0**10])
+def test_far_from_the_origin_no_more_is_lost_than_rounding_of_the_distance(distance, rng):
+    model, data = cases.load("solo12")
+    q, _ = cases.random_state(model, rng)
+    far = q.copy()
+    far[:3] += distance
+    contact = pinimpact.Contact("FL_FOOT", pinimpact.Plane())
+    near_w, far_w = (pinimpact.contact_matrices(model, data, x, contact).delassus for x in (q, far))
+    assert np.abs(near_w - far_w).max() < 1e-14 * distance * np.abs(near_w).max()
+
+
+def test_frames_by_name_and_by_id_are_the_same(rng):
+    model, data = cases.load("ur5")
+    q, _ = cases.random_state(model, rng)
+    gaps = [
+        pinimpact.Contact(key, pinimpact.Plane(body=body)).gap(model, data, q)
+        for key in ("tool0", model.getFrameId("tool0"), np.int64(model.getFrameId("tool0")))
+        for body in ("shoulder_link", model.getFrameId("shoulder_link"))
+    ]
+    assert len(set(gaps)) == 1
+
+
+def test_wrapper_in_place_of_the_model(rng):
+    robot = pinimpact.load_robot("ur5")
+    q, _ = cases.random_state(robot.model, rng)
+    contact = pinimpact.Contact("tool0", pinimpact.Plane())
+    by_wrapper = pinimpact.contact_matrices(robot, robot.data, q, contact)
+    assert (
+        by_wrapper.delassus == pinimpact.contact_matrices(robot.model, robot.data, q, contact).delassus
+    ).all()
+    assert contact.gap(robot, robot.data, q) == by_wrapper.gap
+    with pytest.raises(pinimpact.InputError, match="Model or RobotWrapper"):
+        contact.gap("ur5", robot.data, q)
+
+
+def test_model_is_left_alone_and_data_is_let_go(rng):
+    model, data = cases.load("panda")
+    untouched = model.copy()
+    q, v = cases.random_state(model, rng)
+    contact = cases.random_contact("panda_hand_tcp", rng)
+    pinimpact.impact(model, data, q, cases.approaching(model, data, q, v, contact), contact)
+    assert model == untouched
+    assert vars(model) == vars(untouched)
+    gone = [weakref.ref(model), weakref.ref(data)]
+    del model, data
+    gc.collect()
+    assert [reference() for reference in gone] == [None, None]
+
+
+def test_changes_of_the_model_between_calls_are_seen(rng):
+    model, data = cases.load("ur5")
+    q, _ = cases.random_state(model, rng)
+    contact = pinimpact.Contact("tool0", pinimpact.Plane())
+    before = contact.gap(model, data, q)
+    frame = model.frames[model.getFrameId("tool0")]
+    frame.placement = frame.placement * pin.SE3(np.eye(3), np.array([0, 0, 0.1]))
+    assert contact.gap(model, data, q) == pytest.approx(points(model, contact, q)[0][2], abs=1e-14)
+    assert contact.gap(model, data, q) != pytest.approx(before, abs=1e-3)
+    assert pinimpact.contact_matrices(model, data, q, contact).gap == contact.gap(model, data, q)
+
+    model.addFrame(pin.Frame("late", 0, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    with pytest.raises(pinimpact.InputError, match=r"model\.createData\(\)"):
+        contact.gap(model, data, q)
+    assert np.isfinite(contact.gap(model, model.createData(), q))
+
+
+def test_two_models_do_not_share_what_is_remembered():
+    panda, data = cases.load("panda")
+    ur5, _ = cases.load("ur5")
+    contact = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane())
+    contact.gap(panda, data, pin.neutral(panda))
+    with pytest.raises(pinimpact.InputError, match="data: made for another model"):
+        contact.gap(ur5, data, pin.neutral(ur5))
+
+
+MIMIC = """<robot name="gripper"><link name="world"/>
+<joint name="arm" type="revolute"><parent link="world"/><child link="hand"/><axis xyz="0 1 0"/>{limit}</joint>
+<link name="hand">{inertial}</link>
+<joint name="left" type="revolute"><parent link="hand"/><child link="left_finger"/>
+  <origin xyz="1 0.1 0"/><axis xyz="0 0 1"/>{limit}</joint>
+<link name="left_finger">{inertial}</link>
+<joint name="right" type="revolute"><parent link="hand"/><child link="right_finger"/>
+  <origin xyz="1 -0.1 0"/><axis xyz="0 0 1"/>{limit}<mimic joint="left" multiplier="-2" offset="0.1"/></joint>
+<link name="right_finger">{inertial}</link>
+</robot>""".format(
+    limit='<limit lower="-3" upper="3" effort="1" velocity="1"/>',
+    inertial='<inertial><origin xyz="0.5 0 0"/><mass value="1"/>'
+    '<inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial>',
+)
+
+
+def test_mimic_joints_move_as_they_are_told():
+    coupled = pin.buildModelFromXML(MIMIC, mimic=True)
+    free = pin.buildModelFromXML(MIMIC)
+    assert (coupled.nv, free.nv) == (2, 3)
+    coupling = np.array([[1, 0], [0, 1], [0, -2]])
+    q = np.array([0.3, 0.7])
+    full = coupling @ q + [0, 0, 0.1]
+    contact = pinimpact.Contact("right_finger", pinimpact.Plane(normal=(1, 2, 3)), offset=(1, 0, 0))
+    one = pinimpact.contact_matrices(coupled, coupled.createData(), q, contact)
+    other = pinimpact.contact_matrices(free, free.createData(), full, contact)
+    mass = coupling.T @ other.mass @ coupling
+    jacobian = other.jacobian @ coupling
+    assert np.abs(one.mass - mass).max() < 1e-14
+    assert np.abs(one.jacobian - jacobian).max() < 1e-14
+    assert np.abs(one.delassus - jacobian @ np.linalg.solve(mass, jacobian.T)).max() < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        (
+            {"frame": "tool"},
+            pinimpact.UnknownNameError,
+            "frame: no frame is called 'tool'; did you mean 'tool0'",
+        ),
+        ({"frame": 99}, pinimpact.UnknownNameError, "frame: there is no frame 99"),
+        ({"frame": -1}, pinimpact.UnknownNameError, "frame: there is no frame -1"),
+        (
+            {"plane": pinimpact.Plane(body="Wrist_1_link")},
+            pinimpact.UnknownNameError,
+            "body: no frame .* 'wrist_1_link'",
+        ),
+    ],
+)
+def test_unknown_frames(changes, error, message):
+    model, data = cases.load("ur5")
+    contact = pinimpact.Contact(**({"frame": "tool0", "plane": pinimpact.Plane()} | changes))
+    for call in (contact.gap, lambda *state: pinimpact.contact_matrices(*state, contact)):
+        with pytest.raises(error, match=message):
+            call(model, data, pin.neutral(model))
+
+
+def test_a_name_that_several_frames_bear():
+    model, data = cases.load("z1")
+    names = [frame.name for frame in model.frames]
+    twice = next(name for name in names if names.count(name) > 1)
+    with pytest.raises(pinimpact.UnknownNameError) as caught:
+        pinimpact.Contact(twice, pinimpact.Plane()).gap(model, data, pin.neutral(model))
+    ids = [i for i, name in enumerate(names) if name == twice]
+    assert all(f"{i} (" in str(caught.value) for i in ids)
+    assert np.isfinite(pinimpact.Contact(ids[-1], pinimpact.Plane()).gap(model, data, pin.neutral(model)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("friction", -0.1),
+        ("friction", np.nan),
+        ("friction", np.inf),
+        ("friction", "low"),
+        ("restitution", -0.01),
+        ("restitution", 1.01),
+        ("restitution", None),
+        ("radius", -1.0),
+        ("offset", (0, 0)),
+        ("offset", (0, 0, np.nan)),
+        ("plane", (0, 0, 1)),
+        ("frame", None),
+        ("frame", 1.0),
+    ],
+)
+def test_a_contact_refuses_what_is_out_of_range(field, value):
+    with pytest.raises(pinimpact.InputError, match=field) as caught:
+        pinimpact.Contact(**({"frame": "tip", "plane": pinimpact.Plane()} | {field: value}))
+    assert caught.value.field == field
+
+
+def test_a_contact_refuses_an_unknown_law():
+    with pytest.raises(pinimpact.UnknownNameError, match="'poisson', 'energetic', 'newton'"):
+        pinimpact.Contact("tip", pinimpact.Plane(), law="poison")
+
+
+def test_contacts_are_values():
+    one, other = (
+        pinimpact.Contact("tip", pinimpact.Plane(), offset=offset) for offset in ([0, 0, 1], (0.0, 0.0, 1.0))
+    )
+    assert one == other
+    assert hash(one) == hash(other)
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (np.zeros(5), r"q: shape \(5,\) given, \(7,\) expected"),
+        (np.zeros((7, 1)), "q: shape"),
+        ("home", "q"),
+        ([0, 0, 0, 0, 0, 0, np.nan], "not finite"),
+        ([0, 0, 0, 0, 0, 0, 1.1], r"pinocchio\.normalize"),
+        ([0, 0, 0, 0, 0, 0, 0], r"pinocchio\.normalize"),
+    ],
+)
+def test_a_configuration_that_is_none(q, message):
+    robot = pinimpact.load_robot("ellipsoid")
+    contact = pinimpact.Contact("tip", pinimpact.Plane())
+    for call in (
+        contact.gap,
+        lambda *state: pinimpact.contact_matrices(*state, contact),
+        lambda *state: pinimpact.impact(*state, np.zeros(6), contact),
+    ):
+        with pytest.raises(pinimpact.InputError, match=message):
+            call(robot.model, robot.data, q)
+
+
+def test_a_link_without_inertia_is_named_and_can_be_armed_or_locked():
+    model, data = cases.load("romeo")
+    contact = pinimpact.Contact("l_sole", pinimpact.Plane())
+    q = pin.neutral(model)
+    with pytest.raises(pinimpact.ModelError, match=r"'RThumb3'.*armature"):
+        pinimpact.contact_matrices(model, data, q, contact)
+    with pytest.raises(pinimpact.ModelError, match=r"'RThumb3'.*armature"):
+        pinimpact.impact(model, data, q, np.zeros(model.nv), contact)
