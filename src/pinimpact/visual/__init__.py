@@ -1,0 +1,1 @@
+"""Pictures and replays of impacts and motions; matplotlib and meshcat are imported only when used."""
