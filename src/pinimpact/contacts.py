@@ -249,7 +249,9 @@ def kinematics(
 
     The Jacobians are in world axes at the frames' origins, linear over angular.
     """
-    frame = space.frame(contact.frame)
+    frame = space.frames.get(contact.frame)
+    if frame is None:
+        frame = space.frame(contact.frame)
     rows = _jacobian(model, data, q, frame, _ALIGNED)
     placement = _placement(model, data, frame).homogeneous
     if contact.plane.body is None:

@@ -98,13 +98,7 @@ class Workspace:
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
         if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
-            raise InputError(
-                f"data: made for another model or before this one was changed "
-                f"({len(data.oMi)} joints, {len(data.oMf)} frames, {len(data.M)} velocities; the model has "
-                f"{model.njoints}, {model.nframes}, {model.nv}); make new data with model.createData()",
-                field="data",
-                value=data,
-            )
+            raise outdated(model, data)
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(id(data)))
         self.nframes = model.nframes
@@ -121,8 +115,23 @@ class Workspace:
         """Return the id of a frame given by name or id; see `frame_id`."""
         found = self.frames.get(key)
         if found is None:
-            found = self.frames[key] = frame_id(self.model(), key, field)
+            model: Any = self.model()
+            found = frame_id(model, key, field)
+            if found >= self.nframes:
+                raise outdated(model, self.data())
+            self.frames[key] = found
         return found
+
+
+def outdated(model: pin.Model, data: Any) -> InputError:
+    """Return the error for data that do not fit their model."""
+    return InputError(
+        f"data: made for another model or before this one was changed "
+        f"({len(data.oMi)} joints, {len(data.oMf)} frames, {len(data.M)} velocities; the model has "
+        f"{model.njoints}, {model.nframes}, {model.nv}); make new data with model.createData()",
+        field="data",
+        value=data,
+    )
 
 
 _workspaces: dict[int, Workspace] = {}
@@ -138,8 +147,8 @@ def workspace(model: pin.Model, data: pin.Data) -> Workspace:
     Frame placements, inertias and rotor inertias may be changed between calls. Adding a frame calls for
     new data; a frame that is renamed in place keeps answering to the name first asked for.
     """
-    found, nframes = _workspaces.get(id(data)), model.nframes
-    if found is None or found.data() is not data or found.model() is not model or found.nframes != nframes:
+    found = _workspaces.get(id(data))
+    if found is None or found.data() is not data or found.model() is not model:
         found = _workspaces[id(data)] = Workspace(model, data)
     return found
 

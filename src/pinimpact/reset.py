@@ -34,6 +34,9 @@ LOCKED = int(Status.LOCKED)
 """The last status that is an answer."""
 
 Array = NDArray[np.float64]
+_FLOAT = np.dtype(np.float64)
+_contiguous = np.ascontiguousarray
+_is_normalized = pin.isNormalized
 _NONE_HELD = np.zeros((0, 3))
 _NONE_HELD.setflags(write=False)
 
@@ -163,22 +166,31 @@ def impact(
     space = workspace(model, data)
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
-    q = float_array("q", q, space.q_shape)
-    v = float_array("v", v, space.v_shape)
-    if space.curved and not pin.isNormalized(model, q, 1e-8):
-        configuration(space, model, q)
+    try:
+        q_now, v_now = _contiguous(q, _FLOAT), _contiguous(v, _FLOAT)
+        fit = q_now.shape == space.q_shape and v_now.shape == space.v_shape
+    except (TypeError, ValueError):
+        fit = False
+    if not fit:  # say what is wrong
+        q_now, v_now = float_array("q", q, space.q_shape), float_array("v", v, space.v_shape)
+    if space.curved and not _is_normalized(model, q_now, 1e-8):
+        configuration(space, model, q_now)
     restitution = contact.restitution
     if callable(restitution):
-        restitution = _restitution_of_approach(model, data, q, v, contact)
+        restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
+    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q_now, space, contact)
     nv = space.nv
     answer = np.empty(nv + kernel.SIZE)
     outcome = kernel.reset(
-        pin.crba(model, data, q),
+        pin.crba(model, data, q_now),
         space.parents,
-        *kinematics(model, data, q, space, contact),
+        frame,
+        frame_jacobian,
+        carrier,
+        carrier_jacobian,
         contact.constants,
-        q,
-        v,
+        q_now,
+        v_now,
         contact.friction,
         restitution,
         contact.law_code,
