@@ -220,19 +220,21 @@ def test_reference_answers(row):
 
 @pytest.mark.parametrize("row", [row for row in REFERENCE if row[1] > 0.0], ids=row_name)
 def test_euler_reaches_them_at_first_order(row):
-    problem, mu, velocity, impulse, *_ = row
+    problem, mu, velocity, impulse, _, vanishes, _ = row
     exact = np.array([*velocity, *impulse])
 
     def error(steps):
         solution = from_urdf(problem, mu, method="euler", steps=steps).solution
         return np.abs([*solution.velocity, *solution.impulse] - exact).max()
 
-    steps = np.array([100, 200, 400, 800, 1600])
+    steps = np.array([200, 400, 800, 1600, 3200])
     errors = np.array([error(n) for n in steps])
-    assert errors[-1] < 2e-2
-    if errors.max() > 1e-9:  # on an invariant direction Euler makes no error at all
-        order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-        assert 0.85 < order < 1.25
+    assert errors[-1] < 2e-4
+    if vanishes is None:
+        assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1, abs=0.02)
+    elif errors.max() > 1e-9:  # else slip is straight, and Euler makes no error at all
+        scaled = errors * steps  # where the slip stops within a step makes it flutter
+        assert scaled.max() < 6 * scaled.min()
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.3, 0.9])
