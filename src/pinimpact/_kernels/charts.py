@@ -21,7 +21,11 @@ def half_turn(angle):
     h = 0.5 * angle
     if angle < 1e-2:
         s = h * h
-        return 0.5 * (1.0 - s / 6.0 * (1.0 - s / 20.0)), math.cos(h), (1.0 + s / 15.0 * (1.0 + 2.0 * s / 21.0)) / 12.0
+        return (
+            0.5 * (1.0 - s / 6.0 * (1.0 - s / 20.0)),
+            math.cos(h),
+            (1.0 + s / 15.0 * (1.0 + 2.0 * s / 21.0)) / 12.0,
+        )
     return math.sin(h) / angle, math.cos(h), (1.0 - h / math.tan(h)) / (angle * angle)
 
 

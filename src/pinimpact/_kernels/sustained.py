@@ -30,7 +30,18 @@ def slip_direction(velocity, reference, still):
 
 @jit
 def constrain(
-    minverse, acceleration, jacobians, free, velocity, mode, mu, reference, still, scalar_index, force, scalar_force
+    minverse,
+    acceleration,
+    jacobians,
+    free,
+    velocity,
+    mode,
+    mu,
+    reference,
+    still,
+    scalar_index,
+    force,
+    scalar_force,
 ):
     """Add the accelerations that the contact forces cause; all contacts and scalar rows given are active.
 
@@ -69,7 +80,9 @@ def constrain(
             directions[i, 0], directions[i, 1] = s1, s2
             for j in range(n):
                 rows[m, j] = jacobians[i, 2, j]
-                columns[m, j] = jacobians[i, 2, j] - mu[i] * (s1 * jacobians[i, 0, j] + s2 * jacobians[i, 1, j])
+                columns[m, j] = jacobians[i, 2, j] - mu[i] * (
+                    s1 * jacobians[i, 0, j] + s2 * jacobians[i, 1, j]
+                )
             target[m] = -free[i, 2]
             m += 1
         else:
@@ -121,6 +134,21 @@ def constrain(
 
 
 @jit
+def margin(mode, mu, force, lower, upper, scalar_force, allowance):
+    """Return by how much the forces keep within Coulomb's law and the scalar bounds; below zero, they do not."""
+    least = np.inf
+    for i in range(len(mode)):
+        if mode[i] == HELD:
+            continue
+        least = min(least, force[i, 2])
+        if mode[i] == STICK:
+            least = min(least, mu[i] * force[i, 2] - math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2))
+    for i in range(len(lower)):
+        least = min(least, scalar_force[i] - lower[i], upper[i] - scalar_force[i])
+    return least + allowance
+
+
+@jit
 def without_pulling(system, target, solution, mode):
     """Return a solution in which no contact pulls, if dropping the pulling ones leaves the equations solved."""
     size = len(target)
@@ -148,9 +176,7 @@ def without_pulling(system, target, solution, mode):
 
 
 @jit
-def decide(
-    delassus, free, velocity, mu, held, still, lower, upper, force, scalar_force, sweeps, tolerance
-):
+def decide(delassus, free, velocity, mu, held, still, lower, upper, force, scalar_force, sweeps, tolerance):
     """Find forces that obey Coulomb's law at acceleration level, by projected sweeps.
 
     Args:
