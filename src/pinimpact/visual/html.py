@@ -26,7 +26,8 @@ MAX_FRAMES = 3000
 ARROW_LENGTH = 0.3
 """Of the largest impulse's arrow [m]; the others are in proportion, down to their radius."""
 ARROW_RADIUS = 0.006
-SURFACE_MARGIN = 0.3
+SURFACE_MARGIN = 0.15
+"""How far a surface is drawn beyond the contacts' way over it [m]."""
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -134,7 +135,7 @@ class _Recorder:
         self.keep(command.lower())
 
     def keep(self, message: dict[str, Any]) -> None:
-        import umsgpack
+        import umsgpack  # with meshcat
 
         self.commands.append(base64.b64encode(umsgpack.packb(message)).decode("ascii"))
 

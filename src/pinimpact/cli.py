@@ -1,0 +1,65 @@
+"""The command line; heavy modules load when a verb needs them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import __version__
+from .errors import PinimpactError
+
+OUT = click.option(
+    "-o",
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("out"),
+    show_default=True,
+    help="Folder for the files, made if need be.",
+)
+
+
+def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Say what is wrong with the input in one message, without a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return command(*args, **kwargs)
+        except PinimpactError as error:
+            raise click.ClickException(str(error)) from error
+
+    return wrapped
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="pinimpact")
+def main() -> None:
+    """What happens to a robot in the instant in which it hits something with friction."""
+
+
+@main.command()
+@click.option("--robot", default="panda", show_default=True, help="Name of a robot, or path of a URDF file.")
+@OUT
+@plain_errors
+def demo(robot: str, out: Path) -> None:
+    """Let a robot strike a table: print the impact, write a replay and a hodograph."""
+    from rich.console import Console
+
+    from .demo import run_demo
+    from .report import impact_report
+    from .visual.html import replay
+    from .visual.plots import impact_figure, save_figure
+
+    shown = run_demo(robot)
+    hit = shown.hit
+    Console().print(impact_report(shown.robot.model, shown.contact, hit))
+    out.mkdir(parents=True, exist_ok=True)
+    title = f"{robot}: {shown.contact.label}, μ = {shown.contact.friction:g}, e = {hit.problem.restitution:g}"
+    figure = save_figure(impact_figure(hit.problem, hit.solution, title), out / "hodograph.png")
+    click.echo(f"Hodograph: {figure}")
+    page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=[shown.contact], speed=0.2)
+    click.echo(f"Replay (five times slower, open in a browser): {page}")

@@ -1,0 +1,136 @@
+"""Pictures of one impact: the hodograph of slip, the path over the normal impulse, where the energy went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError
+from ..problem import ImpactProblem
+from ..solution import Path as RecordedPath
+from ..solution import Solution, Work
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COMPRESSION, RESTITUTION, STICK, FLOW = "#c0392b", "#1f6fb2", "#f0b429", "#b8bec5"
+
+
+def impact_figure(problem: ImpactProblem, solution: Solution, title: str = "") -> Figure:
+    """Return a figure with the hodograph, the path over the normal impulse, and the energy by cause.
+
+    Args:
+        problem: What was solved; its flow of slip is drawn behind the hodograph.
+        solution: Its answer, solved with ``record=True``.
+        title: Above the figure.
+
+    Raises:
+        InputError: A solution without a path.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 5.6), layout="constrained")
+    figure.suptitle(title)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+    draw_hodograph(figure.add_subplot(grid[:, 0]), problem, solution)
+    path_axes, work_axes = figure.add_subplot(grid[:2, 1]), figure.add_subplot(grid[2, 1])
+    draw_path(path_axes, solution)
+    draw_work(work_axes, solution.work)
+    return figure
+
+
+def draw_hodograph(axes: Axes, problem: ImpactProblem, solution: Solution) -> None:
+    """Draw the sliding velocity's path in the tangential plane over the flow of slip.
+
+    Raises:
+        InputError: A solution without a path.
+    """
+    path = _path_of(solution)
+    v1, v2 = path.velocity[:, 0], path.velocity[:, 1]
+    radius = 1.15 * max(float(np.abs(path.velocity[:, :2]).max()), 1e-12)
+    _draw_flow(axes, problem, radius)
+    cut = _end_of_compression(solution)
+    before = path.normal_impulse <= cut
+    after = path.normal_impulse >= cut
+    axes.plot(v1[before], v2[before], color=COMPRESSION, lw=2.2, label="compression")
+    axes.plot(v1[after], v2[after], color=RESTITUTION, lw=2.2, label="restitution")
+    axes.plot(v1[0], v2[0], "o", color=COMPRESSION, ms=7, label="first touch")
+    axes.plot(v1[-1], v2[-1], "s", color=RESTITUTION, ms=7, label="separation")
+    if any(segment.mode == "stick" for segment in solution.segments):
+        axes.plot(0.0, 0.0, "D", mfc=STICK, mec="black", ms=9, label="stick")
+    axes.axhline(0.0, color="black", lw=0.5)
+    axes.axvline(0.0, color="black", lw=0.5)
+    axes.set(xlim=(-radius, radius), ylim=(-radius, radius), xlabel="v₁ [m/s]", ylabel="v₂ [m/s]")
+    axes.set_title("Sliding velocity (hodograph)")
+    axes.set_aspect("equal")
+    axes.legend(fontsize="small", loc="best")
+
+
+def draw_path(axes: Axes, solution: Solution) -> None:
+    """Draw the contact velocity over the normal impulse; stick is shaded, the end of compression marked.
+
+    Raises:
+        InputError: A solution without a path.
+    """
+    path = _path_of(solution)
+    for row, (name, color) in enumerate((("v₁", "#16a085"), ("v₂", "#8e44ad"), ("v₃ (normal)", "black"))):
+        axes.plot(path.normal_impulse, path.velocity[:, row], color=color, label=name)
+    for segment in solution.segments:
+        if segment.mode == "stick":
+            axes.axvspan(segment.start, segment.end, color=STICK, alpha=0.25, lw=0.0, label="stick")
+    axes.axvline(_end_of_compression(solution), color=COMPRESSION, ls="--", lw=1.0, label="compression ends")
+    axes.axhline(0.0, color="black", lw=0.5)
+    axes.set(xlabel="normal impulse P₃ [N s]", ylabel="[m/s]")
+    axes.set_title("Contact velocity")
+    axes.legend(fontsize="small", loc="best")
+
+
+def draw_work(axes: Axes, work: Work) -> None:
+    """Draw a bar of work for each cause [J]."""
+    names = ("compression", "restitution", "friction", "surface", "total")
+    values = [float(getattr(work, name)) for name in names]
+    colors = (COMPRESSION, RESTITUTION, "#7f5539", "#16a085", "black")
+    axes.barh(names[::-1], values[::-1], color=colors[::-1])
+    for row, value in enumerate(values[::-1]):
+        axes.annotate(
+            f" {value:.3g} ", (value, row), ha="left" if value >= 0.0 else "right", va="center", size=8
+        )
+    axes.margins(x=0.2)
+    axes.axvline(0.0, color="black", lw=0.5)
+    axes.set(xlabel="work [J]")
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG and return its path."""
+    figure.savefig(path, dpi=130)
+    return Path(path)
+
+
+def _path_of(solution: Solution) -> RecordedPath:
+    if solution.path is None:
+        raise InputError(
+            "solution: it has no recorded path to draw; solve with record=True",
+            field="solution",
+            value=solution,
+        )
+    return solution.path
+
+
+def _end_of_compression(solution: Solution) -> float:
+    """Return the normal impulse at which the (first) compression ends."""
+    first_restitution = (segment.start for segment in solution.segments if segment.phase == "restitution")
+    return next(first_restitution, float(_path_of(solution).normal_impulse[-1]))
+
+
+def _draw_flow(axes: Axes, problem: ImpactProblem, radius: float) -> None:
+    """Draw the streamlines of dv_t/dP₃ = b − μ A v_t/|v_t|."""
+    w = np.asarray(problem.delassus, dtype=float)
+    ticks = np.linspace(-radius, radius, 40)
+    slip = np.array(np.meshgrid(ticks, ticks))
+    direction = slip / np.hypot(*slip)
+    rate = w[:2, 2, None, None] - problem.friction * np.einsum("ij,jkl->ikl", w[:2, :2], direction)
+    if np.any(rate):
+        axes.streamplot(ticks, ticks, rate[0], rate[1], color=FLOW, linewidth=0.7, arrowsize=0.7, density=0.9)
