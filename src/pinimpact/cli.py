@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from . import __version__
-from .errors import PinimpactError
+from .errors import PinimpactError, SimulationError
 
 OUT = click.option(
     "-o",
@@ -63,3 +63,46 @@ def demo(robot: str, out: Path) -> None:
     click.echo(f"Hodograph: {figure}")
     page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=[shown.contact], speed=0.2)
     click.echo(f"Replay (five times slower, open in a browser): {page}")
+
+
+@main.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@plain_errors
+def plan(scene: Path) -> None:
+    """Print which effects a scene file calls for, and why each other one is left out."""
+    from .scene_files import load_scene
+
+    click.echo(str(load_scene(scene).scene.plan()))
+
+
+@main.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@OUT
+@plain_errors
+def run(scene: Path, out: Path) -> None:
+    """Simulate a scene file: print what happened, write trajectory, replay and pictures.
+
+    Ctrl-C ends the run early; what was computed until then is written all the same.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from .report import run_report
+    from .scene_files import load_scene
+
+    loaded = load_scene(scene)
+    stopped: PinimpactError | None = None
+    with Progress(transient=True) as bar:
+        task = bar.add_task("simulating", total=loaded.file.duration)
+        try:
+            trajectory = loaded.run(lambda t, _: bar.update(task, completed=t))
+        except SimulationError as error:
+            if error.partial is None:
+                raise
+            trajectory, stopped = error.partial, error
+    Console().print(run_report(trajectory))
+    out.mkdir(parents=True, exist_ok=True)
+    for what, path in loaded.write(trajectory, out):
+        click.echo(f"{what}: {path}")
+    if stopped is not None:
+        raise stopped

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -16,6 +15,9 @@ from .contacts import Contact
 from .trajectory import ImpactRecord, Trajectory
 
 CAUSES = ("compression", "restitution", "friction", "surface")
+WORKS = ("control", "joints", "friction", "surface", "impacts")
+LONGEST = 40
+"""Rows that a table shows at most."""
 
 
 def impact_report(model: pin.Model, contact: Contact, hit: ImpactRecord) -> RenderableType:
@@ -38,7 +40,11 @@ def impact_report(model: pin.Model, contact: Contact, hit: ImpactRecord) -> Rend
             ("", "before", "after"),
             zip(velocity_names(model), hit.v_before, hit.v_after, strict=True),
         ),
-        _segments(hit),
+        _columns(
+            "Segments",
+            ("mode", "phase", "P₃ from", "to [N s]"),
+            [(s.mode, s.phase, f"{s.start:.6f}", f"{s.end:.6f}") for s in solution.segments],
+        ),
         _columns("Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(hit.impulse_world)]),
         _energy(model, hit),
         Text("Effects computed: " + (", ".join(solution.effects) or "none")),
@@ -48,38 +54,42 @@ def impact_report(model: pin.Model, contact: Contact, hit: ImpactRecord) -> Rend
 
 def run_report(trajectory: Trajectory) -> RenderableType:
     """Return a run as tables: its impacts, its modes, its energy, and how it ended."""
-    table = Table("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "loss [J]", "special")
-    table.title = f"{len(trajectory.impacts)} impacts" + (
-        "" if len(trajectory.impacts) <= 40 else ", first and last 20"
-    )
-    listed = list(trajectory.impacts)
-    for hit in listed if len(listed) <= 40 else listed[:20] + listed[-20:]:
-        marks = [word for word, on in (("resting", hit.resting), ("simultaneous", hit.simultaneous)) if on]
-        table.add_row(
-            f"{hit.time:.6f}",
-            hit.source,
-            _number(-float(np.asarray(hit.problem.velocity)[2])),
-            _number(float(np.linalg.norm(hit.solution.impulse))),
-            _number(-hit.solution.work.total),
-            ", ".join([*marks, *(e for e in hit.solution.effects if e in ("stick", "resumed slip", "jam"))]),
-        )
-    modes = Table("contact, limit or joint", "mode", "from [s]", "to [s]", title="Sustained contact")
-    for interval in trajectory.modes[-40:]:
-        modes.add_row(interval.source, interval.mode, f"{interval.start:.6f}", f"{interval.end:.6f}")
     energy = trajectory.energy
-    sums = [("kinetic and potential, change", energy.total[-1] - energy.total[0])]
-    sums += [
-        (f"work of {name}", getattr(energy, name)[-1])
-        for name in ("control", "joints", "friction", "surface", "impacts")
-    ]
-    sums.append(("not accounted for", energy.residual[-1]))
+    changes: list[tuple[Any, ...]] = [("kinetic and potential", energy.total[-1] - energy.total[0])]
+    changes += [(f"work of {name}", getattr(energy, name)[-1]) for name in WORKS]
+    changes.append(("not accounted for", energy.residual[-1]))
     return Group(
-        table,
-        modes if trajectory.modes else Text("No contact was sustained."),
-        _columns("Energy over the run [J]", ("", "J"), sums),
-        *(Text(f"t = {note.time:.4f} s: {note.text}") for note in trajectory.notes[:20]),
+        _columns(
+            f"Impacts: {len(trajectory.impacts)}" + _cut(trajectory.impacts),
+            ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "loss [J]", "special"),
+            [_impact_row(hit) for hit in trajectory.impacts[:LONGEST]],
+        ),
+        _columns(
+            f"Sustained contact: {len(trajectory.modes)}" + _cut(trajectory.modes),
+            ("contact, limit or joint", "mode", "from [s]", "to [s]"),
+            [(i.source, i.mode, f"{i.start:.6f}", f"{i.end:.6f}") for i in trajectory.modes[:LONGEST]],
+        ),
+        _columns("Energy, change over the run [J]", ("", "J"), changes),
+        *(Text(f"t = {note.time:.4f} s: {note.text}") for note in trajectory.notes[:LONGEST]),
         *([Text("Switched off: " + ", ".join(trajectory.switched_off))] if trajectory.switched_off else []),
         Text(f"Ended at t = {trajectory.t[-1]:.4f} s: {trajectory.termination}", style="bold"),
+    )
+
+
+def _cut(rows: Sequence[Any]) -> str:
+    return f", the first {LONGEST}" if len(rows) > LONGEST else ""
+
+
+def _impact_row(hit: ImpactRecord) -> tuple[Any, ...]:
+    special = [word for word, on in (("resting", hit.resting), ("simultaneous", hit.simultaneous)) if on]
+    special += [effect for effect in ("stick", "resumed slip", "jam") if effect in hit.solution.effects]
+    return (
+        f"{hit.time:.6f}",
+        hit.source,
+        -float(np.asarray(hit.problem.velocity)[2]),
+        float(np.linalg.norm(hit.solution.impulse)),
+        -hit.solution.work.total,
+        ", ".join(special),
     )
 
 
@@ -89,13 +99,6 @@ def velocity_names(model: pin.Model) -> Iterator[str]:
         count = model.nvs[joint]
         for k in range(count):
             yield model.names[joint] + (f"[{k}]" if count > 1 else "")
-
-
-def _segments(hit: ImpactRecord) -> Table:
-    table = Table("mode", "phase", "P₃ from", Text("to [N s]"), title=Text("Segments"), title_justify="left")
-    for segment in hit.solution.segments:
-        table.add_row(segment.mode, segment.phase, f"{segment.start:.6f}", f"{segment.end:.6f}")
-    return table
 
 
 def _energy(model: pin.Model, hit: ImpactRecord) -> Table:
@@ -110,16 +113,15 @@ def _energy(model: pin.Model, hit: ImpactRecord) -> Table:
     return _columns("Energy [J]", ("", "J"), rows)
 
 
-def _columns(title: str, head: tuple[str, ...], rows: Any) -> Table:
+def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
+    """Return a table; cells are names, or numbers to be set to the right."""
     table = Table(title=Text(title), title_justify="left")
     for name in head:
-        table.add_column(Text(name), justify="left" if not name else "right")
+        table.add_column(Text(name))
     for row in rows:
-        table.add_row(*(cell if isinstance(cell, str) else _number(cell) for cell in row))
+        table.add_row(*(Text(c) if isinstance(c, str) else Text(_number(c), justify="right") for c in row))
     return table
 
 
-def _number(value: ArrayLike) -> str:
-    return (
-        f"{float(value):+.6f}" if 1e-4 <= abs(float(value)) < 1e5 or value == 0.0 else f"{float(value):+.4e}"
-    )  # type: ignore[arg-type]
+def _number(value: float) -> str:
+    return f"{value:+.6f}" if value == 0.0 or 1e-4 <= abs(value) < 1e5 else f"{value:+.4e}"

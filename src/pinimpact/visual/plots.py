@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ..trajectory import Trajectory
+
 COMPRESSION, RESTITUTION, STICK, FLOW = "#c0392b", "#1f6fb2", "#f0b429", "#b8bec5"
 
 
@@ -101,6 +103,26 @@ def draw_work(axes: Axes, work: Work) -> None:
     axes.margins(x=0.2)
     axes.axvline(0.0, color="black", lw=0.5)
     axes.set(xlabel="work [J]")
+
+
+def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
+    """Return a figure of a run's energies and works over time, with its impacts marked."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    energy = trajectory.energy
+    axes.plot(trajectory.t, energy.total, color="black", lw=2.0, label="kinetic + potential")
+    axes.plot(trajectory.t, energy.kinetic, color=RESTITUTION, label="kinetic")
+    for name in ("control", "joints", "friction", "surface", "impacts"):
+        work = getattr(energy, name)
+        if np.any(work):
+            axes.plot(trajectory.t, work, ls="--", label=f"work of {name}")
+    for hit in trajectory.impacts:
+        axes.axvline(hit.time, color=FLOW, lw=0.6, zorder=0)
+    axes.set(xlabel="t [s]", ylabel="[J]", title=title)
+    axes.legend(fontsize="small", loc="best")
+    return figure
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

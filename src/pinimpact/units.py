@@ -1,0 +1,40 @@
+"""Quantities in files: plain numbers in SI units, or text such as "30 deg" and "5 cm"."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+UNITS: dict[str, dict[str, float]] = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "angular speed": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
+    "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+    "acceleration": {"m/s^2": 1.0},
+}
+"""The units of each kind of quantity, in SI units; the first is meant where a number stands alone."""
+
+
+def quantity(value: Any, kind: str) -> float:
+    """Return a quantity of a kind in SI units.
+
+    Raises:
+        ValueError: Neither a finite number nor a number with a unit of that kind.
+    """
+    units = UNITS[kind]
+    number, unit = value, next(iter(units))
+    if isinstance(value, str):
+        number, _, unit = value.strip().partition(" ")
+        unit = unit.strip()
+    if isinstance(number, bool) or unit not in units:
+        raise ValueError(f"{value!r} is not a {kind}; its units are {', '.join(units)}")
+    try:
+        found = float(number) * units[unit]
+    except (TypeError, ValueError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise ValueError(
+            f"{value!r} is not a {kind}; write a number of {next(iter(units))}, or text such as '1 {unit}'"
+        )
+    return found
