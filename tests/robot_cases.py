@@ -55,8 +55,12 @@ def random_contact(frame, rng, plane=None, **changes):
 
 
 def approaching(model, data, q, v, contact):
-    """v, with its sign turned if the contact would separate."""
-    return v if pinimpact.contact_matrices(model, data, q, contact).velocity(v)[2] < 0.0 else -v
+    """v, turned around or made faster until the contact approaches."""
+    matrices = pinimpact.contact_matrices(model, data, q, contact)
+    for factor in (1, -1, 10, -10, 1000, -1000):
+        if matrices.velocity(factor * v)[2] < 0.0:
+            return factor * v
+    raise AssertionError("nothing approaches")
 
 
 def mass_by_rnea(model, q):

@@ -1,0 +1,245 @@
+"""What is held or locked during an impact, against the model from which it has been taken out."""
+
+import warnings
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact.contacts import contact_geometry
+from pinimpact.reset import HeldContactWarning
+
+from . import robot_cases as cases
+
+
+@pytest.fixture
+def rng(request):
+    return np.random.default_rng(list(request.node.name.encode()))
+
+
+@pytest.fixture
+def quiet():
+    """Held contacts may pull here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HeldContactWarning)
+        yield
+
+
+GROUND = pinimpact.Plane()
+THREE_POINTS = [(0.1, 0, 0), (-0.1, 0.1, 0), (0, -0.1, 0.05)]
+
+
+def floating_and_fixed(name, rng):
+    """A robot with a free base and the same one with a fixed base, placed alike."""
+    free, fixed = (pinimpact.load_robot(name, free_flyer=flyer).model for flyer in (True, False))
+    base = pin.SE3(cases.random_rotation(rng), rng.normal(size=3))
+    for joint in range(1, fixed.njoints):
+        if fixed.parents[joint] == 0:
+            fixed.jointPlacements[joint] = base * fixed.jointPlacements[joint]
+    q, v = cases.random_state(fixed, rng)
+    return free, fixed, np.concatenate([pin.SE3ToXYZQUAT(base), q]), np.concatenate([np.zeros(6), v])
+
+
+@pytest.mark.parametrize("way", ["held in three points", "held in more points", "locked"])
+@pytest.mark.parametrize(
+    ("name", "frame", "base"), [("ur5", "tool0", "base_link"), ("panda", "panda_hand", "panda_link0")]
+)
+def test_a_base_that_cannot_move_is_a_fixed_base(name, frame, base, way, rng, quiet):
+    free, fixed, q, v = floating_and_fixed(name, rng)
+    free_data, fixed_data = free.createData(), fixed.createData()
+    contact = cases.random_contact(frame, rng)
+    v[6:] = cases.approaching(fixed, fixed_data, q[7:], v[6:], contact)
+    points = THREE_POINTS + [(0, 0, 0), (0.2, 0.1, -0.1)] * (way == "held in more points")
+    held = [pinimpact.Contact(base, GROUND, offset=point) for point in points]
+    keep = {"locked": ["root_joint"]} if way == "locked" else {"held": held}
+    one = pinimpact.impact(free, free_data, q, v, contact, **keep)
+    other = pinimpact.impact(fixed, fixed_data, q[7:], v[6:], contact)
+    assert np.abs(one.v[:6]).max() < 1e-13
+    assert np.abs(one.v[6:] - other.v).max() < 1e-11
+    assert np.abs(one.impulse_world - other.impulse_world).max() < 1e-11
+    w = [
+        pinimpact.contact_matrices(free, free_data, q, contact, **keep).delassus,
+        pinimpact.contact_matrices(fixed, fixed_data, q[7:], contact).delassus,
+    ]
+    assert np.abs(w[0] - w[1]).max() < 1e-12 * np.abs(w[1]).max()
+    if way != "locked":
+        # what the ground gives is what the base's wrench asks for
+        gained = pin.crba(free, free_data, q) @ (one.v - v)
+        rows = [contact_geometry(free, free_data, q, anchor) for anchor in held]
+        given = sum(
+            (seen.axes.T @ seen.jacobian).T @ impulse
+            for seen, impulse in zip(rows, one.held_impulses, strict=True)
+        )
+        struck = contact_geometry(free, free_data, q, contact)
+        given = given + (struck.axes.T @ struck.jacobian).T @ one.impulse_world
+        assert np.abs(gained - given).max() < 1e-11
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_locked_joints_are_joints_taken_out(still, rng):
+    model, data = cases.load("panda")
+    q, v = cases.random_state(model, rng)
+    names = ["panda_joint2", "panda_joint5", "panda_finger_joint1"]
+    ids = [model.getJointId(name) for name in names]
+    rows = [model.idx_vs[i] for i in ids]
+    free = np.setdiff1d(np.arange(model.nv), rows)
+    if still:
+        v[rows] = 0
+    contact = cases.random_contact("panda_hand_tcp", rng)
+    v = cases.approaching(model, data, q, v, contact)
+    by_name = pinimpact.impact(model, data, q, v, contact, locked=names)
+    by_id = pinimpact.impact(model, data, q, v, contact, locked=ids)
+    assert by_name.v.tolist() == by_id.v.tolist()
+    assert by_name.v[rows].tolist() == v[rows].tolist()
+    if still:
+        reduced = pin.buildReducedModel(model, ids, q)
+        other = pinimpact.impact(reduced, reduced.createData(), q[free], v[free], contact)
+        assert np.abs(by_name.v[free] - other.v).max() < 1e-12
+        assert np.abs(by_name.impulse_world - other.impulse_world).max() < 1e-12
+
+
+def test_locking_one_joint_by_its_bare_name(rng):
+    model, data = cases.load("ur5")
+    q, v = cases.random_state(model, rng)
+    contact = cases.random_contact("tool0", rng)
+    v = cases.approaching(model, data, q, v, contact)
+    hit = pinimpact.impact(model, data, q, v, contact, locked="elbow_joint")
+    assert hit.v[2] == v[2]
+
+
+def test_locking_everything_leaves_nothing_that_yields(rng):
+    model, data = cases.load("ur5")
+    q, v = cases.random_state(model, rng)
+    contact = cases.random_contact("tool0", rng)
+    v = cases.approaching(model, data, q, v, contact)
+    with pytest.raises(pinimpact.UnstoppableApproachError):
+        pinimpact.impact(model, data, q, v, contact, locked=list(model.names)[1:])
+
+
+def test_a_locked_joint_needs_no_inertia():
+    model, data = cases.load("romeo")
+    massless = [name for name in model.names if name[1:5] in ("Hand", "Thum", "Fing")]
+    contact = pinimpact.Contact("l_sole", pinimpact.Plane())
+    q = pin.neutral(model)
+    assert np.isfinite(pinimpact.contact_matrices(model, data, q, contact, locked=massless).delassus).all()
+
+
+def standing(rng, feet=("FL_FOOT", "HR_FOOT")):
+    """solo12 with feet that do not move, and the front right one about to strike."""
+    model, data = cases.load("solo12")
+    q, v = cases.random_state(model, rng)
+    held = [pinimpact.Contact(foot, GROUND, name=foot) for foot in feet]
+    rows = np.vstack([contact_geometry(model, data, q, foot).jacobian for foot in held])
+    v -= np.linalg.pinv(rows) @ (rows @ v)
+    contact = pinimpact.Contact("FR_FOOT", pinimpact.Plane(), friction=0.5, restitution=0.3)
+    return model, data, q, cases.approaching(model, data, q, v, contact), contact, held, rows
+
+
+def test_held_feet_stay_and_the_books_balance(rng, quiet):
+    model, data, q, v, contact, held, rows = standing(rng)
+    hit = pinimpact.impact(model, data, q, v, contact, held=held)
+    assert np.abs(rows @ hit.v).max() < 1e-12
+    mass = cases.mass_by_rnea(model, q)
+    struck = contact_geometry(model, data, q, contact)
+    gained = mass @ (hit.v - v)
+    impulses = np.concatenate(hit.held_impulses)  # the ground's axes are the world's
+    balance = struck.jacobian.T @ hit.solution.impulse + rows.T @ impulses
+    assert np.abs(gained - balance).max() < 1e-12
+    assert hit.solution.work.total == pytest.approx(
+        cases.kinetic_energy(model, q, hit.v) - cases.kinetic_energy(model, q, v), rel=1e-10
+    )
+    # by the other road: the saddle point of the bilateral rows
+    saddle = np.block([[mass, rows.T], [rows, np.zeros((6, 6))]])
+    response = np.linalg.solve(saddle, np.vstack([struck.jacobian.T, np.zeros((6, 3))]))[: model.nv]
+    matrices = pinimpact.contact_matrices(model, data, q, contact, held=held)
+    assert np.abs(matrices.response - response).max() < 1e-10 * np.abs(response).max()
+    assert (
+        np.abs(matrices.delassus - struck.jacobian @ response).max() < 1e-11 * np.abs(matrices.delassus).max()
+    )
+
+
+def test_the_same_foot_held_twice_shares_the_impulse(rng, quiet):
+    model, data, q, v, contact, held, _ = standing(rng)
+    once = pinimpact.impact(model, data, q, v, contact, held=held)
+    twice = pinimpact.impact(model, data, q, v, contact, held=[held[0], held[0], held[1]])
+    assert np.abs(once.v - twice.v).max() < 1e-11
+    assert np.abs(twice.held_impulses[0] - once.held_impulses[0] / 2).max() < 1e-11
+    assert np.abs(twice.held_impulses[1] - once.held_impulses[0] / 2).max() < 1e-11
+    assert np.abs(twice.held_impulses[2] - once.held_impulses[1]).max() < 1e-11
+
+
+def test_held_impulses_are_in_world_axes_whatever_the_plane(rng, quiet):
+    model, data, q, v, contact, held, _ = standing(rng)
+    tilted = [pinimpact.Contact(foot.frame, cases.random_plane(rng)) for foot in held]
+    one, other = (pinimpact.impact(model, data, q, v, contact, held=feet) for feet in (held, tilted))
+    assert np.abs(one.held_impulses - other.held_impulses).max() < 1e-12
+    assert one.held_impulses.shape == (2, 3)
+    assert pinimpact.impact(model, data, q, v, contact).held_impulses.shape == (0, 3)
+
+
+def test_a_closed_loop_stays_closed(rng, quiet):
+    """Two arms of one model hold hands while one of them is struck."""
+    arm = cases.load("ur5")[0]
+    other = arm.copy()
+    for frame in other.frames:
+        frame.name = "other_" + frame.name
+    for joint in range(1, other.njoints):
+        other.names[joint] = "other_" + other.names[joint]
+    model = pin.appendModel(arm, other, 0, pin.SE3(np.eye(3), np.array([0.5, 0, 0])))
+    data = model.createData()
+    q, v = cases.random_state(model, rng)
+    loop = pinimpact.Contact("tool0", pinimpact.Plane(body="other_tool0"))
+    rows = contact_geometry(model, data, q, loop).jacobian
+    v -= np.linalg.pinv(rows) @ (rows @ v)
+    contact = cases.random_contact("wrist_2_link", rng)
+    v = cases.approaching(model, data, q, v, contact)
+    hit = pinimpact.impact(model, data, q, v, contact, held=[loop])
+    assert np.abs(rows @ hit.v).max() < 1e-12
+    assert np.abs(hit.v[6:] - v[6:]).max() > 1e-6  # the other arm feels it
+    assert hit.solution.work.total == pytest.approx(
+        cases.kinetic_energy(model, q, hit.v) - cases.kinetic_energy(model, q, v), rel=1e-10
+    )
+
+
+def test_a_foot_that_would_have_to_pull_is_warned_of():
+    """A body of unit mass and inertia on a hinge beside its centre, stopped by a blow from below."""
+    robot = pinimpact.load_robot("ellipsoid")
+    model, data, q = robot.model, robot.data, robot.q0
+    struck = pinimpact.Contact("ellipsoid", pinimpact.Plane(), offset=(2, 0, 0))
+    held = pinimpact.Contact("ellipsoid", pinimpact.Plane(), offset=(1, 0, 0), name="hinge")
+    v = np.array([0, 0, 1.0, 0, 1.0, 0])  # turns about the hinge, the long end going down
+    with pytest.warns(HeldContactWarning, match="'hinge' would have to pull with 3 N s"):
+        hit = pinimpact.impact(model, data, q, v, struck, held=[held])
+    assert hit.impulse_world == pytest.approx([0, 0, 2])
+    assert hit.held_impulses[0] == pytest.approx([0, 0, -3])
+    other_side = pinimpact.Contact("ellipsoid", pinimpact.Plane(), offset=(-1, 0, 0))
+    v = np.array([0, 0, -1.0, 0, 1.0, 0])
+    pushed = pinimpact.impact(model, data, q, v, struck, held=[other_side])
+    assert pushed.impulse_world == pytest.approx([0, 0, 2 / 3])
+    assert pushed.held_impulses[0] == pytest.approx([0, 0, 1 / 3])
+
+
+def test_a_held_contact_must_be_at_rest(rng):
+    model, data, q, v, contact, held, _ = standing(rng)
+    moving = v + 0.01 * rng.normal(size=model.nv)
+    with pytest.raises(pinimpact.InputError, match=r"held: 'FL_FOOT' moves at .* m/s"):
+        pinimpact.impact(model, data, q, moving, contact, held=held)
+    belt = pinimpact.Contact("FL_FOOT", pinimpact.Plane(velocity=(1, 0, 0)))
+    with pytest.raises(pinimpact.InputError, match="moves at 1 m/s"):
+        pinimpact.impact(model, data, q, v, contact, held=[belt])
+
+
+@pytest.mark.parametrize(
+    ("keep", "message"),
+    [
+        ({"held": [pinimpact.Contact("FL_FOT", GROUND)]}, "'FL_FOOT'"),
+        ({"locked": ["FL_HA"]}, "locked: no joint is called 'FL_HA'; did you mean 'FL_HAA'"),
+        ({"locked": [99]}, "locked: there is no joint 99"),
+        ({"locked": [0]}, "locked: there is no joint 0"),
+    ],
+)
+def test_unknown_names(keep, message, rng):
+    model, data, q, v, contact, _, _ = standing(rng)
+    with pytest.raises(pinimpact.UnknownNameError, match=message):
+        pinimpact.impact(model, data, q, v, contact, **keep)
