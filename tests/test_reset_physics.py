@@ -51,15 +51,17 @@ def test_momentum_changes_by_the_impulse(name, rng):
     assert np.abs(gained - matrices.jacobian.T @ hit.solution.impulse).max() < 1e-12 * np.abs(gained).max()
     assert np.abs(hit.impulse_world - matrices.axes.T @ hit.solution.impulse).max() < 1e-15
     assert np.abs(matrices.velocity(hit.v) - hit.solution.velocity).max() < 1e-12
-    alone = pinimpact.solve_impact(
-        pinimpact.ImpactProblem(
-            matrices.delassus,
-            matrices.velocity(v),
-            contact.friction,
-            contact.restitution,
-            surface_velocity=matrices.surface_velocity,
-        )
-    )
+    alone = pinimpact.solve_impact(hit.problem)
+    expected = {
+        "delassus": matrices.delassus,
+        "velocity": matrices.velocity(v),
+        "friction": contact.friction,
+        "restitution": contact.restitution,
+        "surface_velocity": matrices.surface_velocity,
+    }
+    for field, value in expected.items():
+        assert getattr(hit.problem, field) == pytest.approx(value, rel=1e-12, abs=1e-12), field
+    assert hit.problem.law == contact.law
     assert np.abs(alone.impulse - hit.solution.impulse).max() < 1e-10 * np.abs(alone.impulse).max()
 
 

@@ -91,6 +91,19 @@ class Hit:
         return self._part(kernel.AXES, 9).reshape(3, 3)
 
     @property
+    def problem(self) -> ImpactProblem:
+        """The contact-space problem that was solved."""
+        w11, w12, w13, w22, w23, w33, *velocity = self._part(kernel.DELASSUS, 9).tolist()
+        return ImpactProblem(
+            np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]),
+            np.array(velocity),
+            self._contact.friction,
+            self._restitution,
+            self._contact.law,
+            self._part(kernel.SURFACE, 3).copy(),
+        )
+
+    @property
     def solution(self) -> Solution:
         """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
