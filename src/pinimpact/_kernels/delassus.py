@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from .jit import jit
+from .jit import inner
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS
 """Eigenvalues of W within ZERO·‖W‖ of zero are zero."""
 
 
-@jit
+@inner
 def _rotate(app, aqq, apq, apr, aqr, vp, vq):
     """One Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
     if apq == 0.0:
@@ -32,7 +32,7 @@ def _rotate(app, aqq, apq, apr, aqr, vp, vq):
     )
 
 
-@jit
+@inner
 def eigen(w11, w12, w13, w22, w23, w33):
     """Return eigenvalues (λ₁, λ₂, λ₃), unsorted, and their eigenvectors, by cyclic Jacobi rotations."""
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -48,7 +48,7 @@ def eigen(w11, w12, w13, w22, w23, w33):
     return w11, w22, w33, x, y, z
 
 
-@jit
+@inner
 def _sort3(l1, l2, l3, x, y, z):
     if l1 > l2:
         l1, l2, x, y = l2, l1, y, x
@@ -59,7 +59,7 @@ def _sort3(l1, l2, l3, x, y, z):
     return l1, l2, l3, x, y, z
 
 
-@jit
+@inner
 def classify(w11, w12, w13, w22, w23, w33):
     """Decide the rank of W and clean it.
 

@@ -41,7 +41,7 @@ from .codes import (
     UNSTOPPABLE,
 )
 from .delassus import EPS, ZERO, classify
-from .jit import jit
+from .jit import inner, jit
 from .node import expand_node, nearby_root
 from .normal import linear_event, restitution_goal
 from .record import mark, mark_stretch, note
@@ -68,7 +68,7 @@ NEAR_THRESHOLD = 1e-6
 """Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
 
 
-@jit
+@inner
 def canonical(w12, w13, w23, w11, w22, v1, v2):
     """Choose signs and order of the tangent axes so that mirrored problems are one problem.
 
@@ -87,14 +87,14 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
     return sign1, sign2, swapped
 
 
-@jit
+@inner
 def halves(exponent):
     """Return two powers of two whose product is 2^exponent, also where that one would overflow."""
     half = exponent // 2
     return math.ldexp(1.0, half), math.ldexp(1.0, exponent - half)
 
 
-@jit
+@inner
 def failed(status, figure):
     """Return the answer of a problem that has none; `figure` is the number that the message gives."""
     nan = math.nan
@@ -297,215 +297,97 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             # ---- a stretch of turning slip, on which its series converges and v₃ is monotone ----
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
             scale = speed * per
-            node = expanded = False
             d1, d2, n1, x = s1, s2, 0.0, 0.0
+            restoring = phase == RESTITUTION
+            node = expanded = False
             last, f = 0.0, (0.0,) * 12
+            stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
 
             # most often the next event is near: try for it at once
-            kind = VELOCITY
-            sought = goal if phase == RESTITUTION else 0.0
+            kind, aim, guess = VELOCITY, goal if restoring else 0.0, 0.0
             bend = m0 - 0.5 * t1
-            guess = 0.0
-            if law == POISSON and phase == RESTITUTION:
-                kind, sought = IMPULSE, left
+            if law == POISSON and restoring:
+                kind, aim = IMPULSE, left
                 guess = halley(-left, scale, bend)
-            elif rate > 0.0 and not (law == ENERGETIC and phase == RESTITUTION):
-                guess = halley(v3 - sought, scale * rate, bend + 0.5 * turn * jam1 / jam0)
+            elif rate > 0.0 and not (law == ENERGETIC and restoring):
+                guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
             if guess > 0.0 and guess * max(abs(turn), -t1) < 1.0:
-                last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
                 expanded = True
-                x = seek_near(kind, sought, guess, last, series, inverse, f, scale, mu, c, bl, bp, v3)
+                last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
+                stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
+                x = seek_near(stretch, kind, aim, guess, last)
                 if x > 0.0:
-                    event = STOPS if phase == COMPRESSION else LAW_MET
-                    span, along, across, dv3, ratio, t, _, _ = point(
-                        node, series, inverse, x, f, scale, mu, c, bl, bp
-                    )
-                    v3_end = v3 + dv3
-                    if v3_end < 0.0 and kind == IMPULSE:
-                        x = 0.0
-                        event = NOTHING
+                    event = LAW_MET if restoring else STOPS
 
-            if x == 0.0:
+            if event == NOTHING:
+                # go as far as the series converges and v₃ is monotone: into the invariant direction ahead ...
                 root = nearby_root(turn, t1, t2, t3, t4)
                 if root != 0.0:
-                    node, d1, d2, n1, dl, dp, g = expand_node(
+                    expanded = False
+                    node, e1, e2, n1, el, ep, f = expand_node(
                         series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
                     )
-                    expanded = False
                 if node:
-                    f = g
                     t = first_root(jam0, jam1, jam2, root)
                     peaks = t != root
                     x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
-                    bl, bp = dl * omega, dp * omega
+                    d1, d2, bl, bp = e1, e2, el * omega, ep * omega
                     jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
                 else:
-                    d1, d2 = s1, s2
+                    # ... or some way towards it
                     if not expanded:
                         last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
                     whole = reach(last, f[0])
                     x = first_root(jam0, jam1, jam2, f[0] * whole) / f[0]
                     peaks = x < whole
-                if x == math.inf and f[3] <= 0.0:
-                    # slip goes on for ever along the invariant direction
+                stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
+                endless = x == math.inf and f[3] <= 0.0
+                if endless:
                     span = math.inf
                     v3_end = math.inf if jam0 > 0.0 else -math.inf if jam0 < 0.0 else v3
                 else:
-                    span, along, across, dv3, ratio, t, _, _ = point(
-                        node, series, inverse, x, f, scale, mu, c, bl, bp
-                    )
+                    span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
                     v3_end = v3 + dv3
                     if x == math.inf and s == 0.0:
                         v3_end = offset
-                x_end = x
-                if phase == COMPRESSION:
-                    if v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
-                        event = STOPS
-                        x = seek(
-                            VELOCITY,
-                            0.0,
-                            v3,
-                            v3_end,
-                            x,
-                            node,
-                            series,
-                            inverse,
-                            f,
-                            scale,
-                            mu,
-                            c,
-                            bl,
-                            bp,
-                            v3,
-                            speed,
-                        )
-                elif law == NEWTON:
-                    if v3_end >= goal:
+                # what the velocity brings
+                aim = goal if law == NEWTON and restoring and v3_end >= goal else 0.0
+                if restoring:
+                    if aim > 0.0:
                         event = LAW_MET
-                        if peaks and v3_end - goal < NEAR * goal:
-                            flags |= NEAR_JUMP
-                        x = seek(
-                            VELOCITY,
-                            goal,
-                            -left,
-                            v3_end - goal,
-                            x,
-                            node,
-                            series,
-                            inverse,
-                            f,
-                            scale,
-                            mu,
-                            c,
-                            bl,
-                            bp,
-                            v3,
-                            speed,
-                        )
-                    elif peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
+                    elif v3_end < 0.0:
+                        event = FALLS_BACK
+                    elif law == NEWTON and peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
                         flags |= NEAR_JUMP
-                elif law == POISSON and span >= left:
-                    event = LAW_MET
-                    x = seek(
-                        IMPULSE,
-                        left,
-                        -left,
-                        span - left,
-                        x,
-                        node,
-                        series,
-                        inverse,
-                        f,
-                        scale,
-                        mu,
-                        c,
-                        bl,
-                        bp,
-                        v3,
-                        speed,
-                    )
-                    if (
-                        v3_end < 0.0
-                        and v3 + point(node, series, inverse, x, f, scale, mu, c, bl, bp)[3] < 0.0
-                    ):
-                        event, x = NOTHING, x_end
-                if event == NOTHING and phase == RESTITUTION and v3_end < 0.0:
-                    event = FALLS_BACK
-                    x = seek(
-                        VELOCITY,
-                        0.0,
-                        v3,
-                        v3_end,
-                        x,
-                        node,
-                        series,
-                        inverse,
-                        f,
-                        scale,
-                        mu,
-                        c,
-                        bl,
-                        bp,
-                        v3,
-                        speed,
-                    )
-                if law == ENERGETIC and phase == RESTITUTION:
-                    work = math.inf
-                    if x < math.inf or f[3] > 0.0:
-                        work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
-                    if work >= left:
-                        event = LAW_MET
-                        x = seek(
-                            WORK,
-                            left,
-                            -left,
-                            work - left,
-                            x,
-                            node,
-                            series,
-                            inverse,
-                            f,
-                            scale,
-                            mu,
-                            c,
-                            bl,
-                            bp,
-                            v3,
-                            speed,
-                        )
-                if x == math.inf and f[3] <= 0.0:
-                    return failed(
-                        UNSTOPPABLE if phase == COMPRESSION else LAW_UNREACHABLE, math.ldexp(v3, scale_v)
-                    )
+                elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
+                    event = STOPS
                 if event != NOTHING:
-                    span, along, across, dv3, ratio, t, _, _ = point(
-                        node, series, inverse, x, f, scale, mu, c, bl, bp
-                    )
-                    v3_end = v3 + dv3
+                    kind = VELOCITY
+                    x = seek(stretch, kind, aim, v3 - aim, v3_end - aim, x)
+                    endless = False
+                # what the sum of impulse or work brings before that
+                if restoring and law != NEWTON:
+                    kind, total = IMPULSE, math.inf
+                    if law == ENERGETIC:
+                        kind = WORK
+                        if not endless:
+                            total, _ = works(stretch, x)
+                    elif not endless:
+                        total = span if event == NOTHING else point(stretch, x)[0]
+                    if total >= left:
+                        event = LAW_MET
+                        x = seek(stretch, kind, left, -left, total - left, x)
+                        endless = False
+                if endless:
+                    return failed(LAW_UNREACHABLE if restoring else UNSTOPPABLE, math.ldexp(v3, scale_v))
+
+            if event != NOTHING:
+                span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
+                v3_end = v3 + dv3
             if work_wanted:
-                work, friction_work = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
+                work, friction_work = works(stretch, x)
             if path_wanted:
-                points = mark_stretch(
-                    path,
-                    points,
-                    node,
-                    series,
-                    inverse,
-                    x,
-                    f,
-                    scale,
-                    mu,
-                    c,
-                    bl,
-                    bp,
-                    d1,
-                    d2,
-                    speed,
-                    v3,
-                    p1,
-                    p2,
-                    p3,
-                )
+                points = mark_stretch(path, points, stretch, x, d1, d2, p1, p2, p3)
             p1 += d1 * along - d2 * across
             p2 += d2 * along + d1 * across
             p3 += span
@@ -551,6 +433,10 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         if event == LAW_MET:
             if law == NEWTON:
                 v3 = goal
+                # dv₃/dP₃ is on its way to a jam; a goal just higher would have been missed
+                fall = mu * (s1 * b2 - s2 * b1) * omega * turn
+                if not straight and speed * rate * rate < 2.0 * NEAR * goal * fall:
+                    flags |= NEAR_JUMP
             if rate < 0.0 and v3 < -NEAR * p3 * rate:
                 flags |= NEAR_JUMP
             break

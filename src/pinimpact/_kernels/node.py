@@ -8,11 +8,11 @@ infinity (a < 0), is one convergent series: there is no speed at which "small" w
 from __future__ import annotations
 
 from .delassus import EPS
-from .jit import jit
+from .jit import inner
 from .slip import RECIPROCAL, TERMS, in_frame, polynomials
 
 
-@jit
+@inner
 def nearby_root(p0, p1, p2, p3, p4):
     """Return the root of p that slip converges to, if it is simple, stable and close, else 0. (4.1)"""
     if p1 >= 0.0:
@@ -31,7 +31,7 @@ def nearby_root(p0, p1, p2, p3, p4):
     return 0.0
 
 
-@jit
+@inner
 def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
     """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from .codes import COMPRESSION, ENERGETIC, FALLS_BACK, LAW_MET, NEWTON, NOTHING, POISSON, STOPS
-from .jit import jit
+from .jit import inner
 
 
-@jit
+@inner
 def restitution_goal(law, e, compression_impulse, compression_work, approach):
     """What restitution has to reach in all: an impulse, a work, or a velocity. (2.4)–(2.6)"""
     if law == POISSON:
@@ -18,7 +18,7 @@ def restitution_goal(law, e, compression_impulse, compression_work, approach):
     return -e * approach
 
 
-@jit
+@inner
 def linear_event(phase, law, left, v3, rate):
     """Find the first event while dv₃/dP₃ = rate stays constant.
 

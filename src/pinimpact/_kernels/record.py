@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from .jit import jit
+from .jit import inner
 from .stretch import point
 
 POINTS = 8
 
 
-@jit
+@inner
 def note(trace, rows, mode, phase, start, end, normal_work, friction_work):
     """Append a move to the trace, or lengthen its last row if mode and phase go on; return the rows."""
     if rows > 0 and trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase:
@@ -27,7 +27,7 @@ def note(trace, rows, mode, phase, start, end, normal_work, friction_work):
     return rows
 
 
-@jit
+@inner
 def mark(path, rows, p3, v1, v2, v3, p1, p2):
     """Append a point to the path and return the number of rows."""
     if rows < path.shape[0]:
@@ -41,19 +41,13 @@ def mark(path, rows, p3, v1, v2, v3, p1, p2):
     return rows
 
 
-@jit
-def mark_stretch(
-    path, rows, node, series, inverse, x, f, scale, mu, c, bl, bp, d1, d2, speed, v3, p1, p2, p3
-):
-    """Append the points inside a stretch of turning slip from 0 to x, both excluded."""
-    count = POINTS
-    end = x
-    if node:
-        end = min(x, 38.0)
-        count = 2 * POINTS
+@inner
+def mark_stretch(path, rows, stretch, x, d1, d2, p1, p2, p3):
+    """Append the points inside a stretch of turning slip from 0 to x, both excluded; d: its first axis."""
+    v3, speed = stretch[9], stretch[10]
+    end, count = (min(x, 38.0), 2 * POINTS) if stretch[0] else (x, POINTS)
     for i in range(1, count):
-        y = end * i / count
-        normal, along, across, dv3, ratio, t, _, _ = point(node, series, inverse, y, f, scale, mu, c, bl, bp)
+        normal, along, across, dv3, ratio, t, _, _ = point(stretch, end * i / count)
         radius = speed * ratio / (1.0 + t * t)
         u1, u2 = radius * (1.0 - t * t), radius * 2.0 * t
         rows = mark(

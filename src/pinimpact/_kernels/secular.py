@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from .jit import jit
+from .jit import inner
 
 
-@jit
+@inner
 def resumed_direction(a11, a12, a22, b1, b2, mu):
     """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, given that stick is impossible (‖A⁺b‖ > μ).
 

@@ -13,13 +13,13 @@ import math
 import numpy as np
 
 from .delassus import EPS
-from .jit import jit
+from .jit import inner
 
 TERMS = 32
 RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, TERMS + 8)])
 
 
-@jit
+@inner
 def in_frame(a11, a12, a22, b1, b2, s1, s2):
     """Return A and b in the axes (σ, σ⊥): A∥, A×, A⊥, b∥, b⊥."""
     u1, u2 = a11 * s1 + a12 * s2, a12 * s1 + a22 * s2
@@ -32,7 +32,7 @@ def in_frame(a11, a12, a22, b1, b2, s1, s2):
     )
 
 
-@jit
+@inner
 def polynomials(al, ax, ap, bl, bp):
     """Coefficients p₁ … p₄ and m₀ … m₃ of (3.6), (3.7); A already times μ. p₀ is carried by the caller."""
     return (
@@ -47,7 +47,7 @@ def polynomials(al, ax, ap, bl, bp):
     )
 
 
-@jit
+@inner
 def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     """Fill `series` with the coefficients of S(x)/S(0). (3.10), (3.11)
 
@@ -78,7 +78,7 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     return last, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
-@jit
+@inner
 def reach(last, h):
     """Return how far x may go: the last term is then below rounding, and t ≤ 1. (3.11)"""
     end = 1.0 / abs(h)
@@ -87,7 +87,7 @@ def reach(last, h):
     return end
 
 
-@jit
+@inner
 def within_reach(x, last, h):
     """Return whether x ≤ reach(last, h), without its logarithm."""
     power = x * x
@@ -97,7 +97,7 @@ def within_reach(x, last, h):
     return last * (power * power) <= 0.5 * EPS and abs(h * x) <= 1.0
 
 
-@jit
+@inner
 def moments(series, x):
     """Return S(x) and ∫₀ˣ S xʲ dx for j = 0 … 4."""
     power = 1.0

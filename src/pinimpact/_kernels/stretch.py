@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from .jit import jit
+from .jit import inner
 from .slip import TERMS, moments, within_reach
 
 VELOCITY, IMPULSE, WORK = 0, 1, 2
@@ -20,7 +20,7 @@ _NODES = 0.5 * (_GAUSS[0] + 1.0)
 _WEIGHTS = 0.5 * _GAUSS[1]
 
 
-@jit
+@inner
 def first_root(k0, k1, k2, end):
     """Return the first root of k₀ + k₁t + k₂t² strictly between 0 and `end`, or `end` itself."""
     square = k1 * k1 - 4.0 * k0 * k2
@@ -42,7 +42,7 @@ def first_root(k0, k1, k2, end):
     return found
 
 
-@jit
+@inner
 def halley(f, slope, bend):
     """Return the step of Halley's iteration, or Newton's where the curvature forbids it."""
     step = -f / slope
@@ -50,7 +50,7 @@ def halley(f, slope, bend):
     return step / damp if damp > 0.5 else step
 
 
-@jit
+@inner
 def node_moments(series, inverse, exponent, span):
     """Return yᵃ, y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
     if span == math.inf:
@@ -98,18 +98,20 @@ def node_moments(series, inverse, exponent, span):
     return start, y, value, n0, n1, n2, n3, n4
 
 
-@jit
-def point(node, series, inverse, x, f, scale, mu, c, bl, bp):
+@inner
+def point(stretch, x):
     """Return the state at x. (3.12), (4.5)
 
     Args:
-        node: Which of the two series it is.
-        f: Its constants, as `slip_constants` or `expand_node` gives them.
-        scale: Speed at x = 0 over ω.
+        stretch: Which of the two series it is (True: around the invariant direction); its coefficients;
+            1/(a + k); its constants, as `slip.expand` or `node.expand_node` gives them; the speed at
+            x = 0 over ω; μ; c; b∥ and b⊥; v₃ and the speed at x = 0.
+        x: Where.
 
     Returns:
         ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
     """
+    node, series, inverse, f, scale, mu, c, bl, bp, _, _ = stretch
     h, factor, unit, exponent, q1, q2, q3, w0, w1, w2, q4, w3 = f
     if node:
         power, y, value, n0, n1, n2, n3, n4 = node_moments(series, inverse, exponent, x)
@@ -130,78 +132,69 @@ def point(node, series, inverse, x, f, scale, mu, c, bl, bp):
     normal = unit * (n0 + 2.0 * hh * n2 + h4 * n4)
     along = -mu * unit * (n0 - h4 * n4)
     across = -2.0 * mu * unit * h * (n1 + hh * n3)
-    return (
-        normal,
-        along,
-        across,
-        c * normal + bl * along + bp * across,
-        factor * value * fall * chord,
-        t,
-        unit * value * chord * chord,
-        bend,
-    )
+    dv3 = c * normal + bl * along + bp * across
+    return normal, along, across, dv3, factor * value * fall * chord, t, unit * value * chord * chord, bend
 
 
-@jit
-def works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed):
+@inner
+def works(stretch, x):
     """Integrate the normal work and the friction work over (0, x) by Gauss quadrature. (3.14)"""
+    node, _, _, f, _, mu, _, _, _, v3, speed = stretch
     normal_work = friction_work = 0.0
     panels, end = 1, x
     if node:
-        # beyond this the direction is settled and the rest is straight
-        end = min(x, 38.0)
+        # beyond this the direction is settled and the rest is straight, or nothing is left of the slip
+        end = min(x, 38.0 / max(1.0, f[3]))
         panels = 1 + int(end * max(1.0, 0.5 * abs(f[3])))
     width = end / panels
     for j in range(panels):
         for i in range(_NODES.size):
-            normal, along, across, dv3, ratio, t, slope, _ = point(
-                node, series, inverse, (j + _NODES[i]) * width, f, scale, mu, c, bl, bp
-            )
-            rate = _WEIGHTS[i] * width * slope
-            normal_work += rate * (v3 + dv3)
-            friction_work -= rate * mu * speed * ratio
+            _, _, _, dv3, ratio, _, slope, _ = point(stretch, (j + _NODES[i]) * width)
+            share = _WEIGHTS[i] * width * slope
+            normal_work += share * (v3 + dv3)
+            friction_work -= share * mu * speed * ratio
     if end < x:
-        a = point(node, series, inverse, end, f, scale, mu, c, bl, bp)
-        b = point(node, series, inverse, x, f, scale, mu, c, bl, bp)
-        normal_work += (b[0] - a[0]) * (v3 + 0.5 * (a[3] + b[3]))
-        friction_work -= 0.5 * mu * speed * (b[0] - a[0]) * (a[4] + b[4])
+        here, there = point(stretch, end), point(stretch, x)
+        span = there[0] - here[0]
+        normal_work += span * (v3 + 0.5 * (here[3] + there[3]))
+        friction_work -= 0.5 * mu * speed * span * (here[4] + there[4])
     return normal_work, friction_work
 
 
-@jit
-def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c, bl, bp, v3, speed):
-    """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `goal` in (0, high).
+@inner
+def measure(stretch, kind, aim, x):
+    """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
+    node, _, _, f, _, mu, c, bl, bp, v3, _ = stretch
+    normal, _, _, dv3, _, t, slope, bend = point(stretch, x)
+    if kind == IMPULSE:
+        return normal - aim, slope, bend
+    if kind == WORK:
+        return works(stretch, x)[0] - aim, slope * (v3 + dv3), 0.0
+    chord = 1.0 + t * t
+    rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
+    turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
+    return (v3 - aim) + dv3, slope * rate, bend + (-t if node else f[0]) * turn / rate
 
-    Halley's iteration inside a bracket; the work, whose curvature costs as much as itself, takes Newton's.
+
+@inner
+def seek(stretch, kind, aim, f_low, f_high, high):
+    """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
+
+    Halley's iteration inside a bracket; for the work, whose curvature is not at hand, Newton's.
 
     Args:
-        f_low, f_high: The quantity less its goal at 0 and at `high`; of opposite signs.
+        f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs.
 
     Returns:
         x.
     """
     low, top = 0.0, high
+    x = 0.5
     if math.isfinite(f_high) and high < math.inf:
         x = high if kind == WORK else high * (f_low / (f_low - f_high))
-    else:
-        x = 0.5
-    k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    enough = 1e-9 if kind == WORK else 2e-6
     for _ in range(100):
-        normal, _, _, dv3, _, t, slope, bend = point(node, series, inverse, x, f, scale, mu, c, bl, bp)
-        if kind == VELOCITY:
-            chord = 1.0 + t * t
-            rate = (k0 + t * (k1 + t * k2)) / chord
-            turn = -t if node else f[0]
-            now = (v3 - goal) + dv3
-            bend += turn * ((k1 + 2.0 * t * k2) / chord - 2.0 * t * rate / chord) / rate
-            slope *= rate
-        elif kind == IMPULSE:
-            now = normal - goal
-        else:
-            work, _ = works(node, series, inverse, x, f, scale, mu, c, bl, bp, v3, speed)
-            now = work - goal
-            slope *= v3 + dv3
-            bend = 0.0
+        now, slope, bend = measure(stretch, kind, aim, x)
         if now == 0.0:
             return x
         if (now > 0.0) == (f_high > 0.0):
@@ -216,33 +209,29 @@ def seek(kind, goal, f_low, f_high, high, node, series, inverse, f, scale, mu, c
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
         elif new > 2.0 * x + 2.0:
             new = 2.0 * x + 2.0
-        elif abs(step) <= 2e-6 * x and (kind != WORK or abs(step) <= 1e-9 * x):
+        elif abs(step) <= enough * x:
             return new
         x = new
     return x
 
 
-@jit
-def seek_near(kind, goal, x, last, series, inverse, f, scale, mu, c, bl, bp, v3):
+@inner
+def seek_near(stretch, kind, aim, x, last):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
     Returns:
         x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
     """
-    k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    _, _, _, f, _, mu, c, bl, bp, v3, _ = stretch
     for _ in range(8):
         if not (x > 0.0 and within_reach(x, last, f[0])):
             return 0.0
-        normal, _, _, dv3, _, t, slope, bend = point(False, series, inverse, x, f, scale, mu, c, bl, bp)
-        now = normal - goal
-        if kind == VELOCITY:
-            chord = 1.0 + t * t
-            rate = (k0 + t * (k1 + t * k2)) / chord
-            now = (v3 - goal) + dv3
-            bend += f[0] * ((k1 + 2.0 * t * k2) / chord - 2.0 * t * rate / chord) / rate
-            slope *= rate
+        now, slope, bend = measure(stretch, kind, aim, x)
         step = halley(now, slope, bend)
         x += step
         if abs(step) <= 2e-6 * x:
-            return x if first_root(k0, k1, k2, f[0] * x) == f[0] * x else 0.0
+            end = f[0] * x
+            monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end) == end
+            falls = kind == IMPULSE and v3 + point(stretch, x)[3] < 0.0
+            return x if monotone and not falls else 0.0
     return 0.0
