@@ -3,7 +3,7 @@
     python -m tests.reference.generate --seed 1 --count 3450 --out tests/reference/table.npz
 
 Run from the root of the repository. A row depends on the seed and its own number only. Rows that the closed
-form does not cover, or that no impulse can end, are left out and counted. Some 0.3 s per row.
+form does not cover, or that no impulse can end, are left out and counted. Some 0.15 s per row.
 """
 
 from __future__ import annotations
@@ -20,8 +20,20 @@ from .problems import Problem, draw
 from .reference import ReferenceSolution, UnsupportedProblemError, solve_reference
 from .table import PATH, STATUSES, save
 
-TRIALS = 4
-DIGITS = 25
+SENSITIVE = (
+    "jam",
+    "no collision",
+    "second compression",
+    "near-critical friction",
+    "exactly critical friction",
+    "near-invariant start",
+    "slow approach",
+    "ill-conditioned",
+)
+"""The regimes whose sensitivity is measured; it is stored as zero for the others."""
+
+TRIALS = 2
+DIGITS = 22
 """Digits to which the changed problems are solved; their answers differ in the sixteenth."""
 
 
@@ -77,12 +89,15 @@ def main() -> None:
                 raise ArithmeticError(
                     f"row {index}: the closed form and the quadrature differ: {answer.defect}"
                 )
-            change = sensitivity(problem, answer, np.random.default_rng((args.seed, index, 1)))
+            change = (0.0, 0.0)
+            if problem.category in SENSITIVE:
+                change = sensitivity(problem, answer, np.random.default_rng((args.seed, index, 1)))
         except UnsupportedProblemError as error:
             left_out[problem.category, str(error)] += 1
             continue
         rows.append((problem, answer, change))
-        if index % 100 == 99:
+        if index % 300 == 299:
+            save(args.out, rows)
             print(f"{index + 1} of {args.count}, {time.perf_counter() - began:.0f} s", flush=True)
     save(args.out, rows)
     print(f"{len(rows)} rows in {args.out}; left out: {dict(left_out)}")

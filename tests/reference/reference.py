@@ -256,8 +256,8 @@ class _Line:
         if name == "P3":
             x = lack
         elif name == "v3":
-            if self.slope < 0 and target - lack + self.slope * self.length >= -self.p.zero_speed:
-                return None  # it comes to zero at the very end, where the friction locks the contact
+            if self.length < mp.inf and abs(self.slope * self.length - lack) <= self.p.zero_speed:
+                return None  # reached at the very end: left to what follows, which may be a locked contact
             if abs(lack) <= self.p.zero_speed:
                 return self.start
             if self.slope == 0:
@@ -370,7 +370,7 @@ class _Arc:
         if h == 0:
             return state
         # |error| < ρ^(−2n) × the integrand on the ellipse of parameter ρ; r² dP₃ grows the fastest
-        half = abs(float(h))
+        half = max(abs(float(h)), 1e-300)
         ratio = max(self.room(float(middle)) / half, 1.5)
         largest = min(ratio + math.sqrt(ratio * ratio - 1), 1e12)
         growth = 1.5 * half * max(self.rate(middle), 0.5)
@@ -544,10 +544,9 @@ def _slip(p: _Problem, account: _Account, state: State) -> tuple[State, bool]:
                 break
             w = arc.step(u, next((x for x in stops if x > u), None))
             stop = arc.advance(state, u, w)
-            panel = _Panel(arc, u, state, w, stop)
-            if not panel.rising:
+            if p.v3_slope(*arc.point((u + w) / 2)[1:3]) < 0:
                 account.flags.add("JAM")
-            end = account.run(panel)
+            end = account.run(_Panel(arc, u, state, w, stop))
             if end is not None:
                 return end, True
             u, state = w, stop
@@ -620,8 +619,9 @@ def solve_reference(W, v, mu, e, law: str = "poisson", digits: int = 50) -> Refe
         UnsupportedProblemError: where two invariant directions coincide while slip turns.
     """
     slip, approach = math.hypot(float(v[0]), float(v[1])), abs(float(v[2]))
-    spread = 2 * max(0.0, math.log10(slip / approach)) if slip and approach else 0.0
-    with mp.workdps(digits + 30 + int(spread)):
+    lost = 2 * math.log10(slip / approach) - 6 if slip and approach else 0.0
+    extra = 40 * max(0, math.ceil(lost / 40))  # in coarse steps, so that quadrature rules are used again
+    with mp.workdps(digits + 30 + extra):
         return _solve(_Problem(W, v, mu, e, law, digits))
 
 
