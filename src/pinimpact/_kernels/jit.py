@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +25,7 @@ _DIGEST = _sources_digest()
 
 
 class _Stamp:
-    """Stamp with the sources of all kernels: numba itself watches only the caller's file, not its callees'."""
+    """Stamp with the sources of all kernels: numba itself watches only the caller's, not its callees'."""
 
     def get_source_stamp(self) -> str:
         return _DIGEST
@@ -51,11 +52,9 @@ def inner(function: F) -> F:
 
 
 def jit(function: F) -> F:
-    """Compile `function` on first call, with fused multiply-adds; cached on disk where a place is writable."""
+    """Compile `function` on first call; cached on disk where a place is writable."""
     compiled = numba.njit(**_OPTIONS)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
-        try:
+        with contextlib.suppress(RuntimeError):  # no writable place at all: compile in every process
             compiled._cache = _Cache(function)
-        except RuntimeError:  # no writable place at all: compile in every process
-            pass
     return compiled

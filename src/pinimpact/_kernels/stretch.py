@@ -52,14 +52,14 @@ def halley(f, slope, bend):
 
 @inner
 def node_moments(series, inverse, exponent, span):
-    """Return yᵃ, y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
+    """Return y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
     if span == math.inf:
         y, power, drop, part = 0.0, 0.0, 1.0, 1.0
     else:
         drop = -math.expm1(-span)
         part = -math.expm1(-exponent * span)
         y, power = 1.0 - drop, 1.0 - part
-    start = rising = power
+    rising = power
     # fill_k = (1 − y^{a+k})/(a+k); its numerator is summed without cancellation
     fill0 = part * inverse[0]
     part += rising * drop
@@ -95,7 +95,7 @@ def node_moments(series, inverse, exponent, span):
             n2 += series[k - 2] * fill0 if 2 <= k <= TERMS + 2 else 0.0
             n3 += series[k - 3] * fill0 if 3 <= k <= TERMS + 3 else 0.0
             n4 += series[k - 4] * fill0 if 4 <= k <= TERMS + 4 else 0.0
-    return start, y, value, n0, n1, n2, n3, n4
+    return y, value, n0, n1, n2, n3, n4
 
 
 @inner
@@ -114,7 +114,7 @@ def point(stretch, x):
     node, series, inverse, f, scale, mu, c, bl, bp, _, _ = stretch
     h, factor, unit, exponent, q1, q2, q3, w0, w1, w2, q4, w3 = f
     if node:
-        power, y, value, n0, n1, n2, n3, n4 = node_moments(series, inverse, exponent, x)
+        y, value, n0, n1, n2, n3, n4 = node_moments(series, inverse, exponent, x)
         t = h * y
         fall = 1.0 + y * (q1 + y * (q2 + y * q3))
         tt = t * t
