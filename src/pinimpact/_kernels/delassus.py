@@ -66,7 +66,7 @@ def classify(w11, w12, w13, w22, w23, w33):
     Returns:
         rank (−1: indefinite), the six entries of W with its zero eigenvalues removed, the stick ratio
         κ = A⁺b (2), s = c − bᵀA⁺b (exactly 0 where stick locks the normal direction), the smallest
-        eigenvalue found, and the spread ‖W‖/λ of the smallest eigenvalue that counts. (theory.md, 4.3)
+        eigenvalue found, and the spread ‖W‖/λ of the smallest eigenvalue that counts. (theory.md, 6)
     """
     trace = w11 + w22 + w33
     det_a = w11 * w22 - w12 * w12

@@ -164,7 +164,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     if v3 == 0.0:
         flags |= IMPACT_WITHOUT_COLLISION
 
-    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 4.3)
+    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 6)
     offset = 0.0
     if s == 0.0:
         offset = v3 - k1 * v1 - k2 * v2

@@ -53,7 +53,7 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
 
     Returns:
         the size of the last terms, and the constants of the stretch: t/x, twice 1 for the factors of speed
-        and impulse, 0 for the exponent, the coefficients of p/p₀ and those of the logarithmic derivative of S.
+        and impulse, 0 for the exponent, the coefficients of p/p₀ and of the logarithmic derivative of S.
     """
     h = 0.5 * p0
     h2 = h * h
