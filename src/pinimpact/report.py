@@ -61,7 +61,7 @@ def run_report(trajectory: Trajectory) -> RenderableType:
     return Group(
         _columns(
             f"Impacts: {len(trajectory.impacts)}" + _cut(trajectory.impacts),
-            ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "loss [J]", "special"),
+            ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]", "special"),
             [_impact_row(hit) for hit in trajectory.impacts[:LONGEST]],
         ),
         _columns(
@@ -88,7 +88,7 @@ def _impact_row(hit: ImpactRecord) -> tuple[Any, ...]:
         hit.source,
         -float(np.asarray(hit.problem.velocity)[2]),
         float(np.linalg.norm(hit.solution.impulse)),
-        -hit.solution.work.total,
+        hit.solution.work.total,
         ", ".join(special),
     )
 

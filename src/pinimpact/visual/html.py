@@ -262,7 +262,9 @@ def _draw_arrow(node: Any, tail: Array, arrow: Array) -> None:
     placement = np.eye(4)
     placement[:3, :3] = contact_axes(arrow)[[1, 2, 0]].T
     placement[:3, 3] = tail
-    red = shapes.MeshLambertMaterial(color=0xC0392B)
+    red = shapes.MeshLambertMaterial(
+        color=0xC0392B, transparent=True, depthTest=False
+    )  # seen through the robot
     tip = min(0.4 * length, 6.0 * ARROW_RADIUS)
     parts = (
         ("shaft", shapes.Cylinder(length - tip, ARROW_RADIUS), 0.5 * (length - tip)),
