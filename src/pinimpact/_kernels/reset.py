@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from .codes import INVALID_NUMBERS, NO_IMPACT
-from .exact import solve
+from .exact import SCRATCH, solve_into
 from .geometry import jacobian
 from .jit import jit
-from .tree import factor, solve_transposed
-from .tree import solve as solve_lower
+from .tree import factor, solve, solve_transposed
 
 DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SIZE = 0, 6, 9, 12, 21, 28
 """Where `reset` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
@@ -73,13 +72,14 @@ def reset(mass, parents, frame, frame_jacobian, carrier, carrier_jacobian, const
     solve_transposed(lower, parents, y)
     w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
     w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
-    status, flags, iterations, a1, a2, a3, p1, p2, p3, pc = solve(
-        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law
+    unwanted = np.empty((0, 6))
+    status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
+        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law), np.empty(SCRATCH), unwanted, unwanted
     )
     for j in range(n):
         delta[j] = y[0, j] * p1 + y[1, j] * p2 + y[2, j] * p3
     if status != NO_IMPACT:
-        solve_lower(lower, parents, scratch[n + 3 :])
+        solve(lower, parents, scratch[n + 3 :])
     for j in range(n):
         out[j] = v[j] + delta[j]
     rest = (
