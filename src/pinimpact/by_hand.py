@@ -35,7 +35,7 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
     """Find the σ in which slip resumes: (λI + μA)σ = b with |σ| = 1 and λ > 0."""
 
     def direction(lam: float) -> Array:
-        return np.linalg.lstsq(lam * np.eye(2) + mu * A, b, rcond=None)[0]
+        return np.asarray(np.linalg.lstsq(lam * np.eye(2) + mu * A, b, rcond=None)[0], dtype=np.float64)
 
     lam = brentq(lambda x: np.linalg.norm(direction(x)) - 1.0, 0.0, np.linalg.norm(b), xtol=1e-15)
     sigma = direction(lam)

@@ -61,6 +61,13 @@ SLIP_ENDS, V3_ZERO, LAW = 0, 1, 2
 
 
 @jit
+def norm(x, y):
+    """Return √(x² + y²); the slower function of the library only where squares would vanish."""
+    square = x * x + y * y
+    return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
+
+
+@jit
 def slip_step(table, tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 
@@ -89,7 +96,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
         u1 = v1 + h * (a11 * x1 + a12 * x2 + table.c[i] * b1)
         u2 = v2 + h * (a12 * x1 + a22 * x2 + table.c[i] * b2)
         least = min(least, (u1 * v1 + u2 * v2) / square)
-        speed = math.hypot(u1, u2)
+        speed = norm(u1, u2)
         pull = -mu / speed if speed > 0.0 else 0.0
         y1, y2 = pull * u1, pull * u2
         k[i, 0], k[i, 1] = y1, y2
@@ -210,7 +217,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
     phase = COMPRESSION
     phase_start = compressed = restored = 0.0
     compression_work = restitution_work = goal = 0.0
-    mode, rate, dp1, dp2, dv1, dv2 = SLIP, c, 0.0, 0.0, b1, b2
+    mode, rate, dp1, dp2, dv1, dv2 = SLIP, c - mu * along, 0.0, 0.0, b1, b2
     settled = mu == 0.0  # from here on all rates are constant
     rows = 0
     points = mark(path, 0, p3, v1, v2, v3, p1, p2)
@@ -260,15 +267,15 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
         else:
             h = stride
             vanishes = False
-            _, _, _, _, _, _, error, least = slip_step(table, tangent, mu, v1, v2, h, k)
+            d1, d2, q1, q2, u1, u2, error, least = slip_step(table, tangent, mu, v1, v2, h, k)
             if rtol > 0.0:
                 tolerance = rtol * mu * max(p3 + h, scale)
                 if least <= 0.0:
                     x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
-                    vanishes = math.hypot(x1, x2) <= tolerance
-                    if not vanishes:
+                    if math.hypot(x1, x2) > tolerance:
                         stride *= 0.5
                         continue
+                    vanishes = True
                     h = 0.0
                 else:
                     stride *= min(5.0, max(0.2, 0.9 * (tolerance / error) ** 0.2)) if error > 0.0 else 5.0
@@ -277,19 +284,27 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             elif least <= 0.0:
                 vanishes = True
                 h = locate(SLIP_ENDS, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k)
+            if vanishes:
+                d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
+            v3_end = v3 + c * h + b1 * d1 + b2 * d2
+            work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             # of the events on this step the first: each search starts from the event found before
             for kind in (V3_ZERO, LAW):
-                if kind == LAW and phase == COMPRESSION:
-                    continue
-                if h > 0.0 and gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k) <= 0.0:
+                if kind == V3_ZERO:
+                    crossed = v3_end >= 0.0 if phase == COMPRESSION else v3_end <= 0.0
+                elif phase == COMPRESSION:
+                    crossed = False
+                else:
+                    crossed = left <= (h if law == POISSON else work if law == ENERGETIC else v3_end - v3)
+                if crossed and h > 0.0:
                     h = locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k)
                     vanishes = False
                     event = LAW_MET if kind == LAW else STOPS if phase == COMPRESSION else FALLS_BACK
-            d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
-            work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
+                    d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
+                    v3_end = v3 + c * h + b1 * d1 + b2 * d2
+                    work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
             friction_work += 0.5 * h * (b1 * d1 + b2 * d2) - b1 * q1 - b2 * q2
-            v3_end = v3 + c * h + b1 * d1 + b2 * d2
             if event in (STOPS, FALLS_BACK):
                 v3_end = 0.0
             if vanishes:
@@ -306,11 +321,11 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                     event = STOPS
                 elif phase == RESTITUTION and v3_end < 0.0:
                     event = FALLS_BACK
-            speed = math.hypot(u1, u2)
-            rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else s
-            if c * math.hypot(v1, v2) < mu * (b1 * v1 + b2 * v2):
+            if rate < 0.0:
                 flags |= JAM
-            if abs(v1 * u2 - v2 * u1) > TURNED * math.hypot(v1, v2) * speed:
+            before, speed = speed, norm(u1, u2)
+            rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else s
+            if abs(v1 * u2 - v2 * u1) > TURNED * before * speed:
                 flags |= SLIP_TURNS
 
         if rows > 0 and (rows == len(trace) or (trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase)):

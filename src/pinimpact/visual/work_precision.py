@@ -62,9 +62,10 @@ def draw(report: Report, path: str | Path) -> None:
                 )
         axes.set_title(problem, fontsize=10)
         axes.grid(alpha=0.3)
+        axes.set_xlabel("time of one impact [µs]", fontsize=8)
+    for axes in grid[::columns]:
+        axes.set_ylabel("error of v⁺ and P", fontsize=8)
     for axes in grid[len(report.problems) :]:
         axes.set_visible(False)
-    figure.supxlabel("time of one impact [µs]")
-    figure.supylabel("error of v⁺ and P")
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=8)
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     figure.savefig(path, dpi=140)
