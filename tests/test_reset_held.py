@@ -169,6 +169,12 @@ def test_the_same_foot_held_twice_shares_the_impulse(rng, quiet):
     assert np.abs(twice.held_impulses[2] - once.held_impulses[1]).max() < 1e-11
 
 
+def test_one_held_contact_need_not_be_wrapped(rng, quiet):
+    model, data, q, v, contact, held, _ = standing(rng, feet=("FL_FOOT",))
+    one, other = (pinimpact.impact(model, data, q, v, contact, held=x) for x in (held, held[0]))
+    assert one.v.tolist() == other.v.tolist()
+
+
 def test_held_impulses_are_in_world_axes_whatever_the_plane(rng, quiet):
     model, data, q, v, contact, held, _ = standing(rng)
     tilted = [pinimpact.Contact(foot.frame, cases.random_plane(rng)) for foot in held]
@@ -228,6 +234,13 @@ def test_a_held_contact_must_be_at_rest(rng):
     belt = pinimpact.Contact("FL_FOOT", pinimpact.Plane(velocity=(1, 0, 0)))
     with pytest.raises(pinimpact.InputError, match="moves at 1 m/s"):
         pinimpact.impact(model, data, q, v, contact, held=[belt])
+
+
+@pytest.mark.parametrize("held", ["FL_FOOT", ["FL_FOOT"], [None]])
+def test_what_is_held_must_be_contacts(held, rng):
+    model, data, q, v, contact, *_ = standing(rng)
+    with pytest.raises(pinimpact.InputError, match=r"held: .* is not a Contact"):
+        pinimpact.impact(model, data, q, v, contact, held=held)
 
 
 @pytest.mark.parametrize(

@@ -400,6 +400,13 @@ def test_an_approach_that_the_mechanism_cannot_stop(rng):
         )
 
 
+@pytest.mark.parametrize("call", [pinimpact.impact, pinimpact.impacts])
+def test_what_strikes_must_be_a_contact(call):
+    robot = pinimpact.load_robot("ellipsoid")
+    with pytest.raises(pinimpact.InputError, match="contact: 'tip' is not a Contact"):
+        call(robot.model, robot.data, robot.q0, np.zeros(6), "tip")
+
+
 def test_unknown_method_and_option(rng):
     robot = pinimpact.load_robot("ellipsoid")
     state = (robot.model, robot.data, robot.q0, np.zeros(6), pinimpact.Contact("tip", pinimpact.Plane()))

@@ -166,6 +166,7 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     model = model_of(model)
     space = workspace(model, data)
     q = configuration(space, model, q)
+    check_contact("contact", contact)
     kinematic = kinematics(model, data, q, space, contact)
     rows = np.empty((3, space.nv))
     seen = np.array(geometry.jacobian(*kinematic, contact.constants, rows))
@@ -203,6 +204,7 @@ def contact_matrices(
     model = model_of(model)
     space = workspace(model, data)
     free = free_velocities(model, locked)
+    held = check_held(held)
     seen = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
     mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
@@ -259,6 +261,20 @@ def kinematics(
     body = space.frame(contact.plane.body, "body")
     carrier_rows = _jacobian(model, data, q, body, _ALIGNED)
     return placement, rows, _placement(model, data, body).homogeneous, carrier_rows
+
+
+def check_contact(field: str, value: Any) -> None:
+    """Refuse what is no `Contact`."""
+    if not isinstance(value, Contact):
+        raise InputError(f"{field}: {value!r} is not a Contact", field=field, value=value)
+
+
+def check_held(held: Contact | Sequence[Contact]) -> tuple[Contact, ...]:
+    """Return the held contacts as a tuple; one alone need not be wrapped."""
+    anchors = (held,) if isinstance(held, (Contact, str)) else tuple(held)
+    for anchor in anchors:
+        check_contact("held", anchor)
+    return anchors
 
 
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:

@@ -18,6 +18,8 @@ from ._kernels.exact import SCRATCH, solve_into
 from .contacts import (
     Contact,
     ContactMatrices,
+    check_contact,
+    check_held,
     contact_geometry,
     contact_matrices,
     kinematics,
@@ -177,6 +179,8 @@ def impact(
     if type(model) is not pin.Model:
         model = model_of(model)
     space = workspace(model, data)
+    if type(contact) is not Contact:
+        check_contact("contact", contact)
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
     try:
@@ -266,6 +270,7 @@ def impacts(
     """
     model = model_of(model)
     space = workspace(model, data)
+    check_contact("contact", contact)
     count = np.shape(q)[0] if np.ndim(q) == 2 else 0
     q = float_array("q", q, (count, *space.q_shape))
     v = float_array("v", v, (count, *space.v_shape))
@@ -324,10 +329,11 @@ def _impact_in_steps(
     options: dict[str, Any],
 ) -> Hit:
     """Go by way of `contact_matrices` and `solve_impact`, for all that the kernel does not do."""
+    held = check_held(held)
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    _check_held(matrices, held, v)
+    _check_at_rest(matrices, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
     problem = ImpactProblem(
@@ -360,7 +366,7 @@ def _impact_in_steps(
     return Hit(answer, nv, outcome, contact, restitution, solution, held_impulses)
 
 
-def _check_held(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
+def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
     for anchor, geometry in zip(held, matrices.held, strict=True):
         speed = float(np.linalg.norm(geometry.velocity(v)))
         scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
