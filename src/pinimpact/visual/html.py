@@ -197,7 +197,8 @@ def _appearance(name: str, times: Array, moment: float, rate: float) -> dict[str
     """Return a clip that hides an object until a moment."""
     shown = times >= moment
     first = int(np.argmax(shown)) if shown.any() else len(times) - 1
-    keys = [{"time": 0, "value": first == 0}, {"time": first, "value": True}]
+    last = len(times) - 1  # a clip that ended before the others would start over before them
+    keys = [{"time": f, "value": f >= first} for f in sorted({0, first, last})]
     return _clip(name, rate, [{"name": ".visible", "type": "boolean", "keys": keys}])
 
 

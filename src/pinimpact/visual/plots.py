@@ -113,7 +113,6 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
     axes = figure.add_subplot()
     energy = trajectory.energy
     axes.plot(trajectory.t, energy.total, color="black", lw=2.0, label="kinetic + potential")
-    axes.plot(trajectory.t, energy.kinetic, color=RESTITUTION, label="kinetic")
     for name in ("control", "joints", "friction", "surface", "impacts"):
         work = getattr(energy, name)
         if np.any(work):
