@@ -22,6 +22,9 @@ _WORLD = pin.Convention.WORLD
 MODES = {FREE: "free", SLIP: "slip", STICK: "stick", HELD: "held"}
 """Names of the modes of a contact."""
 
+LEAST_EFFECTIVE = 1e-9
+"""Effective inverse inertia of a slipping contact, over that without friction, that counts as lost (Painlevé)."""
+
 
 class ContactPoint:
     """A contact bound to a data: where its numbers stand there, and the kernels applied to them."""
@@ -48,6 +51,7 @@ class ContactPoint:
             ]
         )
         self.weights = np.zeros(model.nv)
+        self._group = np.repeat(np.arange(model.njoints), np.array(model.nvs))
         for joint, weight in ((tip, 1.0), (base, -1.0)):
             for support in list(model.supports[joint])[1:]:
                 i = model.idx_vs[support]
@@ -63,14 +67,19 @@ class ContactPoint:
         """Return the gap [m] and its rate [m/s] at the state last evaluated."""
         return touch.gap_and_rate(*self._tip, *self._base, self.constants)  # type: ignore[no-any-return]
 
-    def curvature(self, peak: Array, h: float) -> float:
-        """Return a bound of |d²gap/dt²| over a step; see the kernel."""
+    def curvature(self, peak: Array, h: float) -> tuple[float, float]:
+        """Return bounds of |d²gap/dt²| over a step and of its variation, half as much again as the kernel's."""
         R, t, _ = self._tip
-        bound = touch.curvature(self._jacobian, np.abs(self.weights), R, t, self.constants, peak, h)
-        if self.contact.plane.body is not None:
-            S, s, _ = self._base  # the plane turns: its own levers reach as far as the contact point
-            bound += touch.curvature(self._jacobian, np.abs(self.weights), S, s, self.constants, peak, h)
-        return float(bound)
+        size, change = touch.curvature(
+            self._jacobian, self.weights, self._group, R, t, self.constants, peak, h
+        )
+        return 1.5 * size, 1.5 * change
+
+    def normal_acceleration(self) -> float:
+        """Return d²gap/dt² at the state last evaluated, without contact forces [m/s²]."""
+        rows, three = np.empty((3, len(self.weights))), np.empty((3, 3))
+        self.motion(rows, three[0], three[1], three[2])
+        return float(three[1, 2])
 
     def motion(self, rows: Array, velocity: Array, acceleration: Array, surface: Array) -> float:
         """Fill what a closed contact needs, see `touch.contact_motion`; return the gap [m]."""
@@ -141,8 +150,8 @@ class Flow:
         active: The closed contacts, limits and stuck joints.
         force: (nc, 3) forces of the closed contacts in contact axes at the state last evaluated [N].
         scalar_force: (ns,) forces at limits and in stuck joints.
-        not_unique: How many of these forces the motion does not determine.
-        effective: Least effective inverse inertia of a slipping contact over that without friction.
+        unique: Whether the motion determines these forces; otherwise they are those of least norm.
+        dry, sliding: (nv,) dry friction of the joints, and with its sign where a joint slides (else zero).
         still: Speed [m/s] below which the direction of slip is the one remembered.
         allowance: Force [N] by which Coulomb's law may seem violated through rounding.
         margin: By how much the forces keep to Coulomb's law; negative, the modes do not hold.
@@ -158,15 +167,16 @@ class Flow:
         self.points = [ContactPoint(model, self.data, contact) for contact in (*contacts, *held)]
         self.control = None if "control" in without else scene.control
         damping = scene.joint_damping
-        self.damping = damping if damping.any() and "joint damping" not in without else None
-        dry = scene.joint_friction
-        self.dry = dry if dry.any() and "joint friction" not in without else None
-        self.dry_sign = np.zeros(model.nv)
+        self.damping = damping * ("joint damping" not in without)
+        self.dry = scene.joint_friction * ("joint friction" not in without)
+        self.sliding = np.zeros(model.nv)
         self.idle = np.zeros(model.nv)
+        self._tau = np.zeros(model.nv)
+        self._powers = np.zeros(2)
         self.still = 0.0
         self.allowance = 0.0
         self.margin = self.least_margin = math.inf
-        self.powers = self.control is not None or self.damping is not None or self.dry is not None
+        self.driven = self.control is not None or bool(self.damping.any() or self.dry.any())
         self.set_modes([HELD if i >= len(contacts) else FREE for i in range(len(self.points))], {}, [], [])
 
     def set_modes(
@@ -188,22 +198,21 @@ class Flow:
         self.upper = np.array([upper for _, upper in scalar_bounds])
         self.force = np.zeros((count, 3))
         self.scalar_force = np.zeros(len(scalars))
-        self.not_unique = 0
-        self.effective = 1.0
+        size = sum(1 if m == SLIP else 3 for m in self.modes) + len(scalars)
+        self._directions = np.zeros((count, 2))
+        self._rows = np.zeros((size, self.nv))
+        self._response = np.zeros((size, self.nv))
+        self._solution = np.zeros(size)
+        self.unique = True
         self.constrained = bool(count or scalars)
 
-    def forces_without_contact(self, t: float, q: Array, v: Array) -> Array:
-        """Return the generalized forces of control, damping and sliding dry friction."""
-        if not self.powers:
+    def applied(self, t: float, q: Array, v: Array, powers: Array) -> Array:
+        """Return the generalized forces of control, damping and sliding dry friction; fill their powers."""
+        if not self.driven:
             return self.idle
-        tau = self.idle
-        if self.control is not None:
-            tau = self.ask_control(t, q, v)
-        if self.damping is not None:
-            tau = tau - self.damping * v
-        if self.dry is not None:
-            tau = tau - self.dry * self.dry_sign
-        return tau
+        control = self.idle if self.control is None else self.ask_control(t, q, v)
+        sustained.joint_forces(v, control, self.damping, self.sliding, self._tau, powers)
+        return self._tau
 
     def ask_control(self, t: float, q: Array, v: Array) -> Array:
         """Return the control's forces, checked."""
@@ -225,46 +234,76 @@ class Flow:
 
     def open(self, t: float, q: Array, v: Array) -> Array:
         """Evaluate without contact forces: return v̇ and leave the kinematics in the data."""
-        return pin.aba(self.model, self.data, q, v, self.forces_without_contact(t, q, v), _WORLD)  # type: ignore[no-any-return]
+        return pin.aba(self.model, self.data, q, v, self.applied(t, q, v, self._powers), _WORLD)
 
     def __call__(self, t: float, q: Array, v: Array, out: Array) -> None:
         """Fill `out` with v̇ and the powers of control, joints, sliding friction and surfaces."""
         nv = self.nv
-        tau = self.forces_without_contact(t, q, v) if self.powers else self.idle
+        tau = self.applied(t, q, v, out[nv:]) if self.driven else self.idle
         out[:nv] = pin.aba(self.model, self.data, q, v, tau, _WORLD)
         if self.constrained:
-            active = self.active
-            active.measure()
-            self.not_unique, self.effective = sustained.constrain(
-                pin.computeMinverse(self.model, self.data),
-                out[:nv],
-                active.rows,
-                active.acceleration,
-                active.velocity,
-                self.modes,
-                self.mu,
-                self.reference,
-                self.still,
-                active.scalars,
-                self.force,
-                self.scalar_force,
-            )
-            self.margin = sustained.margin(
-                self.modes, self.mu, self.force, self.lower, self.upper, self.scalar_force, self.allowance
-            )
-            if self.effective <= 1e-9:
-                self.margin = -math.inf
-            self.least_margin = min(self.least_margin, self.margin)
-            out[nv + 2] = np.vdot(self.force, active.velocity)
-            out[nv + 3] = np.vdot(self.force, active.surface)
-        else:
-            out[nv + 2] = out[nv + 3] = 0.0
-        if self.powers:
-            total = tau.dot(v)
-            in_joints = 0.0
-            if self.damping is not None:
-                in_joints -= (self.damping * v).dot(v)
-            if self.dry is not None:
-                in_joints -= (self.dry * self.dry_sign).dot(v)
-            out[nv] = total - in_joints
-            out[nv + 1] = in_joints
+            self._constrain(out[:nv], out[nv + 2 :])
+
+    def _constrain(self, acceleration: Array, powers: Array) -> None:
+        """Add what the closed contacts do."""
+        active = self.active
+        active.measure()
+        system, target, effective = sustained.assemble(
+            pin.computeMinverse(self.model, self.data),
+            acceleration,
+            active.rows,
+            active.acceleration,
+            active.velocity,
+            self.modes,
+            self.mu,
+            self.reference,
+            self.still,
+            active.scalars,
+            self._directions,
+            self._rows,
+            self._response,
+        )
+        self.unique = sustained.solve(system, target, self._solution)
+        if not self.unique:
+            self._solution[:] = least_norm(system, target, self.modes)
+        self.margin = self.allowance + sustained.finish(
+            self._solution,
+            self._response,
+            self._directions,
+            active.velocity,
+            active.surface,
+            self.modes,
+            self.mu,
+            self.lower,
+            self.upper,
+            acceleration,
+            self.force,
+            self.scalar_force,
+            powers,
+        )
+        if effective <= LEAST_EFFECTIVE:
+            self.margin = -math.inf
+        self.least_margin = min(self.least_margin, self.margin)
+
+
+def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> Array:
+    """Return the solution of least norm; where it pulls at a contact that need not, the one without that force."""
+    solution = np.linalg.lstsq(system, target, rcond=sustained.RANK)[0]
+    widths = [1 if mode == SLIP else 3 for mode in modes]
+    starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
+    kept = np.ones(len(target), dtype=bool)
+    trial = solution
+    while True:
+        pulls = [
+            (trial[starts[k] + widths[k] - 1], k)
+            for k in range(len(modes))
+            if modes[k] != HELD and kept[starts[k]]
+        ]
+        normal, k = min(pulls, default=(0.0, 0))
+        if normal >= 0.0:
+            return trial
+        kept[starts[k] : starts[k + 1]] = False
+        trial = np.zeros(len(target))
+        trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=sustained.RANK)[0]
+        if np.abs(system @ trial - target).max() > 1e-9 * np.abs(target).max():
+            return solution

@@ -11,8 +11,9 @@ from ._kernels import charts, stages
 from ._kernels.dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 
 Array = NDArray[np.float64]
+Joints = NDArray[np.int64]
 Flow = Callable[[float, Array, Array, Array], None]
-"""flow(t, q, v, out) fills out with v̇ and the rates of the quadratures."""
+"""flow(t, q, v, out) fills out with v̇ and those rates of the quadratures that are not zero."""
 
 QUADRATURES = 4
 """Works that are integrated along: of the control, in the joints, of sliding friction, of moving surfaces."""
@@ -32,7 +33,7 @@ class Segment:
     __slots__ = ("coefficients", "end", "h", "joints", "q", "start", "v", "w")
 
     def __init__(
-        self, start: float, h: float, q: Array, v: Array, w: Array, coefficients: Array, joints: Array
+        self, start: float, h: float, q: Array, v: Array, w: Array, coefficients: Array, joints: Joints
     ) -> None:
         self.start = start
         self.end = start + h
@@ -43,14 +44,19 @@ class Segment:
         self.coefficients = coefficients
         self.joints = joints
 
-    def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return q, v and the works w at a time within the step."""
-        n = len(self.v)
-        increment = np.empty(self.coefficients.shape[1])
-        stages.interpolate(self.coefficients, (t - self.start) / self.h, increment)
-        q = np.empty(len(self.q))
-        charts.advance(self.joints, self.q, increment[:n], q)
-        return q, self.v + increment[n : 2 * n], self.w + increment[2 * n :]
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Return q and v at a time within the step."""
+        q, v = np.empty(len(self.q)), np.empty(len(self.v))
+        theta = (t - self.start) / self.h
+        stages.state(self.coefficients, theta, self.joints, self.q, self.v, q, v)
+        return q, v
+
+    def works(self, t: float) -> Array:
+        """Return the works w at a time within the step."""
+        increment = np.empty(len(self.w))
+        coefficients = self.coefficients[:, -len(self.w) :]
+        stages.interpolate(coefficients, (t - self.start) / self.h, increment)
+        return self.w + increment
 
 
 class Integrator:
@@ -59,10 +65,10 @@ class Integrator:
     Attributes:
         t, q, v, w: The state that the next step starts from.
         q1, v1: The state at the end of the step last attempted.
-        peak: (2 nv,) the largest |ξ̇| and |v̇| of its stages.
+        peak: (4, nv) the largest |ξ̇| and |v̇| of its stages, and their largest change within it.
     """
 
-    def __init__(self, flow: Flow, joints: Array, nq: int, nv: int, rtol: float, atol: float) -> None:
+    def __init__(self, flow: Flow, joints: Joints, nq: int, nv: int, rtol: float, atol: float) -> None:
         self.flow = flow
         self.joints = joints
         self.nv = nv
@@ -79,11 +85,12 @@ class Integrator:
         self._sizes = np.empty(nv)
         self.q1 = np.empty(nq)
         self.v1 = np.empty(nv)
-        self.peak = np.empty(2 * nv)
+        self.peak = np.empty((4, nv))
 
     def start(self, t: float, q: Array, v: Array, w: Array) -> None:
         """Begin a new stretch: after an event, or where the state was corrected."""
         self.t, self.q, self.v, self.w = t, q, v, w
+        self._rates[:, 2 * self.nv :] = 0.0
         self._rates[0, : self.nv] = v
         self.flow(t, q, v, self._flow_rows[0])
         self.evaluations += 1

@@ -16,7 +16,7 @@ from ._kernels import guards, sustained
 from ._kernels.sustained import FREE, HELD, SLIP, STICK
 from .contacts import Contact
 from .errors import InputError, PinimpactError, SimulationError
-from .events import first_crossing, root
+from .events import curvatures, first_crossing, root
 from .flow import MODES, Active, Flow
 from .integrator import QUADRATURES, Integrator, Segment
 from .lookup import configuration, free_velocities, workspace
@@ -269,6 +269,7 @@ class _Run:
         """Begin a smooth stretch at the present state."""
         self.integrator.start(self.t, self.q, self.v, self.w)
         self._remember()
+        self.horizon = self._horizon()
 
     def _remember(self) -> None:
         """Keep what the guards start from; the flow was last evaluated at the present state."""
@@ -276,6 +277,16 @@ class _Run:
         self.watched = [i for i in range(len(self.contacts)) if flow.mode[i] == FREE]
         self.gaps = [flow.points[i].gap_and_rate() for i in self.watched]
         self._turn_references(flow.active.velocity)
+
+    def _horizon(self) -> float:
+        """Return a time in which a bounce just begun should end; only a guess that saves steps taken too far."""
+        guess = math.inf
+        for i, (gap, rate) in zip(self.watched, self.gaps, strict=True):
+            if abs(gap) <= self.touch and rate > 0.0:
+                acceleration = self.flow.points[i].normal_acceleration()
+                if acceleration < 0.0:
+                    guess = min(guess, -2.0 * rate / acceleration)
+        return 1.3 * guess
 
     def _turn_references(self, velocity: Array) -> None:
         """Let the remembered directions of slip follow the present ones."""
@@ -290,8 +301,9 @@ class _Run:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
         integrator, flow = self.integrator, self.flow
         left = self.duration - self.t
+        natural = h
+        h = min(h, self.max_step, self.horizon)
         while True:
-            h = min(h, self.max_step)
             trial = left if h > 0.9 * left else h
             if self.t + trial <= self.t:
                 raise SimulationError(
@@ -304,7 +316,7 @@ class _Run:
             error = integrator.attempt(trial)
             if error > 1.0:
                 self.rejected += 1
-                h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
             gaps = [flow.points[i].gap_and_rate() for i in self.watched]
             margin = flow.margin
@@ -317,7 +329,7 @@ class _Run:
             if event[0] > 0.0:
                 self.steps += 1
                 self._cut(segment, event[0], event[1])
-                return h
+                return natural
             h = 0.5 * trial  # the slip turns too fast for a step of this length
             self.rejected += 1
         self.steps += 1
@@ -331,12 +343,14 @@ class _Run:
         if self.tolerated and margin >= 0.0:
             self.tolerated = False
         if flow.constrained and (drift > self.drift or self.tolerated):
-            self._correct()
             if self.tolerated:
                 self._settle(set())
+            else:
+                self._correct()
             self._restart()
         else:
             self.gaps = gaps
+            self.horizon = math.inf
             self._turn_references(velocity)
         self._sample()
         return trial * min(5.0, 0.9 * max(error, 1e-7) ** -0.125)
@@ -351,7 +365,8 @@ class _Run:
                 field="scene",
             )
         segment.end = t
-        self.q, self.v, self.w = segment.at(t)
+        self.q, self.v = segment.at(t)
+        self.w = segment.works(t)
         self.t = t
         self.segments.append(segment)
         self._sample()
@@ -370,16 +385,17 @@ class _Run:
         found: tuple[float, set[int]] | None = None
 
         for i, before, after in zip(self.watched, self.gaps, gaps, strict=True):
-            curvature = 2.0 * flow.points[i].curvature(integrator.peak, end - start)
-            if not guards.clear(max(before[0], 0.0), before[1], *after, curvature, end - start, self.floor):
+            bounds = flow.points[i].curvature(integrator.peak, segment.h)
+            fall, _ = curvatures(before[1], after[1], segment.h, bounds)
+            if not guards.clear(max(before[0], 0.0), before[1], *after, fall, segment.h, self.floor):
 
                 def sample(t: float, i: int = i) -> tuple[float, float]:
-                    q, v, _ = segment.at(t)
+                    q, v = segment.at(t)
                     flow.open(t, q, v)
                     return flow.points[i].gap_and_rate()
 
                 last = after if end == segment.end else sample(end)
-                t = first_crossing(sample, start, end, before, last, curvature, self.floor)
+                t = first_crossing(sample, start, end, before, last, bounds, self.floor)
                 if t is not None:
                     found, end = (t, {i}), t
 
@@ -404,17 +420,17 @@ class _Run:
                 limit = self.limits[k]
 
                 def sample(t: float, limit: Any = limit) -> tuple[float, float]:
-                    q, v, _ = segment.at(t)
+                    q, v = segment.at(t)
                     return limit.sign * (q[limit.index_q] - limit.bound), limit.sign * v[limit.index_v]
 
-                bound = 2.0 * float(integrator.peak[flow.nv + limit.index_v])
-                t = first_crossing(sample, start, end, sample(start), sample(end), bound, self.floor)
+                size, change = 1.5 * integrator.peak[1::2, limit.index_v]
+                t = first_crossing(sample, start, end, sample(start), sample(end), (size, change), self.floor)
                 if t is not None:
                     found, end = (t, {len(self.contacts) + k}), t
 
-        if flow.dry is not None:
-            for j in np.flatnonzero(flow.dry_sign * integrator.v1 < -1e-12).tolist():
-                sign = flow.dry_sign[j]
+        if flow.sliding.any():
+            for j in np.flatnonzero(flow.sliding * integrator.v1 < -1e-12).tolist():
+                sign = math.copysign(1.0, flow.sliding[j])
                 if sign * self.v[j] > 0.0:
                     t = root(
                         lambda t, j=j: segment.at(t)[1][j], start, segment.end, self.v[j], integrator.v1[j]
@@ -435,7 +451,7 @@ class _Run:
         found: tuple[float, set[int]] | None = None
 
         def evaluate(t: float) -> None:
-            q, v, _ = segment.at(t)
+            q, v = segment.at(t)
             flow(t, q, v, scratch)
 
         for k in range(len(flow.modes)):
@@ -500,6 +516,8 @@ class _Run:
         """
         flow, count = self.flow, len(self.contacts)
         hit = set(hit)
+        if flow.constrained:
+            self._correct()
         closed = {i for i in range(count) if flow.mode[i] != FREE} | {count + k for k in self.limit_closed}
         flow.open(self.t, self.q, self.v)
         numbers = {i: self._number_of(i) for i in range(count + len(self.limits))}
@@ -625,15 +643,14 @@ class _Run:
         contacts = [i for i in slow if i < count] + held
         limits = [i - count for i in slow if i >= count]
         stuck: list[int] = []
-        if flow.dry is not None:
-            stuck = [j for j in np.flatnonzero(flow.dry > 0.0).tolist() if abs(self.v[j]) <= flow.still]
-            flow.dry_sign = np.sign(self.v)
-            flow.dry_sign[stuck] = 0.0
+        if flow.dry.any():
+            stuck = [j for j in np.flatnonzero(flow.dry).tolist() if abs(self.v[j]) <= flow.still]
+            flow.sliding = flow.dry * np.sign(self.v)
+            flow.sliding[stuck] = 0.0
         scalars = [self.limits[k].index_v for k in limits] + stuck
         infinite = math.inf
         bounds = [(0.0, infinite) if self.limits[k].sign > 0.0 else (-infinite, 0.0) for k in limits]
-        if flow.dry is not None:
-            bounds += [(-float(flow.dry[j]), float(flow.dry[j])) for j in stuck]
+        bounds += [(-float(flow.dry[j]), float(flow.dry[j])) for j in stuck]
         if not contacts and not scalars:
             self._set_modes([FREE] * count, {}, [], [], [], stuck)
             return None
@@ -707,9 +724,8 @@ class _Run:
             kept.append(base + m)
         for m, j in enumerate(stuck):
             n = base + len(limits) + m
-            assert flow.dry is not None
             if abs(scalar_force[len(limits) + m]) >= flow.dry[j] * (1.0 - 1e-9):
-                flow.dry_sign[j] = -math.copysign(1.0, scalar_force[len(limits) + m])
+                flow.sliding[j] = -math.copysign(flow.dry[j], scalar_force[len(limits) + m])
                 self.v[j] = 0.0
                 continue
             still_joints.append(j)
@@ -791,12 +807,18 @@ class _Run:
         flow(self.t, self.q, self.v, scratch)
         active = flow.active
         inverse = np.array(pin.computeMinverse(self.model, flow.data))
-        if len(flow.modes):
-            rows = active.rows[:, 2, :]
-            offset = np.array([self._offset(k) for k in range(len(flow.modes))])
+        limits = [self.limits[k] for k in sorted(self.limit_closed)]
+        rows = np.vstack([active.rows[:, 2, :], np.eye(flow.nv)[[limit.index_v for limit in limits]]])
+        if len(rows):
+            offset = np.array(
+                [self._offset(k) for k in range(len(flow.modes))]
+                + [self.q[limit.index_q] - limit.bound for limit in limits]
+            )
             response = inverse @ rows.T
             xi = -response @ np.linalg.lstsq(rows @ response, offset, rcond=1e-12)[0]
             self.q = pin.integrate(self.model, self.q, xi)
+            for limit in limits:
+                self.q[limit.index_q] = limit.bound
             flow(self.t, self.q, self.v, scratch)
             inverse = np.array(pin.computeMinverse(self.model, flow.data))
         kept = []

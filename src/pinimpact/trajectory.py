@@ -190,8 +190,7 @@ class Trajectory:
             segment = self._segments[int(np.searchsorted(self._starts, t, side="right")) - 1]
         else:
             segment = self._segments[int(np.searchsorted(self._ends, t, side="left"))]
-        q, v, _ = segment.at(float(t))
-        return q, v
+        return segment.at(float(t))
 
     def sample(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return q (k, nq) and v (k, nv) at many times, after any impact at them."""
@@ -287,7 +286,8 @@ class Trajectory:
                 time,
                 source,
                 arrays["impact_q"][i],
-                *arrays["impact_v"][i],
+                arrays["impact_v"][i, 0],
+                arrays["impact_v"][i, 1],
                 ImpactProblem(
                     arrays["impact_delassus"][i],
                     arrays["impact_vectors"][i, 0],

@@ -28,13 +28,12 @@ def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
 @jit
 def unclear_limits(index_q, index_v, sign, bound, q0, v0, q1, v1, peak, width, floor, out):
     """Fill the numbers of the joint limits that may be passed within a step; return how many."""
-    n = len(v0)
     count = 0
     for i in range(len(index_q)):
         a, b, s = index_q[i], index_v[i], sign[i]
         gap = max(s * (q0[a] - bound[i]), 0.0)
         if not clear(
-            gap, s * v0[b], s * (q1[a] - bound[i]), s * v1[b], 2.0 * peak[n + b] + 1e-300, width, floor
+            gap, s * v0[b], s * (q1[a] - bound[i]), s * v1[b], 1.5 * peak[1, b], width, floor
         ):
             out[count] = i
             count += 1

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .charts import advance, chart_rate
 from .jit import jit
 
@@ -76,10 +78,26 @@ def interpolate(coefficients, theta, out):
 
 
 @jit
+def state(coefficients, theta, joints, q0, v0, q, v):
+    """Fill q and v at a fraction θ of the step."""
+    n = len(v0)
+    xi = np.empty(n)
+    interpolate(coefficients[:, :n], theta, xi)
+    interpolate(coefficients[:, n : 2 * n], theta, v)
+    for m in range(n):
+        v[m] += v0[m]
+    advance(joints, q0, xi, q)
+
+
+@jit
 def largest(rates, count, n, out):
-    """Fill the largest |ξ̇| and |v̇| of the first `count` stages."""
-    for m in range(2 * n):
-        value = 0.0
-        for j in range(count):
-            value = max(value, abs(rates[j, m]))
-        out[m] = value
+    """Fill the largest |ξ̇| and |v̇| of the first `count` stages, and the largest change of both from the first."""
+    for m in range(n):
+        for part in range(2):
+            first = rates[0, part * n + m]
+            value = change = 0.0
+            for j in range(count):
+                value = max(value, abs(rates[j, part * n + m]))
+                change = max(change, abs(rates[j, part * n + m] - first))
+            out[part, m] = value
+            out[part + 2, m] = change

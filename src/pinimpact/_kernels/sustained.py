@@ -29,25 +29,26 @@ def slip_direction(velocity, reference, still):
 
 
 @jit
-def constrain(
-    minverse,
-    acceleration,
-    jacobians,
-    free,
-    velocity,
-    mode,
-    mu,
-    reference,
-    still,
-    scalar_index,
-    force,
-    scalar_force,
+def joint_forces(velocity, control, damping, dry, tau, powers):
+    """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
+    given = taken = 0.0
+    for j in range(len(velocity)):
+        lost = damping[j] * velocity[j] + dry[j]
+        tau[j] = control[j] - lost
+        given += control[j] * velocity[j]
+        taken -= lost * velocity[j]
+    powers[0], powers[1] = given, taken
+
+
+@jit
+def assemble(
+    minverse, acceleration, jacobians, free, velocity, mode, mu, reference, still, index, directions, rows, response
 ):
-    """Add the accelerations that the contact forces cause; all contacts and scalar rows given are active.
+    """Set up the equations of the closed contacts and scalar rows: fill `rows` and M⁻¹ columns, return the system.
 
     Args:
         minverse: (nv, nv) M⁻¹.
-        acceleration: (nv,) without contact forces; updated in place.
+        acceleration: (nv,) without contact forces.
         jacobians: (nc, 3, nv) contact Jacobians.
         free: (nc, 3) contact accelerations without contact forces.
         velocity: (nc, 3) contact velocities.
@@ -55,124 +56,151 @@ def constrain(
         mu: (nc,) friction coefficients.
         reference: (nc, 2) directions of slip.
         still: Speed [m/s] below which the direction of slip is `reference`.
-        scalar_index: (ns,) velocity index of each scalar row.
-        force: (nc, 3) takes the contact forces in contact axes [N].
-        scalar_force: (ns,) takes the forces of the scalar rows [N or N m].
+        index: (ns,) velocity index of each scalar row.
+        directions: (nc, 2) takes the directions of slip.
+        rows: (m, nv) takes the rows whose acceleration becomes zero: one of a slipping contact, else three.
+        response: (m, nv) takes M⁻¹ times the direction in which each row's force acts.
 
     Returns:
-        The number of forces that are not unique (those of least norm are given; where one of them would pull
-        although others need not, without it), and the least effective inverse inertia of a slipping contact
-        over that without friction (at most zero: Painlevé's paradox).
+        The (m, m) system, its right-hand side, and the least effective inverse inertia of a slipping contact over
+        that without friction (at most zero: Painlevé's paradox).
     """
-    n = len(acceleration)
-    nc, ns = len(mode), len(scalar_index)
-    size = ns
-    for i in range(nc):
-        size += 1 if mode[i] == SLIP else 3
-    rows = np.zeros((size, n))
-    columns = np.zeros((size, n))
+    n, size = len(acceleration), len(rows)
+    system = np.empty((size, size))
     target = np.empty(size)
-    directions = np.zeros((nc, 2))
+    column = np.empty(n)
+    least = 1.0
     m = 0
-    for i in range(nc):
+    for i in range(len(mode)):
         if mode[i] == SLIP:
             s1, s2 = slip_direction(velocity[i], reference[i], still)
             directions[i, 0], directions[i, 1] = s1, s2
+            plain = effective = 0.0
             for j in range(n):
                 rows[m, j] = jacobians[i, 2, j]
-                columns[m, j] = jacobians[i, 2, j] - mu[i] * (
-                    s1 * jacobians[i, 0, j] + s2 * jacobians[i, 1, j]
-                )
+                column[j] = rows[m, j] - mu[i] * (s1 * jacobians[i, 0, j] + s2 * jacobians[i, 1, j])
+            for j in range(n):
+                total = along = 0.0
+                for k in range(n):
+                    total += minverse[j, k] * column[k]
+                    along += minverse[j, k] * rows[m, k]
+                response[m, j] = total
+                effective += rows[m, j] * total
+                plain += rows[m, j] * along
+            if plain > 0.0:
+                least = min(least, effective / plain)
             target[m] = -free[i, 2]
             m += 1
         else:
-            for k in range(3):
+            for d in range(3):
                 for j in range(n):
-                    rows[m, j] = columns[m, j] = jacobians[i, k, j]
-                target[m] = -free[i, k]
+                    rows[m, j] = jacobians[i, d, j]
+                for j in range(n):
+                    total = 0.0
+                    for k in range(n):
+                        total += minverse[j, k] * rows[m, k]
+                    response[m, j] = total
+                target[m] = -free[i, d]
                 m += 1
-    for i in range(ns):
-        j = scalar_index[i]
-        rows[m, j] = columns[m, j] = 1.0
-        target[m] = -acceleration[j]
+    for i in range(len(index)):
+        for j in range(n):
+            rows[m, j] = 0.0
+            response[m, j] = minverse[j, index[i]]
+        rows[m, index[i]] = 1.0
+        target[m] = -acceleration[index[i]]
         m += 1
-    response = minverse @ columns.T
-    system = rows @ response
-    least = 1.0
-    m = 0
-    for i in range(nc):
-        if mode[i] == SLIP:
-            plain = 0.0
+    for a in range(size):
+        for b in range(size):
+            total = 0.0
             for j in range(n):
-                for k in range(n):
-                    plain += rows[m, j] * minverse[j, k] * rows[m, k]
-            if plain > 0.0:
-                least = min(least, system[m, m] / plain)
-            m += 1
-        else:
-            m += 3
-    solution, _, rank, _ = np.linalg.lstsq(system, target, RANK)
-    if rank < size:
-        solution = without_pulling(system, target, solution, mode)
-    for j in range(n):
-        for m in range(size):
-            acceleration[j] += response[j, m] * solution[m]
+                total += rows[a, j] * response[b, j]
+            system[a, b] = total
+    return system, target, least
+
+
+@jit
+def solve(system, target, solution):
+    """Solve by elimination with complete pivoting; return False where the system is singular to `RANK`."""
+    size = len(target)
+    matrix = system.copy()
+    right = target.copy()
+    order = np.arange(size)
+    largest = 0.0
+    for k in range(size):
+        pivot, row, col = 0.0, k, k
+        for a in range(k, size):
+            for b in range(k, size):
+                if abs(matrix[a, b]) > pivot:
+                    pivot, row, col = abs(matrix[a, b]), a, b
+        largest = max(largest, pivot)
+        if not pivot > RANK * largest:
+            return False
+        for b in range(size):
+            matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
+        right[k], right[row] = right[row], right[k]
+        for a in range(size):
+            matrix[a, k], matrix[a, col] = matrix[a, col], matrix[a, k]
+        order[k], order[col] = order[col], order[k]
+        for a in range(k + 1, size):
+            factor = matrix[a, k] / matrix[k, k]
+            for b in range(k + 1, size):
+                matrix[a, b] -= factor * matrix[k, b]
+            right[a] -= factor * right[k]
+    for k in range(size - 1, -1, -1):
+        total = right[k]
+        for b in range(k + 1, size):
+            total -= matrix[k, b] * solution[order[b]]
+        solution[order[k]] = total / matrix[k, k]
+    return True
+
+
+@jit
+def finish(
+    solution, response, directions, velocity, surface, mode, mu, lower, upper, acceleration, force, scalar, powers
+):
+    """Add the accelerations that the forces cause, and fill the forces and their powers.
+
+    Args:
+        solution: (m,) forces of the rows; then as in `assemble`.
+        surface: (nc, 3) velocities of the surfaces.
+        lower, upper: (ns,) bounds of the scalar forces.
+        acceleration: (nv,) updated.
+        force: (nc, 3) takes the contact forces in contact axes [N].
+        scalar: (ns,) takes the forces of the scalar rows.
+        powers: (2,) takes the powers of sliding friction and of moving surfaces [W].
+
+    Returns:
+        By how much the forces keep within Coulomb's law and the bounds; below zero, they do not.
+    """
+    for m in range(len(solution)):
+        for j in range(len(acceleration)):
+            acceleration[j] += response[m, j] * solution[m]
+    margin = np.inf
+    rubbed = carried = 0.0
     m = 0
-    for i in range(nc):
+    for i in range(len(mode)):
         if mode[i] == SLIP:
             force[i, 0] = -mu[i] * directions[i, 0] * solution[m]
             force[i, 1] = -mu[i] * directions[i, 1] * solution[m]
             force[i, 2] = solution[m]
+            margin = min(margin, force[i, 2])
             m += 1
         else:
-            for k in range(3):
-                force[i, k] = solution[m + k]
+            for d in range(3):
+                force[i, d] = solution[m + d]
             m += 3
-    for i in range(ns):
-        scalar_force[i] = solution[m + i]
-    return size - rank, least
-
-
-@jit
-def margin(mode, mu, force, lower, upper, scalar_force, allowance):
-    """Return by how much the forces keep within Coulomb's law and the scalar bounds; below zero, they do not."""
-    least = np.inf
-    for i in range(len(mode)):
-        if mode[i] == HELD:
-            continue
-        least = min(least, force[i, 2])
-        if mode[i] == STICK:
-            least = min(least, mu[i] * force[i, 2] - math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2))
+            if mode[i] == STICK:
+                tangent = math.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2)
+                margin = min(margin, force[i, 2], mu[i] * force[i, 2] - tangent)
+        for d in range(3):
+            rubbed += force[i, d] * velocity[i, d]
+            carried += force[i, d] * surface[i, d]
     for i in range(len(lower)):
-        least = min(least, scalar_force[i] - lower[i], upper[i] - scalar_force[i])
-    return least + allowance
-
-
-@jit
-def without_pulling(system, target, solution, mode):
-    """Return a solution in which no contact pulls, if dropping the pulling ones leaves the equations solved."""
-    size = len(target)
-    kept = np.ones(size)
-    trial = solution
-    scale = 1e-9 * (np.abs(target).max() + 1e-300)
-    for _ in range(len(mode)):
-        worst, row, m = 0.0, -1, 0
-        for i in range(len(mode)):
-            width = 1 if mode[i] == SLIP else 3
-            normal = trial[m + width - 1]
-            if mode[i] != HELD and kept[m] > 0.0 and normal < worst:
-                worst, row = normal, m
-                rows = width
-            m += width
-        if row < 0:
-            return trial
-        for k in range(rows):
-            kept[row + k] = 0.0
-        reduced = system * kept
-        trial = np.linalg.lstsq(reduced, target, RANK)[0] * kept
-        if np.abs(reduced @ trial - target).max() > scale:
-            return solution
-    return trial
+        scalar[i] = solution[m]
+        margin = min(margin, scalar[i] - lower[i], upper[i] - scalar[i])
+        m += 1
+    powers[0], powers[1] = rubbed, carried
+    return margin
 
 
 @jit

@@ -51,30 +51,67 @@ def gap_and_rate(R, t, V, S, s, U, k):
 
 
 @jit
-def curvature(J, weights, R, t, k, peak, h):
-    """Return a bound of |d²gap/dt²| over a step of length h.
+def curvature(J, weights, group, R, t, k, peak, h):
+    """Return bounds of |d²gap/dt²| over a step of length h, and of how much d²gap/dt² varies in it.
 
-    Lever arms are those of the present J, lengthened by the way the point can go; `peak` (2 nv) holds the largest
-    |ξ̇| and |v̇| of the step. With s = Σ|∂p/∂q||q̇|, a = Σ|∂p/∂q||q̈| and ω = Σ|q̇| over rotations: a + 2 ω s.
+    With J_k the column of velocity k for the tip's centre, d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω × J of the
+    inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more factor ω. The
+    |J_k| are the present ones, lengthened by the way the point can go.
+
+    Args:
+        J, weights, R, t, k: As in `contact_motion`.
+        group: (nv,) number of the joint that each velocity belongs to.
+        peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
+        h: Its length [s].
     """
     n = len(weights)
     c1, c2, c3 = apply(R, k, 0)
     c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
-    s = a = w = 0.0
-    way = 0.0
-    for sweep in range(2):
-        s = a = w = 0.0
+    all_v = all_a = all_d = 0.0
+    carried = False
+    for j in range(n):
+        if weights[j] != 0.0:
+            turn = math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2)
+            all_v += turn * peak[0, j]
+            all_a += turn * peak[1, j]
+            all_d += turn * peak[2, j]
+            carried = carried or weights[j] < 0.0
+    way = straight = bent = changed = mixed = drifted = 0.0
+    for _ in range(2):
+        speed = straight = bent = changed = mixed = drifted = 0.0
+        inner_v = inner_a = inner_d = own_v = own_a = own_d = 0.0
+        single = True
         for m in range(n):
             if weights[m] == 0.0:
                 continue
+            if m == 0 or group[m] != group[m - 1]:
+                inner_v, inner_a, inner_d = inner_v + own_v, inner_a + own_a, inner_d + own_d
+                own_v = own_a = own_d = 0.0
+                for j in range(m, n):
+                    if group[j] != group[m]:
+                        break
+                    turn = math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2)
+                    own_v += turn * peak[0, j]
+                    own_a += turn * peak[1, j]
+                    own_d += turn * peak[2, j]
+                single = m + 1 == n or group[m + 1] != group[m]
             u1, u2, u3 = cross(J[3, m], J[4, m], J[5, m], c1, c2, c3)
             turn = math.sqrt(J[3, m] ** 2 + J[4, m] ** 2 + J[5, m] ** 2)
             lever = math.sqrt((J[0, m] + u1) ** 2 + (J[1, m] + u2) ** 2 + (J[2, m] + u3) ** 2) + way * turn
-            s += lever * peak[m]
-            a += lever * peak[n + m]
-            w += turn * peak[m]
-        way = h * s
-    return a + 2.0 * w * s
+            v, a, d, e = peak[0, m], peak[1, m], peak[2, m], peak[3, m]
+            if carried:  # seen from the plane's carrier any rotation may be the inner one
+                in_v, in_a, in_d = all_v, all_a, all_d
+            else:
+                share = 0.5 if single else 1.0
+                in_v, in_a, in_d = inner_v + share * own_v, inner_a + share * own_a, inner_d + share * own_d
+            speed += lever * v
+            straight += lever * a
+            bent += lever * 2.0 * v * in_v
+            changed += lever * e
+            mixed += lever * (v * in_a + a * in_v)
+            drifted += lever * (v * in_d + d * in_v)
+        way = h * speed
+    return straight + bent, changed + h * mixed + 2.0 * drifted + 2.0 * h * all_v * bent
 
 
 @jit
