@@ -256,11 +256,12 @@ def kinematics(
         frame = space.frame(contact.frame)
     rows = _jacobian(model, data, q, frame, _ALIGNED)
     placement = _placement(model, data, frame).homogeneous
-    if contact.plane.body is None:
+    body = contact.plane.body
+    if body is None:
         return placement, rows, None, None
-    body = space.frame(contact.plane.body, "body")
-    carrier_rows = _jacobian(model, data, q, body, _ALIGNED)
-    return placement, rows, _placement(model, data, body).homogeneous, carrier_rows
+    carrier = space.frame(body, "body")
+    carrier_rows = _jacobian(model, data, q, carrier, _ALIGNED)
+    return placement, rows, _placement(model, data, carrier).homogeneous, carrier_rows
 
 
 def check_contact(field: str, value: Any) -> None:

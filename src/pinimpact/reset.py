@@ -37,8 +37,14 @@ LOCKED = int(Status.LOCKED)
 
 Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
-_contiguous = np.ascontiguousarray
+# bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
+_Model = pin.Model
+_mass_matrix = pin.crba
 _is_normalized = pin.isNormalized
+_contiguous = np.ascontiguousarray
+_empty = np.empty
+_reset = kernel.reset
+SIZE = kernel.SIZE
 _NONE_HELD = np.zeros((0, 3))
 _NONE_HELD.setflags(write=False)
 
@@ -176,7 +182,7 @@ def impact(
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
-    if type(model) is not pin.Model:
+    if type(model) is not _Model:
         model = model_of(model)
     space = workspace(model, data)
     if type(contact) is not Contact:
@@ -197,9 +203,9 @@ def impact(
         restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
     frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q_now, space, contact)
     nv = space.nv
-    answer = np.empty(nv + kernel.SIZE)
-    outcome = kernel.reset(
-        pin.crba(model, data, q_now),
+    answer = _empty(nv + SIZE)
+    outcome = _reset(
+        _mass_matrix(model, data, q_now),
         space.parents,
         frame,
         frame_jacobian,
