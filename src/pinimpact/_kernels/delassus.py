@@ -68,15 +68,22 @@ def classify(w11, w12, w13, w22, w23, w33):
         κ = A⁺b (2), s = c − bᵀA⁺b (exactly 0 where stick locks the normal direction), the smallest
         eigenvalue found, and the spread ‖W‖/λ of the smallest eigenvalue that counts. (theory.md, 6)
     """
+    # elimination with the larger pivot first; det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
     trace = w11 + w22 + w33
-    det_a = w11 * w22 - w12 * w12
-    cof1 = w12 * w23 - w13 * w22
-    cof2 = w12 * w13 - w11 * w23
-    det = w13 * cof1 + w23 * cof2 + w33 * det_a
-    # det W ≤ λ_min (tr W)²/4, so this test clears W without its eigenvalues
-    if w11 > 0.0 and det_a > 0.0 and det > 1e-12 * trace * trace * trace:
-        inv = 1.0 / det_a
-        return 3, w11, w12, w13, w22, w23, w33, -cof1 * inv, -cof2 * inv, det * inv, 0.0, 1.0
+    first = w11 >= w22
+    pivot, other, bp, bo = (w11, w22, w13, w23) if first else (w22, w11, w23, w13)
+    if pivot > 0.0:
+        inv = 1.0 / pivot
+        factor = w12 * inv
+        other -= factor * w12
+        bo -= factor * bp
+        if other > 0.0:
+            ko = bo / other
+            s = (w33 - bp * bp * inv) - bo * ko
+            if pivot * other * s > 1e-12 * trace * trace * trace:
+                kp = bp * inv - factor * ko
+                k1, k2 = (kp, ko) if first else (ko, kp)
+                return 3, w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0
 
     l1, l2, l3, x, y, z = eigen(w11, w12, w13, w22, w23, w33)
     l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)

@@ -61,6 +61,10 @@ STRAIGHT = 2.0**-54
 VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
+TOO_SHORT = 2.0**-300
+"""Approach over slip at which an impact without jam sees no turn of the slip, so that all laws agree, while the
+works of the energetic law would underflow."""
+
 NEAR = 1e-2
 """Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
 
@@ -73,7 +77,7 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
     """Choose signs and order of the tangent axes so that mirrored problems are one problem.
 
     Returns:
-        the signs of t₁ and t₂, and whether they are then swapped.
+        the signs of t₁ and t₂, whether they are then swapped, and whether that changes nothing.
     """
     sign1 = -1.0 if v1 < 0.0 or (v1 == 0.0 and w13 < 0.0) else 1.0
     sign2 = -1.0 if v2 < 0.0 or (v2 == 0.0 and w23 < 0.0) else 1.0
@@ -84,7 +88,7 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
             sign2 = -1.0
     x1, x2, y1, y2 = abs(v1), abs(v2), sign1 * w13, sign2 * w23
     swapped = x2 > x1 or (x2 == x1 and (y2 > y1 or (y2 == y1 and w22 > w11)))
-    return sign1, sign2, swapped
+    return sign1, sign2, swapped, x2 == x1 and y2 == y1 and w22 == w11
 
 
 @inner
@@ -127,7 +131,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
     scale_w, scale_v = math.frexp(largest_w)[1], math.frexp(largest_v)[1]
     in1, in2, in3 = v1, v2, v3
-    sign1, sign2, swapped = canonical(w12, w13, w23, w11, w22, v1, v2)
+    sign1, sign2, swapped, diagonal = canonical(w12, w13, w23, w11, w22, v1, v2)
     fw1, fw2 = halves(-scale_w)
     fv1, fv2 = halves(-scale_v)
     w11, w22, w33 = w11 * fw1 * fw2, w22 * fw1 * fw2, w33 * fw1 * fw2
@@ -163,6 +167,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         return failed(UNSTOPPABLE, math.ldexp(v3, scale_v))
     if v3 == 0.0:
         flags |= IMPACT_WITHOUT_COLLISION
+    elif law == ENERGETIC and v3 > -TOO_SHORT * speed and c > mu * (b1 * s1 + b2 * s2):
+        law = POISSON
 
     # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 6)
     offset = 0.0
@@ -214,6 +220,12 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         elif speed <= VANISHED:
             settled = True
             speed = turn = 0.0
+            if (
+                s > 0.0
+                and abs(k1 * start1) + abs(k2 * start2) + s * p3 < abs(b1 * p1) + abs(b2 * p2) + c * p3
+            ):
+                # the identity of theory.md, 6 knows v₃ better than the sum over the path
+                v3 = approach - k1 * start1 - k2 * start2 + s * p3
             excess = math.sqrt(k1 * k1 + k2 * k2) - mu
             if abs(excess) <= NEAR_THRESHOLD * mu:
                 flags |= NEAR_STICK_THRESHOLD
@@ -274,6 +286,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 if phase == COMPRESSION:
                     return failed(UNSTOPPABLE, math.ldexp(v3, scale_v))
                 if flags & LOCKS:
+                    status = LOCKED
                     break
                 return failed(LAW_UNREACHABLE, math.ldexp(left, scale_v))
             v3_end = v3 + rate * span
@@ -309,7 +322,12 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             if law == POISSON and restoring:
                 kind, aim = IMPULSE, left
                 guess = halley(-left, scale, bend)
-            elif rate > 0.0 and not (law == ENERGETIC and restoring):
+            elif law == ENERGETIC and restoring:
+                kind, aim = WORK, left
+                square = v3 * v3 + 2.0 * rate * left
+                if square > 0.0:
+                    guess = halley(-2.0 * left / (v3 + math.sqrt(square)), scale, bend)
+            elif rate > 0.0:
                 guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
             if guess > 0.0 and guess * max(abs(turn), -t1) < 1.0:
                 expanded = True
@@ -394,6 +412,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             v3 = v3_end
             chord = 1.0 + t * t
             rate = (jam0 + t * (jam1 + t * jam2)) / chord
+            if rate < 0.0:
+                flags |= JAM
             cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
             s1, s2 = d1 * cos - d2 * sin, d2 * cos + d1 * sin
             norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
@@ -419,7 +439,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             compressed += p3 - phase_start
             phase = RESTITUTION
             goal = restitution_goal(law, e, compressed, compression_work, approach)
-            if e == 0.0:
+            if goal == 0.0:
                 event = LAW_MET
         elif event == FALLS_BACK:
             v3 = 0.0
@@ -447,9 +467,11 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         v1, v2 = s1 * speed, s2 * speed
     if v3 <= 0.0:
         v3 = 0.0
-        status = ENDED_AT_REST
-        if flags & LOCKS:
-            status = LOCKED
+        status = LOCKED if flags & LOCKS else ENDED_AT_REST
+
+    if diagonal:
+        v1 = v2 = 0.5 * (v1 + v2)
+        p1 = p2 = 0.5 * (p1 + p2)
 
     # kinetic energy gained, ½ P·(v⁻ + v⁺), against the rounding of its terms
     gained, size = p3 * (approach + v3), abs(p3 * approach) + abs(p3 * v3)

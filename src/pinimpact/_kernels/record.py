@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .jit import inner
-from .stretch import point
+from .stretch import SETTLED, point
 
 POINTS = 8
 
@@ -45,7 +45,7 @@ def mark(path, rows, p3, v1, v2, v3, p1, p2):
 def mark_stretch(path, rows, stretch, x, d1, d2, p1, p2, p3):
     """Append the points inside a stretch of turning slip from 0 to x, both excluded; d: its first axis."""
     v3, speed = stretch[9], stretch[10]
-    end, count = (min(x, 38.0), 2 * POINTS) if stretch[0] else (x, POINTS)
+    end, count = (min(x, SETTLED), 2 * POINTS) if stretch[0] else (x, POINTS)
     for i in range(1, count):
         normal, along, across, dv3, ratio, t, _, _ = point(stretch, end * i / count)
         radius = speed * ratio / (1.0 + t * t)

@@ -15,6 +15,9 @@ from .slip import TERMS, moments, within_reach
 
 VELOCITY, IMPULSE, WORK = 0, 1, 2
 
+SETTLED = 38.0
+"""e^{−SETTLED} is below rounding."""
+
 _GAUSS = np.polynomial.legendre.leggauss(12)
 _NODES = 0.5 * (_GAUSS[0] + 1.0)
 _WEIGHTS = 0.5 * _GAUSS[1]
@@ -141,18 +144,21 @@ def works(stretch, x):
     """Integrate the normal work and the friction work over (0, x) by Gauss quadrature. (3.14)"""
     node, _, _, f, _, mu, _, _, _, v3, speed = stretch
     normal_work = friction_work = 0.0
-    panels, end = 1, x
+    low, end = 0.0, x
     if node:
-        # beyond this the direction is settled and the rest is straight, or nothing is left of the slip
-        end = min(x, 38.0 / max(1.0, f[3]))
-        panels = 1 + int(end * max(1.0, 0.5 * abs(f[3])))
-    width = end / panels
-    for j in range(panels):
+        # from here on the direction is settled or nothing is left: the rest is straight
+        end = min(x, SETTLED / max(1.0, f[3]))
+    while low < end:
+        width = end - low
+        if node:
+            # the integrand is analytic down to x ≈ −1, and falls or grows like e^{−2ax}
+            width = min(width, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(f[3])))
         for i in range(_NODES.size):
-            _, _, _, dv3, ratio, _, slope, _ = point(stretch, (j + _NODES[i]) * width)
+            _, _, _, dv3, ratio, _, slope, _ = point(stretch, low + width * _NODES[i])
             share = _WEIGHTS[i] * width * slope
             normal_work += share * (v3 + dv3)
             friction_work -= share * mu * speed * ratio
+        low = low + width if low + width > low else end
     if end < x:
         here, there = point(stretch, end), point(stretch, x)
         span = there[0] - here[0]
@@ -168,10 +174,11 @@ def measure(stretch, kind, aim, x):
     normal, _, _, dv3, _, t, slope, bend = point(stretch, x)
     if kind == IMPULSE:
         return normal - aim, slope, bend
-    if kind == WORK:
-        return works(stretch, x)[0] - aim, slope * (v3 + dv3), 0.0
     chord = 1.0 + t * t
     rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
+    if kind == WORK:
+        now = v3 + dv3
+        return works(stretch, x)[0] - aim, slope * now, bend + slope * rate / now
     turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
     return (v3 - aim) + dv3, slope * rate, bend + (-t if node else f[0]) * turn / rate
 
@@ -180,7 +187,7 @@ def measure(stretch, kind, aim, x):
 def seek(stretch, kind, aim, f_low, f_high, high):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
-    Halley's iteration inside a bracket; for the work, whose curvature is not at hand, Newton's.
+    Halley's iteration inside a bracket.
 
     Args:
         f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs.
@@ -190,9 +197,17 @@ def seek(stretch, kind, aim, f_low, f_high, high):
     """
     low, top = 0.0, high
     x = 0.5
-    if math.isfinite(f_high) and high < math.inf:
-        x = high if kind == WORK else high * (f_low / (f_low - f_high))
-    enough = 1e-9 if kind == WORK else 2e-6
+    if kind == WORK:
+        # with v₃ taken as linear; it may rise from zero, and the root be smaller than `high` by any factor
+        v3 = stretch[9]
+        slope = point(stretch, 0.0)[6]
+        rise = measure(stretch, VELOCITY, 0.0, 0.0)[1] / slope
+        x = -2.0 * f_low / (slope * (v3 + math.sqrt(max(0.0, v3 * v3 - 2.0 * rise * f_low))))
+        end = high if high < math.inf else 0.5
+        if not (x < end):
+            x = end
+    elif math.isfinite(f_high) and high < math.inf:
+        x = high * (f_low / (f_low - f_high))
     for _ in range(100):
         now, slope, bend = measure(stretch, kind, aim, x)
         if now == 0.0:
@@ -209,7 +224,7 @@ def seek(stretch, kind, aim, f_low, f_high, high):
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
         elif new > 2.0 * x + 2.0:
             new = 2.0 * x + 2.0
-        elif abs(step) <= enough * x:
+        elif abs(step) <= 2e-6 * x:
             return new
         x = new
     return x
@@ -232,6 +247,6 @@ def seek_near(stretch, kind, aim, x, last):
         if abs(step) <= 2e-6 * x:
             end = f[0] * x
             monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end) == end
-            falls = kind == IMPULSE and v3 + point(stretch, x)[3] < 0.0
+            falls = kind != VELOCITY and v3 + point(stretch, x)[3] < 0.0
             return x if monotone and not falls else 0.0
     return 0.0
