@@ -1,14 +1,14 @@
-"""Contact axes, and the contact point, gap and Jacobian in them."""
+"""Contact axes, and the contact point, gap and Jacobian in them.
+
+The 16 `constants` of a contact are its offset (3) and radius, then point, normal, velocity and angular
+velocity (3 each) of its plane.
+"""
 
 from __future__ import annotations
 
 import math
 
 from .jit import jit
-
-SURFACE_CONSTANTS = 16
-"""Length of the vector of constants that `locate` and `jacobian` read: the offset (3) and radius of the
-contact, then point, normal, velocity and angular velocity (3 each) of its plane."""
 
 
 @jit
@@ -33,7 +33,7 @@ def locate(frame, carrier, constants):
     Args:
         frame: (4, 4) placement of the contact's frame.
         carrier: (4, 4) placement of the frame that carries the plane; None for the world.
-        constants: (16,) see `SURFACE_CONSTANTS`.
+        constants: (16,) of the contact.
 
     Returns:
         The signed distance, n (3), the contact point (3), all in world axes.
@@ -94,7 +94,7 @@ def jacobian(frame, frame_jacobian, carrier, carrier_jacobian, constants, out):
         frame_jacobian: (6, nv) its Jacobian in world axes at its origin, linear over angular.
         carrier: (4, 4) placement of the frame that carries the plane; None for the world.
         carrier_jacobian: (6, nv) its Jacobian, likewise.
-        constants: (16,) see `SURFACE_CONSTANTS`.
+        constants: (16,) of the contact.
         out: (3, nv) takes J.
 
     Returns:
