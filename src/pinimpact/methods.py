@@ -73,16 +73,16 @@ def _checked_rtol(rtol: Any) -> float:
 
 
 def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array, path: Array) -> Raw:
-    from ._kernels.stepping import MAX_SCALES, solve_stepping
+    from ._kernels.stepping import solve_stepping
 
     raw: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
     if raw[0] == Status.NOT_CONVERGED:
-        figures = f"with v₃ = {inputs[8]:.6g} m/s and c = {inputs[5]:.6g}"
+        name, value = ("rtol", rtol) if rtol > 0.0 else ("steps", steps)
         raise PinimpactError(
-            f"steps: the impact takes more than {MAX_SCALES * steps} steps, because it slips for far "
-            f'longer than |v₃|/c {figures}; use method="exact"',
-            field="steps",
-            value=steps,
+            f"{name}: with {value:g} the impact takes too many steps; it slips for far longer than |v₃|/c "
+            f'(v₃ = {inputs[8]:.6g} m/s, c = {inputs[5]:.6g}) or comes to creep; use "exact"',
+            field=name,
+            value=value,
         )
     return raw
 

@@ -51,8 +51,14 @@ from .normal import linear_event, restitution_goal
 from .record import mark, note
 from .secular import resumed_direction
 
-MAX_SCALES = 10_000
+MAX_SCALES = 1000
 """An impact that slips for more than this many times the scale of its steps is given up."""
+
+MAX_CHOSEN = 100_000
+"""So is one that takes more than this many steps of chosen length."""
+
+ROOM = 1.0 + 1e-9
+"""How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
 
 TURNED = 64.0 * EPS
 """Angle between two steps that is more than rounding."""
@@ -209,10 +215,14 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
         if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
             offset = 0.0
 
+    # where A is singular, slip across its range never ends
+    x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
+    lasting = math.hypot(v1 + a11 * x1 + a12 * x2, v2 + a12 * x1 + a22 * x2) > ZERO * speed
+
     tangent = (a11, a12, a22, b1, b2)
     k = np.empty((len(table.b), 2))
     stride = scale / steps
-    most = MAX_SCALES * steps
+    most = MAX_CHOSEN if rtol > 0.0 else MAX_SCALES * steps
     p1 = p2 = p3 = 0.0
     phase = COMPRESSION
     phase_start = compressed = restored = 0.0
@@ -268,9 +278,10 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             h = stride
             vanishes = False
             d1, d2, q1, q2, u1, u2, error, least = slip_step(table, tangent, mu, v1, v2, h, k)
+            ends = least <= 0.0 and not lasting
             if rtol > 0.0:
                 tolerance = rtol * mu * max(p3 + h, scale)
-                if least <= 0.0:
+                if ends:
                     x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
                     if math.hypot(x1, x2) > tolerance:
                         stride *= 0.5
@@ -281,7 +292,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                     stride *= min(5.0, max(0.2, 0.9 * (tolerance / error) ** 0.2)) if error > 0.0 else 5.0
                     if error > tolerance:
                         continue
-            elif least <= 0.0:
+            elif ends:
                 vanishes = True
                 h = locate(SLIP_ENDS, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k)
             if vanishes:
@@ -308,14 +319,15 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             if event in (STOPS, FALLS_BACK):
                 v3_end = 0.0
             if vanishes:
-                # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on
+                # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on; if that is more
+                # than the cone of friction has room for, slip is not at its end
                 x1, x2 = stop_impulse(a11, a12, a22, u1, u2)
-                y1, y2 = u1 + a11 * x1 + a12 * x2, u2 + a12 * x1 + a22 * x2
-                if math.hypot(y1, y2) <= ZERO * math.hypot(start1, start2):
-                    y1 = y2 = 0.0
-                friction_work += 0.5 * (x1 * (u1 + y1) + x2 * (u2 + y2))
+                room = mu * (p3 + h) * ROOM
+                vanishes = rtol > 0.0 or math.hypot(p1 + d1 + x1, p2 + d2 + x2) <= room
+            if vanishes:
+                friction_work += 0.5 * (x1 * u1 + x2 * u2)
                 d1, d2 = d1 + x1, d2 + x2
-                u1, u2 = y1, y2
+                u1 = u2 = 0.0
                 v3_end += b1 * x1 + b2 * x2
                 if phase == COMPRESSION and v3_end >= 0.0:
                     event = STOPS
