@@ -29,6 +29,7 @@ from .codes import (
     OUT_OF_RANGE,
     POISSON,
     RESTITUTION,
+    RESUMED,
     SECOND_COMPRESSION,
     SEPARATED,
     SINGULAR_DELASSUS,
@@ -58,12 +59,14 @@ MAX_STEPS = 1000
 STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
 
+NO_FORCE = 2.0**-46
+"""Where A is singular, a force or distance from the direction without force this small is rounding."""
+
 VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 TOO_SHORT = 2.0**-300
-"""Approach over slip at which an impact without jam sees no turn of the slip, so that all laws agree, while the
-works of the energetic law would underflow."""
+"""Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
 
 NEAR = 1e-2
 """Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
@@ -146,15 +149,17 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     flags = SINGULAR_DELASSUS if rank < 3 else 0
 
     # where A is singular nothing acts across its range: v_t either has a part there for good, or none
-    planar = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    planar = across_range = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    side = r1 = r2 = 0.0
     if planar:
         norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
-        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
-        across = d1 * v2 - d2 * v1
-        along = d1 * v1 + d2 * v2
-        planar = abs(across) <= ZERO * spread * (abs(v1) + abs(v2))
+        r1, r2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
+        side = r1 * v2 - r2 * v1
+        along = r1 * v1 + r2 * v2
+        planar = abs(side) <= ZERO * spread * (abs(v1) + abs(v2))
+        across_range = not planar
         if planar:
-            v1, v2 = d1 * along, d2 * along
+            v1, v2 = r1 * along, r2 * along
     speed = math.sqrt(v1 * v1 + v2 * v2)
     if speed < 1e-140:
         speed = math.hypot(v1, v2)
@@ -238,6 +243,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                     v3 = offset
             else:
                 flags |= SLIP_RESUMED
+                mode = RESUMED
                 gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
                 rate = c - mu * (b1 * s1 + b2 * s2)
                 dp1, dp2 = -mu * s1, -mu * s2
@@ -250,6 +256,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             bl *= omega
             bp *= omega
             rate = c - mu * bl
+            if across_range and abs(m0) <= NO_FORCE:
+                m0, rate = 0.0, s
             if rate < 0.0:
                 flags |= JAM
             bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
@@ -296,7 +304,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 if s == 0.0:
                     v3_end = offset
             work = 0.5 * (v3 + v3_end) * span
-            friction_work = -0.5 * mu * (speed + speed_end) * span if mode == SLIP else 0.0
+            friction_work = -0.5 * mu * (speed + speed_end) * span if mode != STICK else 0.0
             if turn != 0.0 and speed > 0.0 and speed_end > 0.0:
                 tau = math.log(speed_end / speed) / m0 if m0 != 0.0 else omega * span / speed
                 turn *= math.exp(0.5 * t1 * tau)
@@ -345,8 +353,13 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                     node, e1, e2, n1, el, ep, f = expand_node(
                         series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
                     )
+                if node and across_range and abs(f[3]) < 0.5:
+                    # nothing acts in the direction ahead, and slip never stops
+                    f = f[:3] + (0.0,) + f[4:]  # noqa: RUF005 (numba)
                 if node:
                     t = first_root(jam0, jam1, jam2, root)
+                    if across_range and f[3] == 0.0 and abs(root - t) <= NO_FORCE * abs(root):
+                        t = root
                     peaks = t != root
                     x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
                     d1, d2, bl, bp = e1, e2, el * omega, ep * omega
@@ -362,7 +375,12 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 endless = x == math.inf and f[3] <= 0.0
                 if endless:
                     span = math.inf
-                    v3_end = math.inf if jam0 > 0.0 else -math.inf if jam0 < 0.0 else v3
+                    if across_range and f[3] == 0.0:
+                        jam0 = s
+                    v3_end = math.inf if jam0 > 0.0 else -math.inf
+                    if jam0 == 0.0:
+                        slip = side / (r1 * e2 - r2 * e1)
+                        v3_end = (k1 * e1 + k2 * e2) * slip + offset
                 else:
                     span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
                     v3_end = v3 + dv3
