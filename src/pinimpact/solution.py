@@ -19,7 +19,7 @@ Inputs = tuple[float, float, float, float, float, float, float, float, float, fl
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of the impact with one mode of contact in one phase.
+    """A stretch of the impact with one mode of contact in one phase; slip that resumes is a new one.
 
     Attributes:
         mode: Whether the contact slips or sticks.
@@ -126,7 +126,7 @@ class Solution:
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
         """The `Segment`s of the impact in order; empty where there was no impact."""
-        modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
+        modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick", "slip")  # the last: resumed
         phases: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
         return tuple(
             Segment(modes[int(row[0])], phases[int(row[1])], float(row[2]), float(row[3]))

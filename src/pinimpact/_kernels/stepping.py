@@ -33,6 +33,7 @@ from .codes import (
     OUT_OF_RANGE,
     POISSON,
     RESTITUTION,
+    RESUMED,
     SECOND_COMPRESSION,
     SEPARATED,
     SINGULAR_DELASSUS,
@@ -257,6 +258,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                     v3 = offset
             else:
                 flags |= SLIP_RESUMED
+                mode = RESUMED
                 gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
                 rate = c - mu * (b1 * s1 + b2 * s2)
                 dp1, dp2, dv1, dv2 = -mu * s1, -mu * s2, gain * s1, gain * s2
