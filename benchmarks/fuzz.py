@@ -2,15 +2,16 @@
 
     python -m benchmarks.fuzz --seed 1 --count 1000000
 
-Run from the root of the repository. Prints a table with a line for each category: problems, answers refused (an
-approach that nothing can stop, or a law out of reach; only where W is singular), the most iterations, and the largest
-disagreement between one problem seen in different axes or units, over the problem's own sensitivity; then every violation.
-The same functions, on fewer problems, are a test.
+Run from the root of the repository. Prints a table with a line for each category: problems; those refused (an
+approach that nothing can stop, or a law out of reach; only where W is singular); the most iterations; and the
+largest disagreement between views of one problem in different axes or units, over the problem's own
+sensitivity. Then every violation. The same functions, on fewer problems, are a test.
 
-What is checked of each answer: that it is finite; v₃⁺ ≥ 0; P in the friction cone; v⁺ = v⁻ + W P; friction takes
-work; the ledger adds up to the change of kinetic energy, which does not grow under the energetic law and for e = 0; the
-restitution law's own sum; the same bits after mirroring, swapping the tangent axes, and scaling by powers of
-two; the same answer, within what roundings of the input change, after turning the axes and scaling by other numbers.
+What is checked of each answer: that it is finite; v₃⁺ ≥ 0; P in the friction cone; v⁺ = v⁻ + W P; friction
+takes work; the works add up to the change of kinetic energy, which does not grow under the energetic law and
+for e = 0; the restitution law's own sum; the same bits after mirroring, swapping the tangent axes, and
+scaling by powers of two; the same answer, within what roundings of the input change, after turning the axes
+and scaling by other numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Problems(NamedTuple):
     friction: Array
     restitution: Array
 
-    def __getitem__(self, rows):  # noqa: D105
+    def __getitem__(self, rows):
         return Problems(*(tuple.__getitem__(self, k)[rows] for k in range(4)))
 
 
@@ -224,7 +225,7 @@ def ill_conditioned(rng, n):
 
 
 def planar(rng, n):
-    """A mechanism that moves in a plane; some are struck by a surface that moves across it. Some in turned axes."""
+    """A mechanism that moves in a plane; the surface of some moves across it; some in turned axes."""
     W, v = gram(rng, n, 3), approach(rng, n, power(rng, n, -3, 1))
     W[:, 1, :] = W[:, :, 1] = 0.0
     v[rng.random(n) < 0.7, 1] = 0.0
@@ -333,7 +334,7 @@ def sizes(p: Problems, s: Answers) -> tuple[Array, Array]:
 
 
 def difference(p: Problems, a: Answers, velocity: Array, impulse: Array, status) -> Array:
-    """The largest change of v⁺ and P over their sizes; infinite where one has an answer and the other none."""
+    """The largest change of v⁺ and P over their sizes; infinite where only one has an answer."""
     speed, size = sizes(p, a)
     tiny = np.finfo(float).tiny
     gap = np.abs(velocity - a.velocity).max(axis=1) / np.maximum(speed, tiny)
@@ -444,7 +445,7 @@ def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
     wrong["normal works' signs"] = (wc > 0) | (wr < 0)
     wrong["ledger"] = np.abs(wc + wr + wf - gained) > 1e-12 * (magnitude + speed * size)
     passive = (law == "energetic") | (e == 0)
-    wrong["energy grows"] = passive & (gained > 1e-12 * magnitude + 16 * EPS * speed * size)
+    wrong["energy grows"] = passive & (wc + wr + wf > 1e-12 * magnitude)
     wrong["energy created, not said"] = (s.flags & Flag.ENERGY_CREATED == 0) & (gained > 1e-12 * speed * size)
     if law == "poisson":
         lack = np.abs(P[:, 2] - (1 + e) * pc) > 1e-13 * P[:, 2]
@@ -481,6 +482,7 @@ class Report:
     longest: tuple[int, str, Problems] | None = None
 
     def markdown(self) -> str:
+        """Return the tallies as a table."""
         lines = [
             "| category | problems | refused | most iterations | worst disagreement / sensitivity |",
             "| --- | ---: | ---: | ---: | ---: |",
