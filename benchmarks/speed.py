@@ -1,0 +1,91 @@
+"""Time of an impact against Pinocchio's own algorithms, and of the shortcuts against the general path.
+
+python -m benchmarks.speed
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from benchmarks.timing import best_of, publish, row
+
+import pinimpact
+
+COUNT = 100_000
+ROBOTS = {"panda": "panda_hand_tcp", "ur5": "tool0", "talos": "gripper_left_fingertip_1_link"}
+
+
+def batch() -> list[dict]:
+    """Random spatial problems, in a batch, against one mass matrix of the Panda."""
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((COUNT, 3, 7))
+    delassus = X @ X.transpose(0, 2, 1) / 7.0
+    velocity = rng.standard_normal((COUNT, 3))
+    velocity[:, 2] = -np.abs(velocity[:, 2])
+    model = pinimpact.load_robot("panda").model
+    data, q = model.createData(), pin.neutral(model)
+    times = best_of(
+        {
+            "crba": lambda: pin.crba(model, data, q),
+            "impacts": lambda: pinimpact.solve_impacts(delassus, velocity, 0.3, 0.5),
+        },
+        rounds=20,
+    )
+    return [row("solve_impacts, per problem", times["impacts"] / COUNT, 1.5, "crba(panda)", times["crba"])]
+
+
+def robots() -> list[dict]:
+    """`impact` from Python against a frictionless impulse of Pinocchio, called the same way."""
+    rows = []
+    for name, frame in ROBOTS.items():
+        model = pinimpact.load_robot(name).model
+        data = model.createData()
+        rng = np.random.default_rng(0)
+        q = pin.integrate(model, pin.neutral(model), 0.3 * rng.standard_normal(model.nv))
+        contact = pinimpact.Contact(frame, pinimpact.Plane(), friction=0.4, restitution=0.5)
+        matrices = pinimpact.contact_matrices(model, data, q, contact)
+        v = rng.standard_normal(model.nv)
+        v *= -np.sign(matrices.h @ v)  # it approaches
+        frame_id = model.getFrameId(frame)
+
+        def pinocchio(model=model, data=data, q=q, v=v, frame_id=frame_id):
+            J = pin.computeFrameJacobian(model, data, q, frame_id, pin.LOCAL_WORLD_ALIGNED)
+            return pin.impulseDynamics(model, data, q, v, J[:3], 0.5, 0.0)
+
+        def pinimpact_(model=model, data=data, q=q, v=v, contact=contact):
+            return pinimpact.impact(model, data, q, v, contact)
+
+        times = best_of({"pinocchio": pinocchio, "impact": pinimpact_})
+        against = "computeFrameJacobian + impulseDynamics"
+        rows.append(row(f"impact, {name}", times["impact"], 2.5, against, times["pinocchio"]))
+    return rows
+
+
+def shortcuts() -> list[dict]:
+    """Simpler problems against the general one, in batches of equal rows."""
+    W = np.array([[1.3, 0.2, 0.4], [0.2, 0.8, -0.3], [0.4, -0.3, 0.9]])
+    balanced = W * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1]])
+    planar = np.array([[1.3, 0, 0.4], [0, 0, 0], [0.4, 0, 0.9]])
+    invariant = np.array([[1.3, 0, 0.4], [0, 0.8, 0], [0.4, 0, 0.9]])
+    spatial, straight = (1.0, 0.7, -1.0), (1.0, 0.0, -1.0)
+    problems = {
+        "general path": (W, spatial, 0.3, 0.5),
+        "no friction": (W, spatial, 0.0, 0.5),
+        "no restitution": (W, spatial, 0.3, 0.0),
+        "balanced contact (b = 0)": (balanced, spatial, 0.3, 0.5),
+        "planar mechanism": (planar, straight, 0.3, 0.5),
+        "along an invariant direction": (invariant, straight, 0.3, 0.5),
+    }
+    n = 1000
+
+    def call(W, v, mu, e):
+        matrices, velocities = np.tile(W, (n, 1, 1)), np.tile(v, (n, 1))
+        return lambda: pinimpact.solve_impacts(matrices, velocities, mu, e)
+
+    times = best_of({name: call(*problem) for name, problem in problems.items()}, rounds=100)
+    general = times.pop("general path") / n
+    return [row(name, seconds / n, 1.0, "the general path", general) for name, seconds in times.items()]
+
+
+if __name__ == "__main__":
+    publish("speed", batch() + robots() + shortcuts())

@@ -1,0 +1,62 @@
+"""Time to import, and to the first impact of a process: warm and cold, without a cache, and in company.
+
+python -m benchmarks.startup
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.timing import publish, row
+
+FIRST = "import time; t = time.perf_counter(); {}; print(time.perf_counter() - t)"
+IMPACT = "pinimpact.solve_impact(pinimpact.ImpactProblem([[2,0,.5],[0,3,.4],[.5,.4,1]], (1,.5,-1), .3, .5))"
+CALL = "import numpy, pinocchio, pinimpact, time; t = time.perf_counter(); {}; print(time.perf_counter() - t)"
+
+
+def run(code: str, cache: str | None = None) -> float:
+    """Return the seconds that a new process prints."""
+    environment = dict(os.environ)
+    if cache is not None:
+        environment["NUMBA_CACHE_DIR"] = cache
+    command = [sys.executable, "-c", code]
+    return float(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+
+
+def measure() -> list[dict]:
+    """Import, warm, cold, unwritable, and four at once."""
+    bare = min(run(FIRST.format("import pinocchio, numpy")) for _ in range(7))
+    full = min(run(FIRST.format("import pinocchio, numpy, pinimpact")) for _ in range(7))
+    first = CALL.format(IMPACT)
+    rows = [row("import pinimpact, over pinocchio and numpy", max(full - bare, 0.0), 0.3)]
+    with tempfile.TemporaryDirectory() as cache:
+        rows.append(row("first impact, cold cache", run(first, cache), 15.0))
+        rows.append(row("first impact, warm cache", min(run(first, cache) for _ in range(5)), 1.0))
+    with tempfile.TemporaryDirectory() as folder:
+        # an installed package that nobody may write to, and a home that is not there
+        closed = Path(folder, "closed")
+        closed.write_text("a file where a folder is wanted")
+        environment = dict(os.environ, NUMBA_CACHE_DIR=str(closed / "cache"), HOME=str(closed))
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, "-c", first], env=environment, capture_output=True, check=True)
+        rows.append(row("whole process, no writable cache", time.perf_counter() - begun))
+    with tempfile.TemporaryDirectory() as cache:
+        environment = dict(os.environ, NUMBA_CACHE_DIR=cache)
+        begun = time.perf_counter()
+        crowd = [
+            subprocess.Popen([sys.executable, "-c", first], env=environment, stdout=subprocess.PIPE)
+            for _ in range(4)
+        ]
+        if any(process.wait() for process in crowd):
+            raise SystemExit("a parallel first run failed")
+        rows.append(row("four first runs at once, cold cache", time.perf_counter() - begun))
+    return rows
+
+
+if __name__ == "__main__":
+    publish("startup", measure())
