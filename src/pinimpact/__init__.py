@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .methods import METHODS, Method, register_method
     from .outcome import EFFECTS, LAWS, Flag, Status
     from .problem import ImpactProblem
-    from .reset import impact, impacts
+    from .reset import HeldContactWarning, Hit, Hits, impact, impacts
     from .robots import load_robot
     from .scene import Scene
     from .simulation import simulate
@@ -44,6 +44,9 @@ __all__ = [
     "Contact",
     "ContactMatrices",
     "Flag",
+    "HeldContactWarning",
+    "Hit",
+    "Hits",
     "ImpactProblem",
     "InputError",
     "LawError",
@@ -87,7 +90,7 @@ _HOMES = {
     "methods": ("METHODS", "Method", "register_method"),
     "outcome": ("EFFECTS", "LAWS", "Flag", "Status"),
     "problem": ("ImpactProblem",),
-    "reset": ("impact", "impacts"),
+    "reset": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
     "robots": ("load_robot",),
     "scene": ("Scene",),
     "simulation": ("simulate",),
