@@ -1,24 +1,43 @@
 """Make all figures of docs/accuracy.md anew, one after the other, each in its own process on one thread.
 
-python benchmarks/run_all.py
+    python benchmarks/run_all.py
+
+The tables in the page are replaced by those just measured.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
-NAMES = ("speed", "startup", "exchange_rate")
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")}
+ROOT = Path(__file__).parents[1]
+NAMES = ("speed", "startup", "exchange_rate", "other_model")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+
+def refresh(page: Path) -> None:
+    """Put the tables in docs/figures between the marks that name them."""
+
+    def table(mark: re.Match[str]) -> str:
+        text = (page.parent / "figures" / mark[1]).read_text(encoding="utf-8").rstrip()
+        return f"<!-- {mark[1]} -->\n```text\n{text}\n```\n<!-- end -->"
+
+    text = page.read_text(encoding="utf-8")
+    page.write_text(
+        re.sub(r"<!-- (\w+\.txt) -->\n.*?<!-- end -->", table, text, flags=re.DOTALL), encoding="utf-8"
+    )
+
 
 if __name__ == "__main__":
     for name in NAMES:
         print(f"== {name}", flush=True)
         subprocess.run(
             [sys.executable, "-m", f"benchmarks.{name}"],
-            cwd=Path(__file__).parents[1],
+            cwd=ROOT,
             env=dict(os.environ, **ONE_THREAD),
             check=True,
         )
+    refresh(ROOT / "docs" / "accuracy.md")

@@ -38,13 +38,12 @@ def measure() -> list[dict]:
         rows.append(row("first impact, cold cache", run(first, cache), 15.0))
         rows.append(row("first impact, warm cache", min(run(first, cache) for _ in range(5)), 1.0))
     with tempfile.TemporaryDirectory() as folder:
-        # an installed package that nobody may write to, and a home that is not there
         closed = Path(folder, "closed")
         closed.write_text("a file where a folder is wanted")
-        environment = dict(os.environ, NUMBA_CACHE_DIR=str(closed / "cache"), HOME=str(closed))
+        environment = dict(os.environ, NUMBA_CACHE_DIR=str(closed / "cache"))
         begun = time.perf_counter()
         subprocess.run([sys.executable, "-c", first], env=environment, capture_output=True, check=True)
-        rows.append(row("whole process, no writable cache", time.perf_counter() - begun))
+        rows.append(row("whole process, NUMBA_CACHE_DIR unusable", time.perf_counter() - begun))
     with tempfile.TemporaryDirectory() as cache:
         environment = dict(os.environ, NUMBA_CACHE_DIR=cache)
         begun = time.perf_counter()
