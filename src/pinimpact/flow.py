@@ -60,7 +60,7 @@ class ContactPoint:
         self._tip = (data.oMi[tip].rotation, data.oMi[tip].translation, data.ov[tip].vector)
         self._base = (data.oMi[base].rotation, data.oMi[base].translation, data.ov[base].vector)
         self._accelerations = (data.oa_gf[tip].vector, data.oa_gf[base].vector)
-        self._jacobian = data.J
+        self._jacobian = data.J.reshape(6, model.nv)
         self._data = data
 
     def gap_and_rate(self) -> tuple[float, float]:
@@ -236,6 +236,10 @@ class Flow:
         """Evaluate without contact forces: return v̇ and leave the kinematics in the data."""
         return pin.aba(self.model, self.data, q, v, self.applied(t, q, v, self._powers), _WORLD)
 
+    def inverse(self) -> Array:
+        """Return M⁻¹ at the state last evaluated; the array is the data's own."""
+        return pin.computeMinverse(self.model, self.data).reshape(self.nv, self.nv)
+
     def __call__(self, t: float, q: Array, v: Array, out: Array) -> None:
         """Fill `out` with v̇ and the powers of control, joints, sliding friction and surfaces."""
         nv = self.nv
@@ -249,7 +253,7 @@ class Flow:
         active = self.active
         active.measure()
         system, target, effective = sustained.assemble(
-            pin.computeMinverse(self.model, self.data),
+            self.inverse(),
             acceleration,
             active.rows,
             active.acceleration,

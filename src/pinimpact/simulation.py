@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._kernels import guards, sustained
 from ._kernels.sustained import FREE, HELD, SLIP, STICK
-from .contacts import Contact
+from .contacts import Contact, contact_matrices
 from .errors import InputError, PinimpactError, SimulationError
 from .events import curvatures, first_crossing, root
 from .flow import MODES, Active, Flow
@@ -26,6 +26,7 @@ from .problem import ImpactProblem, finite_array
 from .reset import impact
 from .scene import STANDARD_GRAVITY, Scene
 from .solution import Solution
+from .solvers import solve_impact
 from .trajectory import Energy, ImpactRecord, ModeInterval, Note, Trajectory
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ Progress = Callable[[float, float], None]
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
 
-STILL_FRACTION = 1e-3
+STILL_FRACTION = 0.1
 """Slip slower than this part of the resting speed is none."""
 
 MAX_ROUNDS = 1000
@@ -144,6 +145,8 @@ class _Run:
         self.rest = scene.resting_speed if self.sustained else 0.0
         self.switched_off = scene.plan().switched_off if without else ()
 
+        self.quiet = 1e-9 * scene.resting_speed  # an approach slower than this is rounding
+
         self.flow = Flow(scene, model, self.contacts, self.held)
         self.flow.still = STILL_FRACTION * scene.resting_speed
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
@@ -174,6 +177,7 @@ class _Run:
         self.steps = self.rejected = 0
         self.stalled = 0
         self.tolerated = False
+        self.told = False
         self.limit_closed: set[int] = set()
         self.held_gap: list[float] = []
         self._check_start()
@@ -268,6 +272,9 @@ class _Run:
     def _restart(self) -> None:
         """Begin a smooth stretch at the present state."""
         self.integrator.start(self.t, self.q, self.v, self.w)
+        if not self.flow.unique and not self.told:
+            self._note("The forces of the closed contacts are not unique; those of least norm are taken.")
+            self.told = True
         self._remember()
         self.horizon = self._horizon()
 
@@ -358,6 +365,7 @@ class _Run:
     def _cut(self, segment: Segment, t: float, hit: set[int]) -> None:
         """End the step at an event and deal with it."""
         self.stalled = self.stalled + 1 if t - self.t <= 1e-13 * max(1.0, t) else 0
+        impacts = len(self.impacts)
         if self.stalled > MAX_STALLED:
             raise SimulationError(
                 f"scene: {self.stalled} events at t = {t:.6g} s without progress in time; the modes of contact do "
@@ -371,6 +379,8 @@ class _Run:
         self.segments.append(segment)
         self._sample()
         self._settle(hit)
+        if len(self.impacts) > impacts:  # `max_impacts` watches over these
+            self.stalled = 0
         self._restart()
         self._sample()
 
@@ -529,7 +539,7 @@ class _Run:
         pending: list[dict[str, Any]] = []
         while True:
             rates = {i: self._number_of(i)[1] for i in touching}
-            approaching = [i for i in touching if rates[i] < -self.rest or (i in hit and rates[i] < 0.0)]
+            approaching = [i for i in touching if rates[i] < -self.rest or (i in hit and rates[i] < -self.quiet)]
             if approaching and len(pending) < MAX_ROUNDS:
                 i = min(approaching, key=lambda i: rates[i])
                 hit.discard(i)
@@ -547,7 +557,7 @@ class _Run:
                 f"Slip at {self._name_of(jamming)} drives the surface in and no force holds it: "
                 "an impact without collision."
             )
-            pending.append(self._collide(jamming, 0.0))
+            pending.append(self._jam(jamming))
             flow.open(self.t, self.q, self.v)
         self.impacts += [ImpactRecord(**fields, simultaneous=len(pending) > 1) for fields in pending]
         if len(self.impacts) > self.max_impacts:
@@ -595,13 +605,34 @@ class _Run:
             self._note(
                 f"{self._name_of(i)} is taken as resting: it would bounce slower than {self.rest:.3g} m/s."
             )
-        self.work_of_impacts += self._kinetic(after) - self._kinetic(v)
+        return self._record(i, after, problem, impulse, resting)
+
+    def _jam(self, i: int) -> dict[str, Any]:
+        """Resolve the impact without collision of a contact that slips; return the fields of its record."""
+        contact = self.contacts[i]
+        matrices = contact_matrices(self.model, self.data, self.q, contact, self.held, self.locked)
+        velocity = matrices.velocity(self.v)
+        velocity[2] = 0.0
+        e = contact.restitution_at(0.0)
+        problem = ImpactProblem(
+            matrices.delassus, velocity, contact.friction, e, contact.law, matrices.surface_velocity
+        )
+        solution = solve_impact(problem)
+        after = self.v + matrices.response @ solution.impulse
+        return self._record(i, after, problem, solution.impulse @ matrices.axes, False)
+
+    def _record(
+        self, i: int, after: Array, problem: ImpactProblem, impulse: Array, resting: bool
+    ) -> dict[str, Any]:
+        """Take over the velocity after an impact; return the fields of its record."""
+        before = self.v
+        self.work_of_impacts += self._kinetic(after) - self._kinetic(before)
         self.v = after
         return {
             "time": self.t,
             "source": self._name_of(i),
-            "q": q.copy(),
-            "v_before": v.copy(),
+            "q": self.q.copy(),
+            "v_before": before.copy(),
             "v_after": after.copy(),
             "problem": problem,
             "impulse_world": impulse,
@@ -624,7 +655,7 @@ class _Run:
 
     def _yielding_inverse(self) -> Array:
         """Return M⁻¹ with what is held and locked projected out, at the state last evaluated."""
-        inverse = np.array(pin.computeMinverse(self.model, self.flow.data))
+        inverse = self.flow.inverse().copy()
         rows = np.eye(self.model.nv)[~free_velocities(self.model, self.locked)]
         if self.held:
             anchors = Active(self.flow.points[len(self.contacts) :], [], self.model.nv)
@@ -657,7 +688,7 @@ class _Run:
 
         active = Active([flow.points[i] for i in contacts], scalars, nv)
         open_acceleration = np.array(flow.open(self.t, self.q, self.v))
-        inverse = np.array(pin.computeMinverse(self.model, flow.data))
+        inverse = flow.inverse().copy()
         active.measure()
         rows = active.stacked()
         delassus = rows @ inverse @ rows.T
@@ -690,6 +721,9 @@ class _Run:
         result = free + delassus @ np.concatenate([force.ravel(), scalar_force])
         pace = 1e-9 * (float(np.abs(free).max(initial=0.0)) + 1e-3 * STANDARD_GRAVITY)
 
+        rank = np.linalg.matrix_rank(delassus, tol=1e-10 * float(delassus.max(initial=0.0)), hermitian=True)
+        unique = rank == len(delassus)
+
         mode = [FREE] * len(flow.points)
         reference: dict[int, Array] = {}
         kept: list[int] = []  # rows whose velocity becomes zero
@@ -705,7 +739,10 @@ class _Run:
                     kept.append(3 * k + 2)
                 continue
             kept.append(3 * k + 2)
-            if mu[k] > 0.0 and speed <= flow.still and tangent <= mu[k] * normal * (1.0 - 1e-9):
+            # a force on its cone means slip, unless another one would do, and then only what moves slips
+            held_back = tangent <= mu[k] * normal * (1.0 - 1e-9)
+            held_back |= not unique and math.hypot(result[3 * k], result[3 * k + 1]) <= pace
+            if mu[k] > 0.0 and speed <= flow.still and held_back:
                 mode[i] = STICK
                 kept += [3 * k, 3 * k + 1]
                 continue
@@ -767,6 +804,7 @@ class _Run:
         same = mode == flow.mode and scalar_rows == flow.active.scalars.tolist()
         self.tolerated = same and flow.constrained
         flow.set_modes(mode, reference, scalar_rows, bounds)
+        self.told = self.told and same
         self.limit_closed = set(limits)
         now = {flow.points[i].name: MODES[m] for i, m in enumerate(mode) if m != FREE}
         now |= {self.limits[k].name: "closed" for k in limits}
@@ -806,7 +844,7 @@ class _Run:
         scratch = np.empty(flow.nv + QUADRATURES)
         flow(self.t, self.q, self.v, scratch)
         active = flow.active
-        inverse = np.array(pin.computeMinverse(self.model, flow.data))
+        inverse = flow.inverse().copy()
         limits = [self.limits[k] for k in sorted(self.limit_closed)]
         rows = np.vstack([active.rows[:, 2, :], np.eye(flow.nv)[[limit.index_v for limit in limits]]])
         if len(rows):
@@ -820,7 +858,7 @@ class _Run:
             for limit in limits:
                 self.q[limit.index_q] = limit.bound
             flow(self.t, self.q, self.v, scratch)
-            inverse = np.array(pin.computeMinverse(self.model, flow.data))
+            inverse = flow.inverse().copy()
         kept = []
         for k, m in enumerate(flow.modes):
             kept += [3 * k + 2] if m == SLIP else [3 * k, 3 * k + 1, 3 * k + 2]

@@ -1,0 +1,69 @@
+"""Small models and one audited way to run scenes, for the tests of scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+import pinimpact
+
+G = 9.81
+UP = (0.0, 0.0, 0.0, 1.0)
+
+
+def free_body(inertia, tips=()):
+    """A free-flying body with frames ``tip0``, ``tip1`` … at the given points, and ``center``."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame("center", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    for k, point in enumerate(tips):
+        placement = pin.SE3(np.eye(3), np.array(point, dtype=float))
+        model.addFrame(pin.Frame(f"tip{k}", joint, 0, placement, pin.FrameType.OP_FRAME))
+    return model
+
+
+def ball(mass=2.0, radius=0.1):
+    """A uniform solid ball; its frame ``center`` carries the spherical tip."""
+    return free_body(pin.Inertia.FromSphere(mass, radius))
+
+
+def slider(mass=1.0):
+    """A point mass on three sliding joints."""
+    model = pin.Model()
+    parent = 0
+    for k, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
+        parent = model.addJoint(parent, kind, pin.SE3.Identity(), "xyz"[k])
+    model.appendBodyToJoint(parent, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("point", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    return model
+
+
+def pendulum(mass=1.0, length=1.0, joint=None):
+    """A point mass on a massless rod that turns about y; zero hangs down, ``tip`` is the mass."""
+    model = pin.Model()
+    index = model.addJoint(0, joint or pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    lever = np.array([0.0, 0.0, -length])
+    model.appendBodyToJoint(index, pin.Inertia(mass, lever, np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", index, 0, pin.SE3(np.eye(3), lever), pin.FrameType.OP_FRAME))
+    if model.nq == model.nv:
+        unbounded(model)
+    return model
+
+
+def unbounded(model):
+    """Take the bounds off all joints."""
+    model.lowerPositionLimit = np.full(model.nq, -np.inf)
+    model.upperPositionLimit = np.full(model.nq, np.inf)
+
+
+def run(scene, q0, v0, duration, audit=1e-6, **options):
+    """Simulate, and audit the energy: its change is the work of all that acts, in parts of the energies at play."""
+    trajectory = pinimpact.simulate(scene, q0, v0, duration, **options)
+    energy = trajectory.energy
+    works = (energy.control, energy.joints, energy.friction, energy.surface, energy.impacts)
+    at_play = max(np.abs(x - x[0]).max() for x in (energy.kinetic, energy.potential, *works))
+    at_play = max(at_play, energy.kinetic.max())
+    assert np.abs(energy.residual).max() <= audit * at_play + 1e-12
+    return trajectory

@@ -1,0 +1,276 @@
+"""Scenes: the plan of effects, bad input, what is kept of a run, and the scenes that users have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Contact, Plane, Scene, Trajectory, simulate
+
+from .scene_models import UP, ball, free_body, pendulum, run, slider, unbounded
+
+FLOOR = Plane()
+
+
+def dropped_ball(**options):
+    contact = Contact("center", FLOOR, friction=0.3, restitution=0.5, radius=0.1, name="ball")
+    return Scene(ball(), [contact], **options)
+
+
+START = ([0, 0, 0.6, *UP], [0.3, 0, 0, 0, 2.0, 0])
+
+
+# ---- the plan
+
+
+def test_the_plan_gives_a_reason_for_every_effect():
+    model = pendulum()
+    model.damping, model.armature = np.array([0.1]), np.array([0.0])
+    plan = Scene(model, [Contact("tip", Plane(point=(0, 0, -5.0)), friction=0.5)]).plan()
+    present = {effect.name for effect in plan if effect.on}
+    assert present == {"gravity", "joint damping", "contact friction"}
+    assert plan.unreachable == ("tip on plane",)
+    assert "out of reach" in plan["contact guards"].reason
+    assert "zero" in plan["rotor inertia"].reason
+    table = str(plan).splitlines()
+    assert len(table) == len(plan.effects)
+    assert all(effect.name in line and effect.reason in line for effect, line in zip(plan, table, strict=True))
+
+
+def test_what_is_switched_off_against_the_plan_is_said_in_the_trajectory():
+    scene = dropped_ball(without=["restitution", "joint damping"])
+    trajectory = run(scene, *START, 0.5)
+    assert trajectory.switched_off == ("restitution",)
+    assert all(impact.problem.restitution == 0.0 for impact in trajectory.impacts)
+    assert run(dropped_ball(), *START, 0.1).switched_off == ()
+
+
+@pytest.mark.parametrize("name", ["spatial slip", "lightning"])
+def test_what_cannot_be_switched_off_is_refused(name):
+    with pytest.raises(pinimpact.PinimpactError, match=name):
+        dropped_ball(without=[name])
+
+
+@pytest.mark.parametrize("effect", ["joint damping", "joint friction", "rotor inertia", "control", "restitution"])
+def test_an_effect_of_zero_coefficient_changes_nothing(effect):
+    def robot(**attributes):
+        model = pendulum()
+        model.addJoint(1, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0, 0, -1.0])), "elbow")
+        model.appendBodyToJoint(2, pin.Inertia(0.5, np.array([0, 0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+        unbounded(model)
+        for name, value in attributes.items():
+            setattr(model, name, value)
+        return model
+
+    zero = np.zeros(2)
+    attribute = {"joint damping": "damping", "joint friction": "friction", "rotor inertia": "armature"}
+    model = robot(**({attribute[effect]: zero} if effect in attribute else {}))
+    idle = (lambda t, q, v: zero) if effect == "control" else None
+    contact = Contact("tip", Plane(point=(0, 0, -0.8)), friction=0.2)
+    q0, v0 = [1.0, 0.3], [0.0, 1.0]
+    given = run(Scene(model, [contact], control=idle), q0, v0, 1.0)
+    left_out = run(Scene(robot(), [contact], without=[effect]), q0, v0, 1.0)
+    assert len(given.impacts) == len(left_out.impacts) > 0
+    assert given.q[-1] == pytest.approx(left_out.q[-1], abs=1e-13)
+    assert given.v[-1] == pytest.approx(left_out.v[-1], abs=1e-12)
+
+
+def test_a_surface_out_of_reach_costs_no_sampling_and_one_in_reach_is_watched():
+    far = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -1.5)))])
+    near = Scene(pendulum(), [Contact("tip", Plane(point=(0, 0, -0.9)))])
+    assert far.unreachable() == ("tip on plane",)
+    assert near.unreachable() == ()
+
+
+# ---- bad input
+
+
+def test_a_start_below_the_surface_says_which_frame_and_how_deep():
+    with pytest.raises(pinimpact.InputError, match=r"center.*0\.0?25 m below"):
+        simulate(dropped_ball(), [0, 0, 0.075, *UP], np.zeros(6), 1.0)
+
+
+def test_a_start_beyond_a_joint_limit_is_refused():
+    model = pendulum()
+    model.upperPositionLimit = np.array([0.5])
+    with pytest.raises(pinimpact.InputError, match=r"hinge upper"):
+        simulate(Scene(model), [0.6], [0.0], 1.0)
+    assert simulate(Scene(model, without=["joint limits"]), [0.6], [0.0], 0.1).complete
+
+
+def test_a_held_contact_must_be_at_rest():
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(-0.5, 0, 0)])
+    with pytest.raises(pinimpact.InputError, match=r"v0: .*tip0.*0\.2 m/s"):
+        simulate(Scene(rod, held=[Contact("tip0", FLOOR)]), [0, 0, 1, *UP], [0.2, 0, 0, 0, 0, 0], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [(np.zeros(2), "shape"), (np.array([np.nan, 0, 0]), "not finite"), ("fail", "ZeroDivisionError")],
+)
+def test_a_control_that_fails_keeps_what_was_computed(answer, text):
+    def control(t, q, v):
+        if t < 0.5:
+            return np.zeros(3)
+        return 1 / 0 if isinstance(answer, str) else answer
+
+    with pytest.raises(pinimpact.SimulationError, match=text) as caught:
+        simulate(Scene(slider(), control=control), np.zeros(3), np.zeros(3), 1.0, max_step=0.1)
+    partial = caught.value.partial
+    assert not partial.complete
+    assert 0.3 <= partial.duration <= 0.5
+    assert partial.q[-1, 2] == pytest.approx(-0.5 * 9.81 * partial.duration**2, rel=1e-9)
+
+
+def test_impacts_that_accumulate_end_in_an_error_with_what_was_computed():
+    with pytest.raises(pinimpact.SimulationError, match="max_impacts") as caught:
+        simulate(dropped_ball(without=["sustained contact"]), *START, 5.0, max_impacts=30)
+    assert len(caught.value.partial.impacts) == 30
+
+
+def test_a_plane_that_moves_along_its_normal_is_refused():
+    with pytest.raises(pinimpact.InputError, match="along its normal"):
+        Scene(ball(), [Contact("center", Plane(velocity=(0, 0, 1.0)), radius=0.1)])
+
+
+def test_two_contacts_of_one_name_are_refused():
+    with pytest.raises(pinimpact.InputError, match="2 contacts are called"):
+        Scene(ball(), [Contact("center", FLOOR), Contact("center", FLOOR)])
+
+
+# ---- what is kept
+
+
+def test_an_interrupt_leaves_what_was_computed():
+    def progress(t, duration):
+        if t > 0.7:
+            raise KeyboardInterrupt
+
+    trajectory = simulate(dropped_ball(), *START, 2.0, progress=progress)
+    assert not trajectory.complete
+    assert "Interrupted" in trajectory.termination
+    whole = simulate(dropped_ball(), *START, 2.0)
+    q, v = trajectory.at(trajectory.t[-1], side="left")
+    p, u = whole.at(trajectory.t[-1], side="left")
+    assert q == pytest.approx(p, abs=1e-12)
+    assert v == pytest.approx(u, abs=1e-12)
+    assert [i.time for i in trajectory.impacts] == [
+        i.time for i in whole.impacts if i.time <= trajectory.t[-1]
+    ]
+
+
+def test_a_trajectory_is_continuous_but_for_its_impacts():
+    trajectory = run(dropped_ball(), *START, 2.0)
+    for impact in trajectory.impacts:
+        before, after = trajectory.at(impact.time, side="left"), trajectory.at(impact.time, side="right")
+        assert before[1] == pytest.approx(impact.v_before, abs=1e-12)
+        assert after[1] == pytest.approx(impact.v_after, abs=1e-3 if impact.resting else 1e-12)
+        assert before[0] == pytest.approx(after[0], abs=1e-12)
+    times = {impact.time for impact in trajectory.impacts} | {m.start for m in trajectory.modes}
+    for t in trajectory.t[1:-1]:
+        if t not in times:
+            assert trajectory.at(t, "left")[1] == pytest.approx(trajectory.at(t)[1], abs=1e-9)
+    with pytest.raises(pinimpact.InputError, match="outside"):
+        trajectory.at(2.1)
+    with pytest.raises(pinimpact.InputError, match="side"):
+        trajectory.at(1.0, side="up")
+
+
+def test_a_saved_trajectory_comes_back_whole(tmp_path):
+    trajectory = run(dropped_ball(), *START, 2.0)
+    trajectory.save(tmp_path / "ball.npz")
+    again = Trajectory.load(tmp_path / "ball.npz")
+    for t in np.linspace(0, 2, 23):
+        for side in ("left", "right"):
+            for x, y in zip(trajectory.at(t, side), again.at(t, side), strict=True):
+                assert np.array_equal(x, y)
+    assert again.modes == trajectory.modes
+    assert again.notes == trajectory.notes
+    assert np.array_equal(again.energy.residual, trajectory.energy.residual)
+    for a, b in zip(again.impacts, trajectory.impacts, strict=True):
+        assert (a.time, a.source, a.resting) == (b.time, b.source, b.resting)
+        assert np.array_equal(a.solution.impulse, b.solution.impulse)
+        assert a.solution.segments == b.solution.segments
+    (tmp_path / "broken.npz").write_bytes(b"nonsense")
+    with pytest.raises(pinimpact.InputError, match="broken"):
+        Trajectory.load(tmp_path / "broken.npz")
+
+
+def test_a_recorded_path_is_kept_and_comes_back(tmp_path):
+    trajectory = run(dropped_ball(record=True), *START, 0.5)
+    assert trajectory.impacts[0].solution.path is not None
+    trajectory.save(tmp_path / "ball.npz")
+    assert Trajectory.load(tmp_path / "ball.npz").impacts[0].solution.path is not None
+
+
+# ---- scenes that users have
+
+
+def test_the_panda_strikes_a_table():
+    robot = pinimpact.load_robot("panda")
+    table = Plane(point=(0, 0, 0.2))
+    hand = Contact("panda_hand_tcp", table, friction=0.4, restitution=0.5, name="hand")
+    q0 = np.array([0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02])
+    trajectory = run(Scene(robot, [hand]), q0, np.zeros(9), 0.5, audit=1e-5)
+    assert trajectory.impacts[0].source == "hand"
+    data = robot.model.createData()
+    assert min(hand.gap(robot.model, data, q) for q in trajectory.q) > -1e-9
+
+
+def test_a_dropped_rod_chatters_to_rest():
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-4, 1 / 12, 1 / 12]))
+    rod = free_body(inertia, [(-0.5, 0, 0), (0.5, 0, 0)])
+    contacts = [Contact(f"tip{k}", FLOOR, friction=0.4, restitution=0.5, radius=0.01) for k in range(2)]
+    tilt = pin.Quaternion(pin.utils.rotate("y", 0.3)).coeffs()
+    trajectory = run(Scene(rod, contacts), [0, 0, 0.5, *tilt], np.zeros(6), 4.0, audit=1e-5)
+    assert {m.source for m in trajectory.modes if m.end == 4.0} == {c.label for c in contacts}
+    data = rod.createData()
+    assert all(c.gap(rod, data, q) > -1e-9 for q in trajectory.q for c in contacts)
+
+
+def test_solo12_lands_on_four_feet():
+    robot = pinimpact.load_robot("solo12")
+    model = robot.model
+    feet = [f"{side}_FOOT" for side in ("FL", "FR", "HL", "HR")]
+    contacts = [Contact(foot, FLOOR, friction=0.6, radius=0.016, name=foot) for foot in feet]
+    posture = robot.q0.copy()
+    posture[2] = 0.4
+
+    def hold(t, q, v):
+        return np.concatenate([np.zeros(6), 20.0 * (posture[7:] - q[7:]) - 0.6 * v[6:]])
+
+    scene = Scene(model, contacts, control=hold, without=["joint limits"])
+    trajectory = run(scene, posture, np.zeros(model.nv), 0.3, audit=1e-5)
+    assert {impact.source for impact in trajectory.impacts} >= set(feet)
+    data = model.createData()
+    assert all(c.gap(model, data, q) > -1e-9 for q in trajectory.q for c in contacts)
+
+
+def test_two_arms_strike_each_other():
+    arm = pinimpact.load_robot("ur5").model
+    other = pin.SE3(pin.utils.rotate("z", np.pi), np.array([1.3, 0, 0]))
+    model = pin.appendModel(_renamed(arm, "left_"), _renamed(arm, "right_"), 0, other)
+    left = next(f.name for f in model.frames if f.name.endswith("left_tool0"))
+    right = next(f.name for f in model.frames if f.name.endswith("right_tool0"))
+    palm = Plane(point=(0, 0, 0), normal=(0, 0, 1.0), body=right)
+    contact = Contact(left, palm, friction=0.3, restitution=0.6, radius=0.03, name="hands")
+    q0 = np.tile([0.0, -1.2, 1.8, -0.6, -np.pi / 2, 0.0], 2)
+    v0 = np.tile([0.0, 1.0, 0.0, -1.0, 0.0, 0.0], 2)
+    q0[6] = 0.05
+    data = model.createData()
+    gap = contact.gap(model, data, q0)
+    assert gap > 0
+    trajectory = run(Scene(model, [contact], without=["joint limits"]), q0, v0, 0.6, audit=1e-5)
+    assert trajectory.impacts
+    assert min(contact.gap(model, data, q) for q in trajectory.q) > -1e-9
+
+
+def _renamed(model, prefix):
+    model = model.copy()
+    for k in range(1, model.njoints):
+        model.names[k] = prefix + model.names[k]
+    for frame in model.frames:
+        frame.name = prefix + frame.name
+    return model

@@ -1,0 +1,293 @@
+"""Simulations against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from .scene_models import UP, G, ball, free_body, pendulum, run, slider, unbounded
+from scipy.special import ellipj, ellipk
+
+import pinimpact
+from pinimpact import Contact, Plane, Scene
+
+FLOOR = Plane()
+
+
+def sphere(**options):
+    return Contact("center", FLOOR, radius=0.1, name="ball", **options)
+
+
+def test_a_bouncing_ball_meets_its_times_and_heights_and_comes_to_rest_at_the_zeno_time():
+    e, height = 0.5, 1.0
+    scene = Scene(ball(), [sphere(restitution=e)], resting_speed=1e-5)
+    trajectory = run(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 2.0)
+    speed, time = np.sqrt(2 * G * height), np.sqrt(2 * height / G)
+    assert len(trajectory.impacts) == 19  # 4.43 · 2⁻¹⁹ m/s is the first bounce below 1e-5 m/s
+    for impact in trajectory.impacts:
+        assert impact.time == pytest.approx(time, rel=1e-12)
+        assert impact.v_before[2] == pytest.approx(-speed, rel=1e-8, abs=1e-10)
+        if not impact.resting:
+            assert impact.v_after[2] == pytest.approx(e * speed, rel=1e-8, abs=1e-10)
+            q, _ = trajectory.at(time + e * speed / G)
+            assert q[2] - 0.1 == pytest.approx((e * speed) ** 2 / (2 * G), rel=1e-8, abs=1e-15)
+        speed *= e
+        time += 2 * speed / G
+    zeno = np.sqrt(2 * height / G) * (1 + e) / (1 - e)
+    assert trajectory.modes[0].start == pytest.approx(zeno, abs=3e-6)
+    assert trajectory.modes[0].end == 2.0
+    assert np.abs(trajectory.v[-1]).max() == 0.0
+    assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-13)
+    assert any("resting" in note.text for note in trajectory.notes)
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.7, 3.0])
+def test_a_ball_that_slides_comes_to_roll(direction):
+    mu, v0 = 0.3, 2.0
+    heading = np.array([np.cos(direction), np.sin(direction), 0.0])
+    scene = Scene(ball(), [sphere(friction=mu)])
+    trajectory = run(scene, [0, 0, 0.1, *UP], [*(v0 * heading), 0, 0, 0], 1.0)
+    sliding, rolling = trajectory.modes
+    assert (sliding.mode, rolling.mode) == ("slip", "stick")
+    assert sliding.end == pytest.approx(2 * v0 / (7 * mu * G), rel=1e-7)
+    R = pin.Quaternion(trajectory.q[-1, 3:]).matrix()
+    assert R @ trajectory.v[-1, :3] == pytest.approx(5 / 7 * v0 * heading, abs=1e-7)
+    assert R @ trajectory.v[-1, 3:] == pytest.approx(np.cross([0, 0, 1], heading) * 5 / 7 * v0 / 0.1, abs=1e-6)
+    lost = trajectory.energy.friction[-1]
+    assert lost == pytest.approx(-(2 / 7) * 0.5 * 2.0 * v0**2, rel=1e-7)
+
+
+@pytest.mark.parametrize("excess", [-1e-3, 1e-3])
+def test_a_block_on_a_slope_sticks_below_the_friction_angle_and_slides_above(excess):
+    mu = 0.5
+    angle = np.arctan(mu) + excess
+    normal = (np.sin(angle), 0.0, np.cos(angle))
+    scene = Scene(slider(), [Contact("point", Plane(normal=normal), friction=mu)])
+    trajectory = run(scene, np.zeros(3), np.zeros(3), 3.0)
+    way = np.linalg.norm(trajectory.q[-1])
+    if excess < 0:
+        assert [m.mode for m in trajectory.modes] == ["stick"]
+        assert way < 1e-14
+    else:
+        assert [m.mode for m in trajectory.modes] == ["slip"]
+        assert way == pytest.approx(0.5 * G * (np.sin(angle) - mu * np.cos(angle)) * 9.0, rel=1e-7)
+
+
+def test_a_rod_that_stands_on_two_tips_of_a_slope_holds_and_slides_alike():
+    mu, angle = 0.5, np.arctan(0.5)
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
+    for tilt, mode in ((angle - 1e-3, "stick"), (angle + 1e-3, "slip")):
+        plane = Plane(normal=(np.sin(tilt), 0.0, np.cos(tilt)))
+        contacts = [Contact(f"tip{k}", plane, friction=mu) for k in range(2)]
+        q0 = np.concatenate([np.zeros(3), pin.Quaternion(pin.utils.rotate("y", tilt)).coeffs()])
+        trajectory = run(Scene(rod, contacts), q0, np.zeros(6), 1.0)
+        assert {m.mode for m in trajectory.modes} == {mode}
+        way = max(0.0, 0.5 * G * (np.sin(tilt) - mu * np.cos(tilt)))
+        assert np.linalg.norm(trajectory.q[-1, :3]) == pytest.approx(way, rel=1e-6, abs=1e-12)
+
+
+def test_slip_begins_and_ends_when_a_swelling_force_says_so():
+    mu, mass, swell = 0.4, 2.0, 3.0
+
+    def push(t, q, v):
+        return np.array([swell * t, 0.0, 0.0])
+
+    scene = Scene(slider(mass), [Contact("point", FLOOR, friction=mu)], control=push)
+    trajectory = run(scene, np.zeros(3), np.zeros(3), 4.0)
+    start = mu * mass * G / swell
+    assert [m.mode for m in trajectory.modes] == ["stick", "slip"]
+    assert trajectory.modes[0].end == pytest.approx(start, rel=1e-8)
+    assert trajectory.v[-1, 0] == pytest.approx(swell * (4.0 - start) ** 2 / (2 * mass), rel=1e-6)
+
+
+def test_a_pendulum_keeps_period_and_energy_over_many_swings():
+    amplitude, swings = 2.0, 1000
+    m = np.sin(amplitude / 2) ** 2
+    period = 4 * ellipk(m) * np.sqrt(1 / G)
+    trajectory = run(Scene(pendulum()), [amplitude], [0.0], swings * period, audit=1e-7, rtol=1e-11, atol=1e-12)
+    assert trajectory.q[-1, 0] == pytest.approx(amplitude, abs=1e-8)
+    assert abs(trajectory.v[-1, 0]) < 1e-4  # a phase error of 1e-8 of a swing each
+    quarter = np.array([0.1, 0.3, 12.34]) * period
+    sn = ellipj(np.sqrt(G) * quarter + ellipk(m), m)[0]
+    q, _ = trajectory.sample(quarter)
+    assert q[:, 0] == pytest.approx(2 * np.arcsin(np.sqrt(m) * sn), abs=1e-8)
+
+
+def test_a_tumbling_body_keeps_energy_and_angular_momentum():
+    model = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.2, 0.3])))
+    model.gravity = pin.Motion.Zero()
+    trajectory = run(Scene(model), [0, 0, 0, *UP], [1.0, 2.0, 3.0, 0.1, 5.0, 0.1], 20.0)
+    data = model.createData()
+    momenta = [
+        pin.computeCentroidalMomentum(model, data, q, v).vector.copy()
+        for q, v in zip(trajectory.q, trajectory.v, strict=True)
+    ]
+    assert np.ptp(momenta, axis=0) == pytest.approx(np.zeros(6), abs=1e-6)
+    assert np.ptp(trajectory.energy.kinetic) < 1e-6
+    assert np.linalg.norm(trajectory.q[:, 3:], axis=1) == pytest.approx(1.0, abs=1e-15)
+    assert trajectory.q[-1, :3] == pytest.approx(np.array([1.0, 2.0, 3.0]) * 20.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-9])
+def test_a_tip_that_dips_in_and_out_within_a_step_is_caught(depth):
+    model = pendulum()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "idle")
+    model.appendBodyToJoint(2, pin.Inertia.Random(), pin.SE3.Identity())
+    unbounded(model)
+    model.gravity = pin.Motion.Zero()  # the flow is exact, so that steps are as long as they may be
+    floor = Plane(point=(0, 0, -1.0 + depth))
+    q0, v0 = [-0.5, 0.0], [1.0, 0.0]
+    scene = Scene(model, [Contact("tip", floor, restitution=1.0)], resting_speed=1e-7)
+    trajectory = run(scene, q0, v0, 1.0)
+    assert len(trajectory.impacts) == 1
+    assert trajectory.impacts[0].time == pytest.approx(0.5 - np.arccos(1.0 - depth), abs=1e-7)
+    assert trajectory.v[-1, 0] == pytest.approx(-1.0, rel=1e-12)
+    missed = run(Scene(model, [Contact("tip", Plane(point=(0, 0, -1.0 - depth)))]), q0, v0, 1.0)
+    assert not missed.impacts
+    assert missed.statistics["steps"] <= 10
+
+
+def test_a_belt_brings_a_block_to_its_speed_and_pays_for_it():
+    mu, speed, mass = 0.2, 1.5, 3.0
+    belt = Plane(velocity=(speed, 0, 0))
+    trajectory = run(Scene(slider(mass), [Contact("point", belt, friction=mu)]), np.zeros(3), np.zeros(3), 2.0)
+    assert [m.mode for m in trajectory.modes] == ["slip", "stick"]
+    assert trajectory.modes[0].end == pytest.approx(speed / (mu * G), rel=1e-8)
+    assert trajectory.energy.surface[-1] == pytest.approx(mass * speed**2, rel=1e-6)
+    assert trajectory.energy.friction[-1] == pytest.approx(-0.5 * mass * speed**2, rel=1e-6)
+
+
+def test_a_block_rides_a_turntable_where_friction_can_turn_it():
+    spin, radius = 2.0, 0.3
+    table = Plane(angular_velocity=(0, 0, spin))
+    for mu, rides in ((1.01 * spin**2 * radius / G, True), (0.99 * spin**2 * radius / G, False)):
+        scene = Scene(slider(), [Contact("point", table, friction=mu)])
+        trajectory = run(scene, [radius, 0, 0], [0, spin * radius, 0], 2.0)
+        end = trajectory.q[-1, :2]
+        if rides:
+            angle = 2.0 * spin
+            assert end == pytest.approx(radius * np.array([np.cos(angle), np.sin(angle)]), abs=1e-6)
+        else:
+            assert np.linalg.norm(end) > 1.01 * radius
+
+
+def test_a_ball_on_a_belt_rolls_at_its_own_pace():
+    belt = Plane(velocity=(1.0, 0, 0))
+    scene = Scene(ball(), [Contact("center", belt, friction=0.3, radius=0.1)])
+    trajectory = run(scene, [0, 0, 0.1, *UP], np.zeros(6), 1.0)
+    R = pin.Quaternion(trajectory.q[-1, 3:]).matrix()
+    assert R @ trajectory.v[-1, :3] == pytest.approx([2 / 7, 0, 0], abs=1e-7)  # as a ball set down on it does
+
+
+def test_a_joint_stops_at_its_limit():
+    model = pendulum()
+    model.gravity = pin.Motion.Zero()
+    model.upperPositionLimit = np.array([0.5])
+    trajectory = run(Scene(model, limit_restitution=0.5), [0.0], [1.0], 1.0)
+    (hit,) = trajectory.impacts
+    assert (hit.source, hit.time) == ("hinge upper", pytest.approx(0.5, rel=1e-12))
+    assert trajectory.q[-1, 0] == pytest.approx(0.25, rel=1e-9)
+    assert hit.solution.velocity[2] == pytest.approx(0.5)
+    model.gravity.linear = np.array([G, 0.0, 0.0])  # pushes against the limit, up to a quarter turn away
+    model.gravity = pin.Motion(np.array([-G, 0.0, 0.0]), np.zeros(3))
+    trajectory = run(Scene(model), [0.0], [0.0], 3.0)
+    assert trajectory.q[-1, 0] == 0.5
+    assert trajectory.mode_at("hinge upper", 2.9) == "closed"
+
+
+def test_dry_friction_in_a_joint_stops_it_and_holds_it():
+    model = pendulum()
+    model.gravity = pin.Motion.Zero()
+    model.friction = np.array([0.5])
+    trajectory = run(Scene(model), [0.0], [1.0], 3.0)
+    assert trajectory.q[-1, 0] == pytest.approx(1.0, rel=1e-9)  # ω² I / 2τ
+    assert trajectory.modes[0].mode == "stuck"
+    assert trajectory.modes[0].start == pytest.approx(2.0, rel=1e-9)
+    model.gravity = pin.Motion(np.array([0.0, 0.0, -G]), np.zeros(3))
+    for angle, holds in ((np.arcsin(0.5 / G) - 1e-3, True), (np.arcsin(0.5 / G) + 1e-3, False)):
+        trajectory = run(Scene(model), [angle], [0.0], 1.0)
+        assert bool(trajectory.q[-1, 0] == angle) is holds
+
+
+def test_a_rod_that_falls_flat_on_both_tips_flags_them_and_lies_without_drift():
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
+    contacts = [Contact(f"tip{k}", FLOOR, friction=0.3, restitution=0.4) for k in range(2)]
+    trajectory = run(Scene(rod, contacts), [0, 0, 0.2, *UP], np.zeros(6), 20.0)
+    assert all(impact.simultaneous for impact in trajectory.impacts[:2])
+    data = rod.createData()
+    resting = trajectory.t > 2.0
+    for q in trajectory.q[resting]:
+        assert all(abs(c.gap(rod, data, q)) <= 1e-11 for c in contacts)
+    assert np.abs(trajectory.v[-1]).max() < 1e-9
+
+
+def test_four_tips_share_a_load_that_is_not_unique():
+    tips = [(x, y, -0.1) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
+    table = free_body(pin.Inertia(4.0, np.array([0.1, 0.05, 0.0]), np.diag([0.1, 0.1, 0.1])), tips)
+    contacts = [Contact(f"tip{k}", FLOOR, friction=0.5, restitution=0.2) for k in range(4)]
+    trajectory = run(Scene(table, contacts), [0, 0, 0.15, *UP], np.zeros(6), 3.0)
+    assert {m.mode for m in trajectory.modes if m.end == 3.0} == {"stick"}
+    assert len([m for m in trajectory.modes if m.end == 3.0]) == 4
+    assert any("not unique" in note.text for note in trajectory.notes)
+
+
+def test_slip_that_no_force_can_hold_becomes_an_impact_without_collision():
+    # a rod that is pushed ahead of its tip at a steep angle: c − μ b < 0, and gravity presses on
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12])), [(-0.5, 0, 0)])
+    tilt, mu = np.radians(60.0), 2.5
+    plane_rotation = pin.utils.rotate("y", -tilt)
+    q0 = [*(plane_rotation @ [0.5, 0, 0]), *pin.Quaternion(plane_rotation).coeffs()]
+    c = 1 + 12 * 0.25 * np.cos(tilt) ** 2
+    b = 12 * 0.25 * np.cos(tilt) * np.sin(tilt)
+    assert c - mu * b < 0
+    for heading in (1.0, -1.0):
+        v0 = np.concatenate([plane_rotation.T @ [heading, 0, 0], np.zeros(3)])
+        trajectory = run(Scene(rod, [Contact("tip0", FLOOR, friction=mu)]), q0, v0, 0.05)
+        struck = [i for i in trajectory.impacts if i.time == 0.0]
+        assert bool(struck) is (heading < 0)
+        if struck:
+            assert pinimpact.Flag.IMPACT_WITHOUT_COLLISION in struck[0].solution.flags
+            assert any("without collision" in note.text for note in trajectory.notes)
+
+
+def test_a_held_tip_is_a_hinge():
+    # a rod whose end is held turns about it as a pendulum of the same inertia does
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12])), [(-0.5, 0, 0)])
+    scene = Scene(rod, held=[Contact("tip0", Plane(point=(0, 0, 5.0)))])
+    held = run(scene, [0.5, 0, 0, *UP], np.zeros(6), 2.0, rtol=1e-9)
+    hinge = pin.Model()
+    joint = hinge.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    inertia = pin.Inertia(1.0, np.array([0.5, 0, 0]), np.diag([1e-3, 1 / 12, 1 / 12]))
+    hinge.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    unbounded(hinge)
+    turned = run(Scene(hinge), [0.0], [0.0], 2.0, rtol=1e-9)
+    assert held.v[-1, 4] == pytest.approx(turned.v[-1, 0], abs=1e-6)
+    assert np.linalg.norm(held.q[-1, :3]) == pytest.approx(0.5, abs=1e-9)
+
+
+def test_flight_agrees_with_mujoco():
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an independent witness, not a dependency")
+    text = """<mujoco><option timestep="2e-5" integrator="RK4"/><worldbody>
+      <body><joint name="a" type="hinge" axis="0 1 0" damping="0.05"/>
+        <inertial pos="0.1 0 -0.4" mass="1.5" diaginertia="0.02 0.03 0.01"/>
+        <body pos="0 0 -0.8"><joint name="b" type="hinge" axis="1 0 0" damping="0.02"/>
+          <inertial pos="0 0.05 -0.3" mass="0.7" diaginertia="0.01 0.02 0.03"/></body></body>
+      </worldbody></mujoco>"""
+    other = mujoco.MjModel.from_xml_string(text)
+    state = mujoco.MjData(other)
+    state.qpos[:], state.qvel[:] = [1.0, 0.5], [0.3, -2.0]
+    mujoco.mj_step(other, state, 50_000)
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "a")
+    model.appendBodyToJoint(
+        first, pin.Inertia(1.5, np.array([0.1, 0, -0.4]), np.diag([0.02, 0.03, 0.01])), pin.SE3.Identity()
+    )
+    second = model.addJoint(first, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0, 0, -0.8])), "b")
+    model.appendBodyToJoint(
+        second, pin.Inertia(0.7, np.array([0, 0.05, -0.3]), np.diag([0.01, 0.02, 0.03])), pin.SE3.Identity()
+    )
+    unbounded(model)
+    model.damping = np.array([0.05, 0.02])
+    trajectory = run(Scene(model), [1.0, 0.5], [0.3, -2.0], 1.0)
+    assert trajectory.q[-1] == pytest.approx(state.qpos, abs=1e-7)
+    assert trajectory.v[-1] == pytest.approx(state.qvel, abs=1e-6)
