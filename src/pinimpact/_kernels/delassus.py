@@ -10,6 +10,9 @@ EPS = 2.0**-52
 ZERO = 32.0 * EPS
 """Eigenvalues of W within ZERO·‖W‖ of zero are zero."""
 
+MOST_SPREAD = 2.0**27
+"""ZERO times the spread is how far directions of the null space are off; never taken for more than 2⁻²⁰."""
+
 
 @inner
 def _rotate(app, aqq, apq, apr, aqr, vp, vq):
@@ -98,7 +101,7 @@ def classify(w11, w12, w13, w22, w23, w33):
         k2 = -(g1 * x[1] + g2 * y[1] + g3 * z[1]) / q3
         return 3, w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1
     if l2 > zero:
-        spread = l3 / l2
+        spread = min(l3 / l2, MOST_SPREAD)
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
         w13 -= l1 * x[0] * x[2]

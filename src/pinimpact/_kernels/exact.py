@@ -60,7 +60,7 @@ STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
 
 NO_FORCE = 2.0**-46
-"""Where A is singular, a force or distance from the direction without force this small is rounding."""
+"""Where slip may turn into a direction without force, a force this small is rounding."""
 
 VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
@@ -149,17 +149,15 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     flags = SINGULAR_DELASSUS if rank < 3 else 0
 
     # where A is singular nothing acts across its range: v_t either has a part there for good, or none
-    planar = across_range = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
-    side = r1 = r2 = 0.0
+    planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
     if planar:
         norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
-        r1, r2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
-        side = r1 * v2 - r2 * v1
-        along = r1 * v1 + r2 * v2
-        planar = abs(side) <= ZERO * spread * (abs(v1) + abs(v2))
-        across_range = not planar
+        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
+        along = d1 * v1 + d2 * v2
+        planar = abs(d1 * v2 - d2 * v1) <= ZERO * spread * (abs(v1) + abs(v2))
+        crosses = not planar
         if planar:
-            v1, v2 = r1 * along, r2 * along
+            v1, v2 = d1 * along, d2 * along
     speed = math.sqrt(v1 * v1 + v2 * v2)
     if speed < 1e-140:
         speed = math.hypot(v1, v2)
@@ -177,6 +175,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
 
     # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 6)
     offset = 0.0
+    endless_slip = crosses or s == 0.0  # may turn into a direction in which nothing acts
     if s == 0.0:
         offset = v3 - k1 * v1 - k2 * v2
         if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
@@ -256,7 +255,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             bl *= omega
             bp *= omega
             rate = c - mu * bl
-            if across_range and abs(m0) <= NO_FORCE:
+            if endless_slip and abs(m0) <= NO_FORCE:
                 m0, rate = 0.0, s
             if rate < 0.0:
                 flags |= JAM
@@ -353,13 +352,12 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                     node, e1, e2, n1, el, ep, f = expand_node(
                         series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
                     )
-                if node and across_range and abs(f[3]) < 0.5:
-                    # nothing acts in the direction ahead, and slip never stops
+                if node and endless_slip and abs(f[3] * n1) <= NO_FORCE:
                     f = f[:3] + (0.0,) + f[4:]  # noqa: RUF005 (numba)
                 if node:
                     t = first_root(jam0, jam1, jam2, root)
-                    if across_range and f[3] == 0.0 and abs(root - t) <= NO_FORCE * abs(root):
-                        t = root
+                    if endless_slip and f[3] == 0.0 and abs(root - t) <= 1e-9 * abs(root):
+                        t = root  # dv₃/dP₃ tends to s
                     peaks = t != root
                     x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
                     d1, d2, bl, bp = e1, e2, el * omega, ep * omega
@@ -375,19 +373,19 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
                 endless = x == math.inf and f[3] <= 0.0
                 if endless:
                     span = math.inf
-                    if across_range and f[3] == 0.0:
+                    if endless_slip and f[3] == 0.0:
                         jam0 = s
                     v3_end = math.inf if jam0 > 0.0 else -math.inf
                     if jam0 == 0.0:
-                        slip = side / (r1 * e2 - r2 * e1)
-                        v3_end = (k1 * e1 + k2 * e2) * slip + offset
+                        v3_end = (k1 * d1 + k2 * d2) * speed * f[1] + offset
                 else:
                     span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
                     v3_end = v3 + dv3
                     if x == math.inf and s == 0.0:
                         v3_end = offset
                 # what the velocity brings
-                aim = goal if law == NEWTON and restoring and v3_end >= goal else 0.0
+                met = v3_end > goal or (v3_end == goal and x < math.inf)
+                aim = goal if law == NEWTON and restoring and met else 0.0
                 if restoring:
                     if aim > 0.0:
                         event = LAW_MET

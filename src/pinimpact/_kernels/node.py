@@ -76,7 +76,7 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
     if good:
         for k in range(TERMS + 5):
             z = exponent + k
-            inverse[k] = 1.0 / z if abs(z) > 0.5 else 0.0
+            inverse[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
     speed = 1.0 / (total * (1.0 + q1 + q2 + q3) * (1.0 + t * t))
     return (
         good,

@@ -87,11 +87,11 @@ def node_moments(series, inverse, exponent, span):
         n3 += term * fill3
         n4 += term * fill4
         fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
-    if exponent <= 0.5:
+    if exponent < 0.5:
         # the one k at which a + k is close to zero was left out
         k = int(0.5 - exponent)
         z = exponent + k
-        if abs(z) <= 0.5:
+        if abs(z) < 0.5:
             fill0 = span if z == 0.0 else (1.0 / z if span == math.inf else -math.expm1(-z * span) / z)
             n0 += series[k] * fill0 if k <= TERMS else 0.0
             n1 += series[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0
