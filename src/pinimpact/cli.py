@@ -61,7 +61,7 @@ def demo(robot: str, out: Path) -> None:
     title = f"{robot}: {shown.contact.label}, μ = {shown.contact.friction:g}, e = {hit.problem.restitution:g}"
     figure = save_figure(impact_figure(hit.problem, hit.solution, title), out / "hodograph.png")
     click.echo(f"Hodograph: {figure}")
-    page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=[shown.contact], speed=0.2)
+    page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=shown.contacts, speed=0.2)
     click.echo(f"Replay (five times slower, open in a browser): {page}")
 
 
@@ -106,3 +106,46 @@ def run(scene: Path, out: Path) -> None:
         click.echo(f"{what}: {path}")
     if stopped is not None:
         raise stopped
+
+
+@main.command()
+@click.option(
+    "--robot", help="Measure the demo's impact of this robot, not the standard classes of problems."
+)
+@click.option(
+    "--target", type=click.FloatRange(min=0.0, min_open=True), help="Name the cheapest way to this error."
+)
+@click.option(
+    "--method", "methods", multiple=True, help="A method to measure; may be repeated. [default: all]"
+)
+@click.option(
+    "--time-cap",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=2.0,
+    show_default=True,
+    help="Seconds.",
+)
+@OUT
+@plain_errors
+def cost(
+    robot: str | None, target: float | None, methods: tuple[str, ...], time_cap: float, out: Path
+) -> None:
+    """Measure error against time, method by method: a table, a diagram, the raw figures."""
+    from .cost import run_cost
+
+    problems = None
+    if robot is not None:
+        from .demo import run_demo
+
+        problems = {robot: run_demo(robot).hit.problem}
+    report = run_cost(
+        problems,
+        methods or None,
+        time_cap=time_cap,
+        progress=lambda name: click.echo(f"measuring {name}", err=True),
+    )
+    click.echo(report.table() if target is None else report.answer(target))
+    out.mkdir(parents=True, exist_ok=True)
+    report.plot(out / "cost.png")
+    report.save(out / "cost.json")
+    click.echo(f"Diagram: {out / 'cost.png'}\nFigures: {out / 'cost.json'}")

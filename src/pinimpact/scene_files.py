@@ -139,6 +139,7 @@ class SceneFile(_Table):
     without: list[str] = []
     rtol: Annotated[float, Field(gt=0.0)] = 1e-8
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
+    max_impacts: Annotated[int, Field(gt=0)] = 10_000
     output: OutputTable = OutputTable()
 
 
@@ -164,7 +165,14 @@ class LoadedScene:
         """Simulate the scene for its duration; errors as in `simulate`."""
         file = self.file
         return simulate(
-            self.scene, self.q, self.v, file.duration, rtol=file.rtol, atol=file.atol, progress=progress
+            self.scene,
+            self.q,
+            self.v,
+            file.duration,
+            rtol=file.rtol,
+            atol=file.atol,
+            max_impacts=file.max_impacts,
+            progress=progress,
         )
 
     def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:

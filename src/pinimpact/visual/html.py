@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..contacts import Contact, contact_geometry
 from ..errors import InputError
 from ..surfaces import Plane, contact_axes
+from .collada import one_material_per_mesh
 
 Array = NDArray[np.float64]
 
@@ -132,7 +133,11 @@ class _Recorder:
         self.commands: list[str] = []
 
     def send(self, command: Any) -> None:
-        self.keep(command.lower())
+        message = command.lower()
+        if message["type"] == "set_object" and message["object"]["object"].get("format") == "dae":
+            mesh = message["object"]["object"]
+            mesh["data"] = one_material_per_mesh(mesh["data"])
+        self.keep(message)
 
     def keep(self, message: dict[str, Any]) -> None:
         import umsgpack  # with meshcat

@@ -1,0 +1,93 @@
+"""The command line, as a user calls it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from click.testing import CliRunner
+
+from pinimpact.cli import main
+from pinimpact.demo import FIXED_BASE, FREE_BASE, SWINGS, run_demo
+
+SCENES = Path(__file__).parents[1] / "examples" / "scenes"
+
+
+def call(*args: str):
+    return CliRunner().invoke(main, args)
+
+
+def test_help_names_the_verbs() -> None:
+    result = call("--help")
+    assert result.exit_code == 0
+    for verb in ("demo", "plan", "run", "cost"):
+        assert f"  {verb} " in result.output
+
+
+@pytest.mark.parametrize("robot", ["panda", "solo12"])
+def test_demo(robot: str, tmp_path: Path) -> None:
+    result = call("demo", "--robot", robot, "-o", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.output
+    for text in (
+        "Contact velocity",
+        "Joint velocities",
+        "Segments",
+        "Impulse",
+        "sum of the works",
+        "Effects computed",
+    ):
+        assert text in result.output
+    for name in ("replay.html", "hodograph.png"):
+        assert name in result.output.replace("\n", "")
+        assert (tmp_path / "out" / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("robot", sorted(SWINGS))
+def test_every_robot_strikes_as_planned(robot: str) -> None:
+    shown = run_demo(robot)
+    hit = shown.hit
+    free = shown.robot.model.joints[1].nv == 6
+    np.testing.assert_allclose(hit.problem.velocity, FREE_BASE if free else FIXED_BASE, rtol=1e-4, atol=1e-4)
+    model, data = shown.robot.model, shown.robot.model.createData()
+    change = pin.computeKineticEnergy(model, data, hit.q, hit.v_after)
+    change -= pin.computeKineticEnergy(model, data, hit.q, hit.v_before)
+    assert hit.solution.work.total == pytest.approx(change, rel=1e-6)
+    assert hit.solution.work.friction < 0.0
+
+
+def test_demo_of_an_unknown_robot() -> None:
+    result = call("demo", "--robot", "pandaa")
+    assert result.exit_code == 1
+    assert "Error: robot: 'pandaa'" in result.output
+    assert "'panda'" in result.output
+
+
+def test_plan() -> None:
+    result = call("plan", str(SCENES / "ball_on_conveyor.toml"))
+    assert result.exit_code == 0, result.output
+    rows = {line[:26].strip(): line[27:31].strip() for line in result.output.splitlines()}
+    assert rows["moving surfaces"] == rows["gravity"] == "yes"
+    assert rows["held contacts"] == rows["control"] == "no"
+
+
+def test_run(tmp_path: Path) -> None:
+    result = call("run", str(SCENES / "ball_on_conveyor.toml"), "-o", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert "The duration is covered" in result.output
+    names = ("trajectory.npz", "energy.png", "impact.png", "replay.html")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+
+
+def test_run_keeps_what_was_computed_when_it_cannot_go_on(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    text = (SCENES / "ball_on_conveyor.toml").read_text(encoding="utf-8")
+    text = text.replace("ball.urdf", str(SCENES / "ball.urdf")).replace(
+        "restitution = 0.4", "restitution = 1.0"
+    )
+    scene.write_text("max_impacts = 3\n" + text, encoding="utf-8")
+    result = call("run", str(scene), "-o", str(tmp_path / "out"))
+    assert result.exit_code == 1
+    assert "Error:" in result.output
+    assert (tmp_path / "out" / "trajectory.npz").is_file()

@@ -1,0 +1,203 @@
+"""Scene files: what they say is what is built, and what is wrong with them is said by key."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact.assembly import Placed, assemble
+from pinimpact.scene_files import load_scene
+from pinimpact.units import quantity
+
+SCENES = Path(__file__).parents[1] / "examples" / "scenes"
+BALL = (
+    (SCENES / "ball_on_conveyor.toml")
+    .read_text(encoding="utf-8")
+    .replace("ball.urdf", str(SCENES / "ball.urdf"))
+)
+
+
+def scene_of(tmp_path: Path, text: str):
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_scene(path)
+
+
+def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
+    loaded = scene_of(tmp_path, BALL)
+    np.testing.assert_allclose(loaded.q, [0, 0, 0.25, 0, 0, 0, 1])
+    (contact,) = loaded.scene.contacts
+    assert contact.label == "ball on belt"
+    assert (contact.friction, contact.restitution, contact.radius) == (0.1, 0.4, 0.05)
+    assert contact.plane == pinimpact.Plane(velocity=(2, 0, 0))
+    assert loaded.file.duration == 1.5
+
+
+def test_joints_by_name_and_unit() -> None:
+    loaded = load_scene(SCENES / "panda_strikes_table.toml")
+    model = loaded.robot.model
+    names = list(model.names)
+    assert loaded.q[model.idx_qs[names.index("panda_joint2")]] == pytest.approx(-math.pi / 6)
+    assert loaded.q[model.idx_qs[names.index("panda_joint4")]] == -2.2
+    assert loaded.v[model.idx_vs[names.index("panda_joint1")]] == pytest.approx(math.pi / 6)
+    assert loaded.q[model.idx_qs[names.index("panda_joint6")]] == loaded.robot.q0[5]
+    bias = pin.nonLinearEffects(model, model.createData(), loaded.q, loaded.v)
+    np.testing.assert_allclose(loaded.scene.control(0.0, loaded.q, loaded.v), bias - 0.5 * loaded.v)
+
+
+def test_a_free_base_starts_as_said(tmp_path: Path) -> None:
+    more = 'rpy = [0, 0, "90 deg"]\nvelocity = [1, 0, 0]\nangular_velocity = [0, 0, "60 rpm"]\n[plane.belt]'
+    loaded = scene_of(tmp_path, BALL.replace("[plane.belt]", more))
+    np.testing.assert_allclose(loaded.q, [0, 0, 0.25, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+    np.testing.assert_allclose(loaded.v, [0, -1, 0, 0, 0, 2 * math.pi], atol=1e-15)  # in the base's own axes
+
+
+def test_control_leaves_a_free_base_alone() -> None:
+    loaded = load_scene(SCENES / "solo12_landing.toml")
+    moved = pin.integrate(loaded.robot.model, loaded.q, 0.1 * np.ones(18))
+    force = loaded.scene.control(0.0, moved, np.ones(18))
+    np.testing.assert_allclose(force, [0.0] * 6 + [-6.0 * 0.1 - 0.15] * 12, rtol=1e-9)
+
+
+def test_two_arms_are_two_arms() -> None:
+    loaded = load_scene(SCENES / "two_arms.toml")
+    model, one = loaded.robot.model, pinimpact.load_robot("ur5").model
+    assert (model.nq, model.njoints) == (2 * one.nq, 2 * (one.njoints - 1) + 1)
+    data, alone = model.createData(), one.createData()
+    pin.framesForwardKinematics(model, data, loaded.q)
+    pin.framesForwardKinematics(one, alone, loaded.q[one.nq :])
+    table = loaded.file.robot[1]
+    base = pin.SE3(pin.rpy.rpyToMatrix(*table.rpy), np.array(table.position))
+    expected = base * alone.oMf[one.getFrameId("tool0")]
+    assert data.oMf[model.getFrameId("right_tool0")].isApprox(expected, 1e-12)
+    mass = pin.crba(model, data, loaded.q)
+    assert not mass[: one.nv, one.nv :].any()
+    assert loaded.robot.visual_model.ngeoms == 2 * pinimpact.load_robot("ur5").visual_model.ngeoms
+
+
+def test_robots_need_their_own_prefixes() -> None:
+    arm = Placed(pinimpact.load_robot("two_link_arm"), "", pin.SE3.Identity())
+    with pytest.raises(pinimpact.InputError, match="give each its own prefix"):
+        assemble([arm, arm])
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
+def test_examples_load_and_start_free(path: Path) -> None:
+    loaded = load_scene(path)
+    data = loaded.robot.model.createData()
+    for contact in loaded.scene.contacts:
+        assert contact.gap(loaded.robot.model, data, loaded.q) > 0.0
+
+
+WRONG = {
+    "unknown key": (
+        ("friction =", "frction ="),
+        pinimpact.UnknownNameError,
+        r"contact\[0\]\.frction.*'friction'",
+    ),
+    "unknown table": (("[plane.belt]", "[plain.belt]"), pinimpact.UnknownNameError, "plain.*'plane'"),
+    "unknown plane": (
+        ('plane = "belt"', 'plane = "bell"'),
+        pinimpact.UnknownNameError,
+        r"contact\[0\]\.plane.*'belt'",
+    ),
+    "unknown frame": (('frame = "ball"', 'frame = "bal"'), pinimpact.UnknownNameError, "'bal'.*'ball'"),
+    "unknown law": (
+        ("friction = 0.1", 'friction = 0.1\nlaw = "possion"'),
+        pinimpact.UnknownNameError,
+        "'poisson'",
+    ),
+    "wrong unit": (('"5 cm"', '"5 kg"'), pinimpact.InputError, r"contact\[0\]\.radius: '5 kg'.*m, cm, mm"),
+    "angle for length": (
+        ('"25 cm"', '"25 deg"'),
+        pinimpact.InputError,
+        r"robot\[0\]\.position\[2\]: '25 deg'",
+    ),
+    "text for number": (
+        ("friction = 0.1", 'friction = "0.1"'),
+        pinimpact.InputError,
+        r"contact\[0\]\.friction: '0.1'",
+    ),
+    "flag for number": (
+        ("friction = 0.1", "friction = true"),
+        pinimpact.InputError,
+        r"contact\[0\]\.friction: True",
+    ),
+    "out of range": (
+        ("friction = 0.1", "friction = -1.0"),
+        pinimpact.InputError,
+        r"contact\[0\].*friction.*-1",
+    ),
+    "two numbers": (
+        ("velocity = [2, 0, 0]", "velocity = [2, 0]"),
+        pinimpact.InputError,
+        r"plane\.belt\.velocity",
+    ),
+    "no duration": (("duration = 1.5", ""), pinimpact.InputError, "duration.*must"),
+    "negative time": (("duration = 1.5", "duration = -1"), pinimpact.InputError, "duration: -1"),
+    "no TOML": (("duration =", "duration"), pinimpact.InputError, "is not TOML"),
+    "no robot": (("urdf =", "# urdf ="), pinimpact.InputError, r"robot\[0\]: give either"),
+    "fixed base moves": (
+        ("free_flyer = true", "free_flyer = false\nvelocity = [1, 0, 0]"),
+        pinimpact.InputError,
+        r"robot\[0\]\.velocity.*fixed",
+    ),
+    "start of wrong length": (
+        ("[output]", "[start]\nq = [1.0, 2.0]\n[output]"),
+        pinimpact.InputError,
+        "start.q: 2 numbers",
+    ),
+    "no such joint": (
+        ("[output]", "[start.joints]\nrot_joint = 1.0\n[output]"),
+        pinimpact.UnknownNameError,
+        "start.joints.*'root_joint'",
+    ),
+    "joint of six": (
+        ("[output]", "[start.speeds]\nroot_joint = 1.0\n[output]"),
+        pinimpact.InputError,
+        "root_joint has 6 degrees of freedom",
+    ),
+    "unknown effect": (
+        ("duration =", 'without = ["gravty"]\nduration ='),
+        pinimpact.UnknownNameError,
+        "'gravity'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_by_key(case: str, tmp_path: Path) -> None:
+    (old, new), error, message = WRONG[case]
+    assert old in BALL
+    with pytest.raises(error, match=f"(?s){message}") as caught:
+        scene_of(tmp_path, BALL.replace(old, new))
+    assert caught.value.field
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    with pytest.raises(pinimpact.InputError, match=r"nothing\.toml"):
+        load_scene(tmp_path / "nothing.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("5 cm", "length", 0.05),
+        (2, "length", 2.0),
+        ("180 deg", "angle", math.pi),
+        ("-3 mm/s", "speed", -0.003),
+    ],
+)
+def test_quantities(text, kind, value) -> None:
+    assert quantity(text, kind) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("bad", ["5", "x m", "nan m", True, "5 s", [1], math.inf])
+def test_what_is_no_length(bad) -> None:
+    with pytest.raises(ValueError, match="is not a length"):
+        quantity(bad, "length")
