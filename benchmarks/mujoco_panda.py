@@ -16,7 +16,10 @@ def load(table: float, step: float, contact: bool = True) -> tuple[mujoco.MjMode
     text = re.sub(r"<(visual|collision)>.*?</\1>", "", text, flags=re.DOTALL)
     text = text.replace("<robot ", '<robot xmlns:xacro="none" ', 1) if "xacro:" in text else text
     text = re.sub(
-        r"(<robot[^>]*>)", r'\1<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>', text, count=1
+        r"(<robot[^>]*>)",
+        r'\1<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>',
+        text,
+        count=1,
     )
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = step

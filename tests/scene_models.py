@@ -59,7 +59,7 @@ def unbounded(model):
 
 
 def run(scene, q0, v0, duration, audit=1e-6, **options):
-    """Simulate, and audit the energy: its change is the work of all that acts, in parts of the energies at play."""
+    """Simulate and audit the energy: its change is the work of all that acts, of the energies at play."""
     trajectory = pinimpact.simulate(scene, q0, v0, duration, **options)
     energy = trajectory.energy
     works = (energy.control, energy.joints, energy.friction, energy.surface, energy.impacts)

@@ -36,7 +36,9 @@ def test_the_plan_gives_a_reason_for_every_effect():
     assert "zero" in plan["rotor inertia"].reason
     table = str(plan).splitlines()
     assert len(table) == len(plan.effects)
-    assert all(effect.name in line and effect.reason in line for effect, line in zip(plan, table, strict=True))
+    assert all(
+        effect.name in line and effect.reason in line for effect, line in zip(plan, table, strict=True)
+    )
 
 
 def test_what_is_switched_off_against_the_plan_is_said_in_the_trajectory():
@@ -53,12 +55,16 @@ def test_what_cannot_be_switched_off_is_refused(name):
         dropped_ball(without=[name])
 
 
-@pytest.mark.parametrize("effect", ["joint damping", "joint friction", "rotor inertia", "control", "restitution"])
+@pytest.mark.parametrize(
+    "effect", ["joint damping", "joint friction", "rotor inertia", "control", "restitution"]
+)
 def test_an_effect_of_zero_coefficient_changes_nothing(effect):
     def robot(**attributes):
         model = pendulum()
         model.addJoint(1, pin.JointModelRX(), pin.SE3(np.eye(3), np.array([0, 0, -1.0])), "elbow")
-        model.appendBodyToJoint(2, pin.Inertia(0.5, np.array([0, 0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+        model.appendBodyToJoint(
+            2, pin.Inertia(0.5, np.array([0, 0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity()
+        )
         unbounded(model)
         for name, value in attributes.items():
             setattr(model, name, value)
@@ -126,8 +132,8 @@ def test_a_control_that_fails_keeps_what_was_computed(answer, text):
 
 def test_impacts_that_accumulate_end_in_an_error_with_what_was_computed():
     with pytest.raises(pinimpact.SimulationError, match="max_impacts") as caught:
-        simulate(dropped_ball(without=["sustained contact"]), *START, 5.0, max_impacts=30)
-    assert len(caught.value.partial.impacts) == 30
+        simulate(dropped_ball(without=["sustained contact"]), *START, 5.0, max_impacts=20)
+    assert len(caught.value.partial.impacts) == 20
 
 
 def test_a_plane_that_moves_along_its_normal_is_refused():
@@ -250,15 +256,14 @@ def test_solo12_lands_on_four_feet():
 
 def test_two_arms_strike_each_other():
     arm = pinimpact.load_robot("ur5").model
-    other = pin.SE3(pin.utils.rotate("z", np.pi), np.array([1.3, 0, 0]))
+    other = pin.SE3(pin.utils.rotate("z", np.pi), np.array([1.3, 0.2183, 0]))
     model = pin.appendModel(_renamed(arm, "left_"), _renamed(arm, "right_"), 0, other)
     left = next(f.name for f in model.frames if f.name.endswith("left_tool0"))
     right = next(f.name for f in model.frames if f.name.endswith("right_tool0"))
     palm = Plane(point=(0, 0, 0), normal=(0, 0, 1.0), body=right)
     contact = Contact(left, palm, friction=0.3, restitution=0.6, radius=0.03, name="hands")
-    q0 = np.tile([0.0, -1.2, 1.8, -0.6, -np.pi / 2, 0.0], 2)
-    v0 = np.tile([0.0, 1.0, 0.0, -1.0, 0.0, 0.0], 2)
-    q0[6] = 0.05
+    q0 = np.tile([0.0, -1.2, 1.8, -0.6, np.pi / 2, 0.0], 2)
+    v0 = np.tile([0.0, 1.0, -2.0, 1.0, 0.0, 0.0], 2)
     data = model.createData()
     gap = contact.gap(model, data, q0)
     assert gap > 0

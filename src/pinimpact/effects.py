@@ -99,7 +99,7 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
     for name in without:
         if name in DERIVED:
             raise InputError(
-                f"without: {name!r} is decided by each impact from its own numbers and cannot be switched off",
+                f"without: {name!r} is decided by each impact from its numbers and cannot be switched off",
                 field="without",
                 value=name,
             )
@@ -166,7 +166,7 @@ def make_plan(scene: Scene) -> Plan:
         ),
         "sustained contact": (
             watched > 0 or bool(limits),
-            f"a bounce slower than {scene.resting_speed:.3g} m/s is taken as rest",
+            f"a bounce slower than {scene.rest:.3g} m/s is taken as rest",
             "nothing can touch",
         ),
         "moving surfaces": (
@@ -176,7 +176,7 @@ def make_plan(scene: Scene) -> Plan:
         ),
         "joint limits": (
             bool(limits),
-            f"{count(len(limits), 'finite bound')}, each a one-sided impact with e = {scene.limit_restitution:g}",
+            f"{count(len(limits), 'finite bound')}, one-sided impacts with e = {scene.limit_restitution:g}",
             "no joint has a finite bound",
         ),
         "held contacts": (
@@ -220,4 +220,4 @@ def make_plan(scene: Scene) -> Plan:
                 else "no contact can touch",
             )
         )
-    return Plan(tuple(effects), scene.resting_speed, unreachable)
+    return Plan(tuple(effects), scene.rest, unreachable)

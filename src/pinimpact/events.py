@@ -22,13 +22,16 @@ def first_crossing(
 ) -> float | None:
     """Return the first time in (a, b] at which a gap closes, or None.
 
-    Between two times the gap stays above both parabolas that its values, its rates and the curvature allow there:
-    at most its bound, and within its variation of the mean that the two rates give. Where those leave room for a dip the interval is halved, so a dip within one step is found however short.
+    Between two times the gap stays above both parabolas that its values, its rates and the curvature allow
+    there: at most its bound, and within its variation of the mean that the two rates give. Where those leave
+        room for a dip the interval is halved, so a dip within one step is found however short.
 
     Args:
         sample: The gap and its rate at a time.
-        a, b: The interval [s].
-        start, end: The gap and its rate at a and at b. A start at or a rounding below zero is taken as zero.
+        a: Start of the interval [s].
+        b: Its end.
+        start: The gap and its rate at a; a gap at or a rounding below zero is taken as zero.
+        end: The gap and its rate at b.
         curvature: Bounds of the second derivative's size, and of its variation.
         floor: A gap above −floor counts as none (rounding).
     """
@@ -57,17 +60,17 @@ def first_crossing(
     return None
 
 
-def curvatures(rate: float, later_rate: float, width: float, bounds: tuple[float, float]) -> tuple[float, float]:
+def curvatures(
+    rate: float, later_rate: float, width: float, bounds: tuple[float, float]
+) -> tuple[float, float]:
     """Return the largest downward curvature between two times, and the largest in either direction."""
     size, change = bounds
     mean = (later_rate - rate) / width
     return max(min(size, change - mean), 0.0), min(size, change + abs(mean))
 
 
-def falling_root(
-    sample: Sample, a: float, b: float, gap: float, rate: float, tolerance: float
-) -> float:
-    """Return where a gap that falls throughout [a, b] closes, by Newton's method from b, kept within the bracket."""
+def falling_root(sample: Sample, a: float, b: float, gap: float, rate: float, tolerance: float) -> float:
+    """Return where a gap that falls throughout [a, b] closes, by Newton's method from b."""
     t = b
     for _ in range(60):
         guess = t - gap / rate
@@ -87,7 +90,7 @@ def falling_root(
 
 
 def root(f: Callable[[float], float], a: float, b: float, fa: float, fb: float) -> float:
-    """Return where f changes sign between a and b, to rounding, on b's side or exactly (Ridders' method, bisected)."""
+    """Return where f changes sign between a and b, to rounding and not before (Ridders' method)."""
     for _ in range(100):
         middle = a + 0.5 * (b - a)
         if not a < middle < b or fb == 0.0:

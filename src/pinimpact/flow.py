@@ -1,8 +1,9 @@
-"""The smooth flow of a scene between events: v̇ for the contacts that are closed, and what the guards look at."""
+"""The smooth flow of a scene between events, and what the guards look at."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +24,7 @@ MODES = {FREE: "free", SLIP: "slip", STICK: "stick", HELD: "held"}
 """Names of the modes of a contact."""
 
 LEAST_EFFECTIVE = 1e-9
-"""Effective inverse inertia of a slipping contact, over that without friction, that counts as lost (Painlevé)."""
+"""Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
 
 
 class ContactPoint:
@@ -65,10 +66,10 @@ class ContactPoint:
 
     def gap_and_rate(self) -> tuple[float, float]:
         """Return the gap [m] and its rate [m/s] at the state last evaluated."""
-        return touch.gap_and_rate(*self._tip, *self._base, self.constants)  # type: ignore[no-any-return]
+        return touch.gap_and_rate(*self._tip, *self._base, self.constants)
 
     def curvature(self, peak: Array, h: float) -> tuple[float, float]:
-        """Return bounds of |d²gap/dt²| over a step and of its variation, half as much again as the kernel's."""
+        """Return bounds of |d²gap/dt²| over a step and of its variation, with half as much for safety."""
         R, t, _ = self._tip
         size, change = touch.curvature(
             self._jacobian, self.weights, self._group, R, t, self.constants, peak, h
@@ -86,7 +87,7 @@ class ContactPoint:
         R, t, V = self._tip
         S, s, U = self._base
         A, B = self._accelerations
-        return touch.contact_motion(  # type: ignore[no-any-return]
+        return touch.contact_motion(
             R,
             t,
             V,
@@ -226,7 +227,7 @@ class Flow:
             )
         if not math.isfinite(tau.dot(tau)):
             raise SimulationError(
-                f"control: {tau.tolist()} came back at t = {t:.6g} s, which holds numbers that are not finite",
+                f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
                 field="control",
                 value=tau,
             )
@@ -290,8 +291,8 @@ class Flow:
         self.least_margin = min(self.least_margin, self.margin)
 
 
-def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> Array:
-    """Return the solution of least norm; where it pulls at a contact that need not, the one without that force."""
+def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:
+    """Return the solution of least norm, without forces that pull where none need to."""
     solution = np.linalg.lstsq(system, target, rcond=sustained.RANK)[0]
     widths = [1 if mode == SLIP else 3 for mode in modes]
     starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)

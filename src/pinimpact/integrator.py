@@ -105,7 +105,7 @@ class Integrator:
         return 0.01 / fastest if fastest > 0.0 else 0.01
 
     def attempt(self, h: float) -> float:
-        """Compute a step of length h; return its error over the tolerance (infinite: too large a rotation)."""
+        """Compute a step of length h; return its error over the tolerance, infinite if it turns too far."""
         rates, joints, flow, nodes, rows = self._rates, self.joints, self.flow, self._nodes, self._flow_rows
         t, q0, v0, xi, q, v = self.t, self.q, self.v, self._xi, self._q, self._v
         stage = stages.stage

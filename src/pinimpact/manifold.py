@@ -14,8 +14,8 @@ def joint_table(model: pin.Model) -> NDArray[np.int64]:
     """Return the (k, 4) table that `pinimpact._kernels.charts` describes; plain neighbours share a row.
 
     Raises:
-        ModelError: A joint whose configuration space is not one of those known (a composite of curved joints, a mimic
-            joint).
+        ModelError: A joint whose configuration space is not one of those known (a composite of curved
+            joints, a mimic joint).
     """
     rows: list[list[int]] = []
     for joint, name in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):

@@ -50,15 +50,15 @@ class Scene:
     """A robot among surfaces.
 
     Attributes:
-        model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and the
-            joint limits are the model's own.
+        model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
+            the joint limits are the model's own.
         contacts: The points that may meet their planes.
         control: control(t, q, v) -> (nv,) generalized forces; None for none.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop.
         locked: Joints, by name or id, whose velocity an impact does not change (stiff position control).
         limit_restitution: Restitution e of the joint limits, which act as one-sided impacts.
-        resting_speed: Bounce speed [m/s] below which a contact is taken as resting; None for 10⁻⁴ √(g L), with
-            the model's gravity (standard gravity if it has none) and L the size of the robot, `extent`.
+        resting_speed: Bounce speed [m/s] below which a contact is taken as resting; None for 10⁻⁴ √(g L),
+            with the model's gravity (standard gravity if it has none) and L the size of the robot, `extent`.
         record: Whether each impact's path is recorded.
         without: Effects to leave out, by the names in `plan`.
 
@@ -73,7 +73,7 @@ class Scene:
     held: Sequence[Contact] = ()
     locked: Sequence[str | int] = ()
     limit_restitution: float = 0.0
-    resting_speed: float | None = None  # type: ignore[assignment]
+    resting_speed: float | None = None
     record: bool = False
     without: Sequence[str] = ()
 
@@ -103,9 +103,8 @@ class Scene:
                 field="limit_restitution",
                 value=self.limit_restitution,
             )
-        if self.resting_speed is None:
-            keep(self, "resting_speed", self._default_resting_speed())
-        elif not (math.isfinite(self.resting_speed) and self.resting_speed > 0.0):
+        speed = self.resting_speed
+        if speed is not None and not (math.isfinite(speed) and speed > 0.0):
             raise InputError(
                 f"resting_speed: {self.resting_speed!r} given, a speed > 0 [m/s] expected",
                 field="resting_speed",
@@ -115,6 +114,14 @@ class Scene:
     def plan(self) -> Plan:
         """Return the effects that this scene calls for, and why each other one is left out."""
         return make_plan(self)
+
+    @property
+    def rest(self) -> float:
+        """The resting speed that is used [m/s]."""
+        if self.resting_speed is None:
+            gravity = float(np.linalg.norm(self.model.gravity.linear))
+            return RESTING_FRACTION * math.sqrt((gravity or STANDARD_GRAVITY) * self.extent)
+        return self.resting_speed
 
     @property
     def joint_damping(self) -> Array:
@@ -128,7 +135,7 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """The size L of the robot [m]: the longest chain to a contact, or the longest link, or 1 m for a point."""
+        """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
         lengths = [span(self.model, contact) for contact in (*self.contacts, *self.held)]
         lengths += [float(np.linalg.norm(M.translation)) for M in list(self.model.jointPlacements)[2:]]
         return max([length for length in lengths if length > 0.0], default=1.0)
@@ -172,10 +179,6 @@ class Scene:
             elif height - span(model, contact) - travel(model, contact) > 0.0:
                 names.append(contact.label)
         return tuple(names)
-
-    def _default_resting_speed(self) -> float:
-        gravity = float(np.linalg.norm(self.model.gravity.linear))
-        return RESTING_FRACTION * math.sqrt((gravity if gravity > 0.0 else STANDARD_GRAVITY) * self.extent)
 
 
 def span(model: pin.Model, contact: Contact) -> float:
@@ -226,8 +229,8 @@ def _check_surface_motion(field: str, contact: Contact, plane: Plane) -> None:
     if abs(rise) > 1e-12 * speed or tilt > 1e-12 * spin:
         raise InputError(
             f"{field}: the plane of {contact.label!r} moves along its normal at {rise:.6g} m/s or tilts at "
-            f"{tilt:.6g} rad/s; in a scene a surface may only move within itself, for it stays where it is; let "
-            "a body carry the plane instead",
+            f"{tilt:.6g} rad/s; in a scene a surface may only move within itself, for it stays where it is; "
+            "let a body carry the plane instead",
             field=field,
             value=contact,
         )

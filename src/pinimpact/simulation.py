@@ -62,23 +62,24 @@ def simulate(
 ) -> Trajectory:
     """Simulate a scene from a state, for a time. (scenes.md)
 
-    Between events the flow is integrated on the configuration manifold to the tolerances; events are located to
-    rounding, and none is missed between steps. Impacts are resolved exactly. Ctrl-C ends the run early and leaves
-    what was computed.
+    Between events the flow is integrated on the configuration manifold to the tolerances; events are located
+    to rounding, and none is missed between steps. Impacts are resolved exactly. Ctrl-C ends the run early
+    and leaves what was computed.
 
     Args:
         scene: The robot, its contacts and what acts on it.
         q0: (nq,) configuration at the start, no contact below its surface.
         v0: (nv,) velocity at the start.
         duration: Time to simulate [s].
-        rtol, atol: Tolerances of each step, on coordinates [m, rad] and velocities.
+        rtol: Relative tolerance of each step.
+        atol: Absolute tolerance of each step, on coordinates [m, rad] and velocities.
         max_step: Longest step [s]; needed where a control acts in pulses between which nothing happens.
         max_impacts: How many impacts to resolve before giving up.
         progress: Called with the time reached and the duration, after every step.
 
     Raises:
-        InputError: A start below a surface or beyond a joint limit, a held contact that moves, numbers of the wrong
-            shape or range.
+        InputError: A start below a surface or beyond a joint limit, a held contact that moves, numbers of
+            the wrong shape or range.
         ModelError: A joint that cannot be integrated.
         SimulationError: A run that cannot go on; its ``partial`` is the trajectory until then. A control that
             fails or returns nonsense, impacts beyond `max_impacts`, an impact without an answer.
@@ -142,13 +143,13 @@ class _Run:
         self.limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
         self.record = scene.record and "recorded path" not in without
         self.sustained = "sustained contact" not in without
-        self.rest = scene.resting_speed if self.sustained else 0.0
+        self.rest = scene.rest if self.sustained else 0.0
         self.switched_off = scene.plan().switched_off if without else ()
 
-        self.quiet = 1e-9 * scene.resting_speed  # an approach slower than this is rounding
+        self.quiet = 1e-9 * scene.rest  # an approach slower than this is rounding
 
         self.flow = Flow(scene, model, self.contacts, self.held)
-        self.flow.still = STILL_FRACTION * scene.resting_speed
+        self.flow.still = STILL_FRACTION * scene.rest
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         self.flow.allowance = 1e-10 * pin.computeTotalMass(model) * gravity
         table = joint_table(model)
@@ -243,7 +244,8 @@ class _Run:
             [pin.computeKineticEnergy(self.model, self.data, a, b) for a, b in zip(q, v, strict=True)]
         )
         potential = np.array([pin.computePotentialEnergy(self.model, self.data, a) for a in q])
-        energy = Energy(kinetic, potential, *w.T, np.array([row[4] for row in rows]))
+        impacts_work = np.array([row[4] for row in rows])
+        energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
         modes = self.intervals[:intervals] + [
             ModeInterval(source, mode, start, float(t[-1])) for source, (mode, start) in standing.items()
         ]
@@ -286,7 +288,7 @@ class _Run:
         self._turn_references(flow.active.velocity)
 
     def _horizon(self) -> float:
-        """Return a time in which a bounce just begun should end; only a guess that saves steps taken too far."""
+        """Guess how long a bounce just begun will last, so that no step is taken far beyond it."""
         guess = math.inf
         for i, (gap, rate) in zip(self.watched, self.gaps, strict=True):
             if abs(gap) <= self.touch and rate > 0.0:
@@ -314,7 +316,7 @@ class _Run:
             trial = left if h > 0.9 * left else h
             if self.t + trial <= self.t:
                 raise SimulationError(
-                    f"rtol: the step fell to {trial:.3g} s at t = {self.t:.6g} s; the motion is not smooth there "
+                    f"rtol: the step fell to {trial:.3g} s at t = {self.t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
                     field="rtol",
                     value=self.integrator.rtol,
@@ -368,11 +370,11 @@ class _Run:
         impacts = len(self.impacts)
         if self.stalled > MAX_STALLED:
             raise SimulationError(
-                f"scene: {self.stalled} events at t = {t:.6g} s without progress in time; the modes of contact do "
+                f"scene: {self.stalled} events at t = {t:.6g} s without progress; the modes of contact do "
                 "not settle there; a larger resting_speed may help",
                 field="scene",
             )
-        segment.end = t
+        segment.end = t = float(t)
         self.q, self.v = segment.at(t)
         self.w = segment.works(t)
         self.t = t
@@ -389,7 +391,7 @@ class _Run:
     def _first_event(
         self, segment: Segment, gaps: list[tuple[float, float]], velocity: Array
     ) -> tuple[float, set[int]] | None:
-        """Return the time and the numbers of the first event in a step; a time of −1 asks for a shorter step."""
+        """Return time and numbers of the first event in a step; a time of −1 asks for a shorter step."""
         flow, integrator = self.flow, self.integrator
         start, end = segment.start, segment.end
         found: tuple[float, set[int]] | None = None
@@ -429,12 +431,14 @@ class _Run:
                     continue
                 limit = self.limits[k]
 
-                def sample(t: float, limit: Any = limit) -> tuple[float, float]:
+                def of_limit(t: float, limit: Any = limit) -> tuple[float, float]:
                     q, v = segment.at(t)
                     return limit.sign * (q[limit.index_q] - limit.bound), limit.sign * v[limit.index_v]
 
                 size, change = 1.5 * integrator.peak[1::2, limit.index_v]
-                t = first_crossing(sample, start, end, sample(start), sample(end), (size, change), self.floor)
+                t = first_crossing(
+                    of_limit, start, end, of_limit(start), of_limit(end), (size, change), self.floor
+                )
                 if t is not None:
                     found, end = (t, {len(self.contacts) + k}), t
 
@@ -442,9 +446,11 @@ class _Run:
             for j in np.flatnonzero(flow.sliding * integrator.v1 < -1e-12).tolist():
                 sign = math.copysign(1.0, flow.sliding[j])
                 if sign * self.v[j] > 0.0:
-                    t = root(
-                        lambda t, j=j: segment.at(t)[1][j], start, segment.end, self.v[j], integrator.v1[j]
-                    )  # type: ignore[misc]
+
+                    def rate(t: float, j: int = j) -> float:
+                        return float(segment.at(t)[1][j])
+
+                    t = root(rate, start, segment.end, float(self.v[j]), float(integrator.v1[j]))
                     if t < end:
                         found, end = (t, set()), t
 
@@ -521,8 +527,8 @@ class _Run:
     def _settle(self, hit: set[int]) -> None:
         """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
 
-        Of contacts that approach together the fastest is resolved first, and again, until none approaches faster
-        than the resting speed.
+        Of contacts that approach together the fastest is resolved first, and again, until none approaches
+        faster than the resting speed.
         """
         flow, count = self.flow, len(self.contacts)
         hit = set(hit)
@@ -539,7 +545,9 @@ class _Run:
         pending: list[dict[str, Any]] = []
         while True:
             rates = {i: self._number_of(i)[1] for i in touching}
-            approaching = [i for i in touching if rates[i] < -self.rest or (i in hit and rates[i] < -self.quiet)]
+            approaching = [
+                i for i in touching if rates[i] < -self.rest or (i in hit and rates[i] < -self.quiet)
+            ]
             if approaching and len(pending) < MAX_ROUNDS:
                 i = min(approaching, key=lambda i: rates[i])
                 hit.discard(i)
@@ -548,7 +556,7 @@ class _Run:
                 continue
             if approaching:
                 self._note(
-                    f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away at once."
+                    f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
                 )
             jamming = self._close(touching)
             if jamming is None:
@@ -563,8 +571,8 @@ class _Run:
         if len(self.impacts) > self.max_impacts:
             raise SimulationError(
                 f"max_impacts: {len(self.impacts)} impacts until t = {self.t:.6g} s, the last at "
-                f"{self.impacts[-1].source!r}; if they accumulate, a larger resting_speed or smaller restitution "
-                "ends them, otherwise raise max_impacts",
+                f"{self.impacts[-1].source!r}; if they accumulate, a larger resting_speed or a smaller "
+                "restitution ends them, otherwise raise max_impacts",
                 field="max_impacts",
                 value=self.max_impacts,
             )
@@ -594,8 +602,8 @@ class _Run:
             rate = limit.sign * float(v[limit.index_v])
             if c <= 1e-12 * float(np.abs(response).max(initial=0.0)) or c <= 0.0:
                 raise SimulationError(
-                    f"locked: the joint limit {limit.name!r} is hit at {-rate:.6g}, but what is held or locked keeps "
-                    "the joint from yielding; leave it out there",
+                    f"locked: the joint limit {limit.name!r} is hit at {-rate:.6g}, but what is held or "
+                    "locked keeps the joint from yielding; leave it out there",
                     field="locked",
                     value=limit.name,
                 )
@@ -667,7 +675,7 @@ class _Run:
         return inverse
 
     def _close(self, touching: list[int]) -> int | None:
-        """Set the modes of what touches without bouncing; return the contact where no force exists, if any."""
+        """Set the modes of what touches without bouncing; return a contact where no force exists, if any."""
         flow, count, nv = self.flow, len(self.contacts), self.model.nv
         slow = [i for i in touching if self.sustained and abs(self._number_of(i)[1]) <= max(self.rest, 0.0)]
         held = list(range(count, len(flow.points)))
@@ -878,15 +886,15 @@ class _Run:
                 if i < len(self.contacts):
                     contact = self.contacts[i]
                     raise InputError(
-                        f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m below its "
-                        "surface; start with every contact on or above its surface",
+                        f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m "
+                        "below its surface; start with every contact on or above its surface",
                         field="q0",
                         value=gap,
                     )
                 raise InputError(
                     f"q0: the joint starts {-gap:.6g} beyond its limit {self._name_of(i)!r} "
-                    f"({self.limits[i - len(self.contacts)].bound:.6g}); start within the limits, or leave them out "
-                    'with without=("joint limits",)',
+                    f"({self.limits[i - len(self.contacts)].bound:.6g}); start within the limits, or leave "
+                    'them out with without=("joint limits",)',
                     field="q0",
                     value=gap,
                 )
@@ -896,8 +904,8 @@ class _Run:
             speed = float(np.linalg.norm(flow.active.velocity[k]))
             if speed > 1e-6 * (1.0 + float(np.abs(self.v).max(initial=0.0))):
                 raise InputError(
-                    f"v0: the held contact {point.name!r} moves at {speed:.6g} m/s against its surface; start with "
-                    "it at rest there, or leave it out of held",
+                    f"v0: the held contact {point.name!r} moves at {speed:.6g} m/s against its surface; "
+                    "start with it at rest there, or leave it out of held",
                     field="v0",
                     value=speed,
                 )

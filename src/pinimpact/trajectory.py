@@ -96,7 +96,8 @@ class Energy:
         joints: Work of joint damping and dry friction, ≤ 0.
         friction: Work of friction in sustained contacts, in the velocity relative to the surface, ≤ 0.
         surface: Work of moving surfaces in sustained contacts.
-        impacts: Change of kinetic energy in impacts, moving surfaces included, and in contacts that came to rest.
+        impacts: Change of kinetic energy in impacts, moving surfaces included, and in contacts that came to
+            rest.
     """
 
     kinetic: Array
@@ -123,7 +124,8 @@ class Trajectory:
     """The motion that `simulate` found.
 
     Attributes:
-        t: (m,) times [s], the ends of the smooth stretches; an impact's time stands twice, before and after it.
+        t: (m,) times [s], the ends of the smooth stretches; an impact's time stands twice, before and after
+            it.
         q, v: (m, nq), (m, nv) samples.
         impacts: The impacts in order.
         modes: The intervals in which contacts, limits and joints were not free, by their end.
@@ -178,7 +180,7 @@ class Trajectory:
             raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
         if not self.t[0] <= t <= self.t[-1]:
             raise InputError(
-                f"t: {t!r} lies outside the trajectory, which runs from {self.t[0]:.6g} s to {self.t[-1]:.6g} s",
+                f"t: {t!r} lies outside the trajectory, from {self.t[0]:.6g} s to {self.t[-1]:.6g} s",
                 field="t",
                 value=t,
             )
@@ -217,8 +219,16 @@ class Trajectory:
             "notes": [[note.time, note.text] for note in self.notes],
             "modes": [[m.source, m.mode, m.start, m.end] for m in self.modes],
             "impacts": [
-                [i.time, i.source, i.problem.friction, i.problem.restitution, i.problem.law]
-                + [i.resting, i.simultaneous, i.record]
+                [
+                    i.time,
+                    i.source,
+                    i.problem.friction,
+                    i.problem.restitution,
+                    i.problem.law,
+                    i.resting,
+                    i.simultaneous,
+                    i.record,
+                ]
                 for i in impacts
             ],
         }
@@ -263,7 +273,7 @@ class Trajectory:
                 raise ValueError(f"format {meta['format']}")
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise InputError(
-                f"path: {str(path)!r} cannot be read as a trajectory ({error}); give a file that save() wrote",
+                f"path: {str(path)!r} is no readable trajectory ({error}); give a file that save() wrote",
                 field="path",
                 value=path,
             ) from error
@@ -301,7 +311,7 @@ class Trajectory:
                 simultaneous,
                 record,
             )
-            for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
+            for i, (time, source, resting, simultaneous, record, mu, e, law) in enumerate(meta["impacts"])
         ]
         return cls(
             segments,

@@ -1,8 +1,8 @@
 """Local charts of a configuration space: q = q₀ ⊕ ξ, and ξ̇ for a given v.
 
 A table (k, 4) of integers describes the space, one row a joint: kind, first index in q, first index in v and
-number of velocities. Rotations use the exponential map about q₀, body translations are kept in the axes of q₀:
-R = R₀ exp(φ), p = p₀ + R₀ ρ.
+number of velocities. Rotations use the exponential map about q₀, body translations are kept in the axes of
+q₀: R = R₀ exp(φ), p = p₀ + R₀ ρ.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from .jit import jit
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
-"""Kinds: plain coordinates; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position and quaternion."""
+"""Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
 
 
 @jit
@@ -44,7 +44,7 @@ def advance(joints, q0, xi, q):
         if kind == VECTOR:
             for m in range(n):
                 q[i + m] = q0[i + m] + xi[j + m]
-        elif kind == CIRCLE or kind == PLANAR:
+        elif kind in (CIRCLE, PLANAR):
             i2, j2 = i, j
             if kind == PLANAR:
                 i2, j2 = i + 2, j + 2
@@ -80,7 +80,7 @@ def chart_rate(joints, xi, v, rate):
     """Fill ξ̇ for the velocity v at ξ; valid while no rotation of the chart reaches a full turn."""
     for k in range(joints.shape[0]):
         kind, j, n = joints[k, 0], joints[k, 2], joints[k, 3]
-        if kind == VECTOR or kind == CIRCLE:
+        if kind in (VECTOR, CIRCLE):
             for m in range(n):
                 rate[j + m] = v[j + m]
         elif kind == PLANAR:
@@ -116,7 +116,7 @@ def turned_too_far(joints, xi):
 
 @jit
 def magnitudes(joints, q, out):
-    """Fill the size of each coordinate that a relative tolerance refers to: |q| where it is plain, 1 for a rotation."""
+    """Fill the size that a relative tolerance refers to: |q| of a plain coordinate, 1 for a rotation."""
     for k in range(joints.shape[0]):
         kind, i, j, n = joints[k, 0], joints[k, 1], joints[k, 2], joints[k, 3]
         for m in range(n):

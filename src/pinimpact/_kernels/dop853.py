@@ -1,4 +1,4 @@
-"""Coefficients of the explicit Runge-Kutta method of order 8 by Dormand and Prince, with dense output of order 7.
+"""Coefficients of Dormand and Prince's Runge-Kutta method of order 8, with dense output of order 7.
 
 Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd edition,
 section II.5 and its code DOP853. The last row of the first thirteen is the step itself (first same as last);

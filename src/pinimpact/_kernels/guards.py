@@ -9,8 +9,8 @@ from .jit import jit
 def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     """Whether the gap provably stays above −floor.
 
-    From the left it is at least P(s) = g + ġ s − B s²/2, from the right alike, and the larger of the two counts; they
-    meet at one point m, and each is concave, so the ends and m decide.
+    From the left it is at least P(s) = g + ġ s − B s²/2, from the right alike, and the larger of the two
+    counts; they meet at one point m, and each is concave, so the ends and m decide.
     """
     if later_gap < -floor or gap < -floor:
         return False
@@ -32,9 +32,7 @@ def unclear_limits(index_q, index_v, sign, bound, q0, v0, q1, v1, peak, width, f
     for i in range(len(index_q)):
         a, b, s = index_q[i], index_v[i], sign[i]
         gap = max(s * (q0[a] - bound[i]), 0.0)
-        if not clear(
-            gap, s * v0[b], s * (q1[a] - bound[i]), s * v1[b], 1.5 * peak[1, b], width, floor
-        ):
+        if not clear(gap, s * v0[b], s * (q1[a] - bound[i]), s * v1[b], 1.5 * peak[1, b], width, floor):
             out[count] = i
             count += 1
     return count

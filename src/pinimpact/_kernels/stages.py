@@ -1,4 +1,4 @@
-"""The arithmetic of one Runge-Kutta step on a configuration manifold; the flow itself is evaluated in between.
+"""The arithmetic of one Runge-Kutta step on a configuration manifold; the flow is evaluated between.
 
 The unknowns are (ξ, v, w): chart coordinates, velocities, and quadratures w that nothing depends on. `rates`
 (16, 2 nv + nw) holds their derivatives at the stages.
@@ -91,7 +91,7 @@ def state(coefficients, theta, joints, q0, v0, q, v):
 
 @jit
 def largest(rates, count, n, out):
-    """Fill the largest |ξ̇| and |v̇| of the first `count` stages, and the largest change of both from the first."""
+    """Fill the largest |ξ̇| and |v̇| of the first `count` stages, and their largest change from the first."""
     for m in range(n):
         for part in range(2):
             first = rates[0, part * n + m]

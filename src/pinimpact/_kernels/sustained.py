@@ -1,7 +1,7 @@
-"""Forces of contacts that last: in a given mode by a linear system, and which mode holds by sweeps over the contacts.
+"""Forces of contacts that last: in given modes by a linear system, and which modes hold by sweeps.
 
-Contacts have three rows (t₁, t₂, n) each. Scalar rows are a joint at its limit (force within [0, ∞)) or a joint
-held by its dry friction (force within ±τ).
+Contacts have three rows (t₁, t₂, n) each. Scalar rows are a joint at its limit (force within [0, ∞)) or a
+joint held by its dry friction (force within ±τ).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RANK = 1e-10
 
 @jit
 def slip_direction(velocity, reference, still):
-    """Return the direction of slip; signed to agree with `reference`, so that it passes smoothly through zero."""
+    """Return the direction of slip, signed to agree with `reference`: smooth where the slip reverses."""
     s = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
     if s <= still:
         return reference[0], reference[1]
@@ -42,9 +42,21 @@ def joint_forces(velocity, control, damping, dry, tau, powers):
 
 @jit
 def assemble(
-    minverse, acceleration, jacobians, free, velocity, mode, mu, reference, still, index, directions, rows, response
+    minverse,
+    acceleration,
+    jacobians,
+    free,
+    velocity,
+    mode,
+    mu,
+    reference,
+    still,
+    index,
+    directions,
+    rows,
+    response,
 ):
-    """Set up the equations of the closed contacts and scalar rows: fill `rows` and M⁻¹ columns, return the system.
+    """Set up the equations of the closed contacts and scalar rows.
 
     Args:
         minverse: (nv, nv) M⁻¹.
@@ -62,8 +74,8 @@ def assemble(
         response: (m, nv) takes M⁻¹ times the direction in which each row's force acts.
 
     Returns:
-        The (m, m) system, its right-hand side, and the least effective inverse inertia of a slipping contact over
-        that without friction (at most zero: Painlevé's paradox).
+        The (m, m) system, its right-hand side, and the least effective inverse inertia of a slipping contact
+        over that without friction (at most zero: Painlevé's paradox).
     """
     n, size = len(acceleration), len(rows)
     system = np.empty((size, size))
@@ -156,7 +168,19 @@ def solve(system, target, solution):
 
 @jit
 def finish(
-    solution, response, directions, velocity, surface, mode, mu, lower, upper, acceleration, force, scalar, powers
+    solution,
+    response,
+    directions,
+    velocity,
+    surface,
+    mode,
+    mu,
+    lower,
+    upper,
+    acceleration,
+    force,
+    scalar,
+    powers,
 ):
     """Add the accelerations that the forces cause, and fill the forces and their powers.
 
@@ -221,8 +245,8 @@ def decide(delassus, free, velocity, mu, held, still, lower, upper, force, scala
         tolerance: Change of the forces, relative to the largest, at which to stop.
 
     Returns:
-        The sweeps taken (or −1: they did not converge), and the contact where slip drives the surface in and no
-        force exists (Painlevé), or −1.
+        The sweeps taken (or −1: they did not converge), and the contact where slip drives the surface in and
+        no force exists (Painlevé), or −1.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns

@@ -1,11 +1,12 @@
 """Motion of one contact point relative to its plane: gap, velocity, acceleration, Jacobian.
 
-Bodies are given by the placement of their joint (rotation, translation) and by spatial vectors in world axes at
-the world's origin (linear over angular), as Pinocchio's ABA in world convention leaves them in its data. The
-acceleration may include gravity, for only differences of two bodies enter.
+Bodies are given by the placement of their joint (rotation, translation) and by spatial vectors in world axes
+at the world's origin (linear over angular), as Pinocchio's ABA in world convention leaves them in its data.
+The acceleration may include gravity, for only differences of two bodies enter.
 
-The contact point is the point of the tip that is closest to the plane, so on a sphere it is not a material point:
-with c the centre, p = c − r n and ṗ = ċ − r ṅ. The contact velocity is that of the two bodies' material at p.
+The contact point is the point of the tip that is closest to the plane, so on a sphere it is not a material
+point: with c the centre, p = c − r n and ṗ = ċ − r ṅ. The contact velocity is that of the two bodies'
+    material at p.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ import math
 from .jit import jit
 
 CONSTANTS = 22
-"""Length of the constants of a contact, in the axes of the two joints: centre of the tip (3) and radius; then of
-the plane its point (3), axes t₁, t₂, n (9), and the velocity and angular velocity of its material (3 + 3)."""
+"""Length of the constants of a contact, in the axes of the two joints.
+
+Centre of the tip (3) and radius; then of the plane its point (3), axes t₁, t₂, n (9), and the velocity and
+angular velocity of its material (3 + 3).
+"""
 
 
 @jit
@@ -37,7 +41,7 @@ def apply(R, k, i):
 
 @jit
 def gap_and_rate(R, t, V, S, s, U, k):
-    """Return the gap [m] and its rate [m/s]; the tip's joint is at (R, t) with velocity V, the plane's at (S, s), U."""
+    """Return the gap [m] and its rate [m/s]; the tip's joint has (R, t) and V, the plane's (S, s) and U."""
     c1, c2, c3 = apply(R, k, 0)
     c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
     x1, x2, x3 = apply(S, k, 4)
@@ -54,9 +58,9 @@ def gap_and_rate(R, t, V, S, s, U, k):
 def curvature(J, weights, group, R, t, k, peak, h):
     """Return bounds of |d²gap/dt²| over a step of length h, and of how much d²gap/dt² varies in it.
 
-    With J_k the column of velocity k for the tip's centre, d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω × J of the
-    inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more factor ω. The
-    |J_k| are the present ones, lengthened by the way the point can go.
+    With J_k the column of velocity k for the tip's centre, d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
+    × J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
+    factor ω. The |J_k| are the present ones, lengthened by the way the point can go.
 
     Args:
         J, weights, R, t, k: As in `contact_motion`.
