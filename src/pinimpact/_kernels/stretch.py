@@ -89,9 +89,11 @@ def node_moments(series, inverse, exponent, span):
         fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
     if exponent < 0.5:
         # the one k at which a + k is close to zero was left out
-        k = int(0.5 - exponent)
+        k = min(int(0.5 - exponent), TERMS + 4)
+        if k > 0 and inverse[k] != 0.0:
+            k -= 1
         z = exponent + k
-        if abs(z) < 0.5:
+        if inverse[k] == 0.0:
             fill0 = span if z == 0.0 else (1.0 / z if span == math.inf else -math.expm1(-z * span) / z)
             n0 += series[k] * fill0 if k <= TERMS else 0.0
             n1 += series[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0

@@ -1,0 +1,346 @@
+"""The cases of docs/hard-cases.md in contact space, by their numbers, against the reference."""
+
+import math
+
+import numpy as np
+import pytest
+from benchmarks import fuzz
+from benchmarks.sweeps import JAMS, SWEEPS, SYMMETRIC, THRESHOLD, W
+
+import pinimpact
+from pinimpact import Flag, ImpactProblem, Status, solve_impact, solve_impacts
+from tests.reference.generate import sensitivity
+from tests.reference.problems import Problem
+from tests.reference.reference import solve_reference
+
+LAWS = pinimpact.LAWS
+MOST_ITERATIONS = 250
+
+
+def solve(delassus, velocity, friction, restitution=0.5, law="poisson"):
+    solution = solve_impact(ImpactProblem(delassus, velocity, friction, restitution, law))
+    assert solution.iterations <= MOST_ITERATIONS
+    return solution
+
+
+def agrees(delassus, velocity, friction, restitution=0.5, law="poisson"):
+    """Solve, and hold the answer against the reference within eight roundings of the input."""
+    solution = solve(delassus, velocity, friction, restitution, law)
+    delassus, velocity = np.asarray(delassus, dtype=float), np.asarray(velocity, dtype=float)
+    problem = Problem(delassus, velocity, float(friction), restitution, law, "slow approach")
+    answer = solve_reference(delassus, velocity, friction, restitution, law, digits=25)
+    assert solution.status.name == answer.status
+    exact_v, exact_P = (np.array(x, dtype=float) for x in (answer.velocity, answer.impulse))
+    size = np.abs(exact_P).max()
+    speed = np.abs(velocity).max() + np.abs(delassus).max() * size
+    miss = np.abs(solution.velocity - exact_v).max(), np.abs(solution.impulse - exact_P).max()
+    if miss[0] > 4e-16 * speed or miss[1] > 4e-16 * size:
+        change = sensitivity(problem, answer, np.random.default_rng(0))
+        assert miss[0] <= 8 * change[0] + 2e-15 * speed
+        assert miss[1] <= 8 * change[1] + 2e-15 * size
+    return solution
+
+
+# ---- 1: friction at the stick threshold ----
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("decade", [2, 5, 8, 11, 14])
+@pytest.mark.parametrize("slip", [0.0, 0.25])
+def test_1_friction_about_the_threshold(decade, side, slip):
+    solution = agrees(W, [*(-slip * W[:2, 2]), -1.0], THRESHOLD * (1 + side * 10.0**-decade))
+    if slip == 0.0:
+        assert (Flag.STICK in solution.flags) == (side > 0)
+        assert (Flag.SLIP_RESUMED in solution.flags) == (side < 0)
+        assert (Flag.NEAR_STICK_THRESHOLD in solution.flags) == (decade > 6)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("velocity", [[0.0, 0.0, -1.0], [-0.09375, -0.125, -1.0]])
+def test_1_friction_exactly_at_the_threshold(velocity, law):
+    """b = (3, 4)/8 over A = 1: ‖A⁻¹b‖ = 5/8 = μ in doubles, so the contact sticks."""
+    solution = agrees([[1, 0, 0.375], [0, 1, 0.5], [0.375, 0.5, 2]], velocity, 0.625, 0.5, law)
+    if velocity[0] == 0.0:
+        assert Flag.STICK | Flag.NEAR_STICK_THRESHOLD in solution.flags
+
+
+# ---- 2: slip along an invariant direction ----
+
+
+@pytest.mark.parametrize("along", [0.75, -0.75, 3.0, -3.0])
+@pytest.mark.parametrize("off", [0.0, 1e-300, 1e-20, 1e-12, -1e-12, 1e-4])
+def test_2_slip_along_an_invariant_direction(along, off):
+    """The stable one stays stable, the unstable one is left at the place that its distance decides."""
+    solution = agrees(SYMMETRIC, [along, off, -1.0], 0.4)
+    if off == 0.0:
+        assert solution.velocity[1] == solution.impulse[1] == 0.0
+        assert Flag.SLIP_TURNED not in solution.flags
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-12])
+def test_2_in_turned_axes(off):
+    """In turned axes nothing is exact; a stable direction forgives it."""
+    T = fuzz.turned(np.array([0.7]))[0]
+    delassus, velocity = T @ SYMMETRIC @ T.T, T @ [-3.0, off, -1.0]
+    solution = solve((delassus + delassus.T) / 2, velocity, 0.4)
+    straight = solve(SYMMETRIC, [-3.0, off, -1.0], 0.4)
+    assert T.T @ solution.velocity == pytest.approx(straight.velocity, abs=1e-14)
+
+
+# ---- 3: vanishing slip ----
+
+
+@pytest.mark.parametrize("exponent", [2, 6, 12, 20, 40, 100, 200, 300])
+@pytest.mark.parametrize("friction", [0.2, 2.0])
+def test_3_small_sliding_speed(exponent, friction):
+    agrees(W, [0.6 * 10.0**-exponent, 0.8 * 10.0**-exponent, -1.0], friction)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 2.0])
+def test_3_no_sliding_at_all(friction):
+    agrees(W, [0.0, 0.0, -1.0], friction)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("slip", [0.5, 0.75])
+def test_3_slip_that_stops_exactly_at_an_event(slip, law):
+    """A = I, μ = 1/2: slip stops with the compression (1/2), or under Poisson's law with the impact (3/4)."""
+    solution = agrees(np.eye(3), [slip, 0.0, -1.0], 0.5, 0.5, law)
+    assert solution.velocity.tolist() == [0.0, 0.0, 0.5]
+
+
+# ---- 4: reversal and resumption that barely diverge ----
+
+
+@pytest.mark.parametrize("decade", [1, 4, 7, 10, 13])
+def test_4_reversal_in_a_plane(decade):
+    """Slip against b stops and comes back where μ is just too small to hold it."""
+    friction = 0.75 * (1 - 10.0**-decade)
+    solution = agrees(SYMMETRIC, [-0.1, 0.0, -1.0], friction)
+    assert solution.velocity[0] > 0
+    assert Flag.SLIP_RESUMED in solution.flags
+    near = agrees(SYMMETRIC, [-0.1, 1e-200, -1.0], friction)
+    assert near.velocity == pytest.approx(solution.velocity, abs=1e-15)
+
+
+def test_4_half_integer_exponents():
+    """Around the diverging direction the speed goes with the angle to the power −1/2, or almost."""
+    delassus, velocity = np.array([[2.0, 0, -3], [0, 1, 0], [-3, 0, 5]]), np.array([-1.5, 1, -2])
+    agrees(delassus, velocity, 1.0, 0.75)
+    for angle in np.linspace(0.1, 6, 20):
+        T = fuzz.turned(np.array([angle]))[0]
+        agrees((T @ delassus @ T.T + (T @ delassus @ T.T).T) / 2, T @ velocity, 1.0, 0.75)
+
+
+# ---- 5: jam ----
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-200, 1e-100, 1e-12, 1e-3])
+def test_5_jam_at_first_touch(approach, law):
+    solution = agrees(JAMS, [1.0, 0.5, -approach], 1.5, 0.5, law)
+    assert Flag.JAM in solution.flags
+    assert (Flag.IMPACT_WITHOUT_COLLISION in solution.flags) == (approach == 0.0)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("approach", [1e-300, 1e-200, 1e-120, 1e-80, 1e-12])
+def test_5_slow_approach_without_jam(approach, law):
+    """Nothing turns in so short an impact: every law gives v₃⁺ = −e v₃ and P₃ = (1 + e)|v₃|/(c − μ bᵀσ)."""
+    solution = solve(W, [0.75, 1.0, -approach], 0.25, 0.5, law)
+    rate = W[2, 2] - 0.25 * (W[:2, 2] @ [0.6, 0.8])
+    assert solution.velocity[2] == pytest.approx(0.5 * approach, rel=1e-10)
+    assert solution.impulse[2] == pytest.approx(1.5 * approach / rate, rel=1e-10)
+
+
+def test_5_touching_without_jam_is_no_impact():
+    assert solve(JAMS, [-1.0, 0.5, 0.0], 1.5).status == Status.NO_IMPACT
+
+
+# ---- 6: the second compression and its edge ----
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("approach", [0.4, 0.5, 0.529, 0.52915, 0.5292, 0.53, 0.54, 0.6])
+def test_6_second_compression(approach, law):
+    solution = agrees(JAMS, [0.5, 12, -approach], 1.5, 1.0, law)
+    if law == "poisson":
+        assert (Flag.SECOND_COMPRESSION in solution.flags) == (approach > 0.52917)
+        assert (Flag.NEAR_JUMP in solution.flags) == (0.52 < approach < 0.534)
+
+
+def test_6_the_map_jumps_where_the_reference_does():
+    for approach in (0.52915, 0.5292):
+        flags = solve(JAMS, [0.5, 12, -approach], 1.5, 1.0).flags
+        assert Flag.NEAR_JUMP in flags
+    low, high = 0.52915, 0.5292
+    while high - low > 1e-13:  # the place of the jump, to where the reference can tell its sides too
+        middle = (low + high) / 2
+        jumped = solve(JAMS, [0.5, 12, -middle], 1.5, 1.0).impulse[2] > 5
+        low, high = (low, middle) if jumped else (middle, high)
+    for approach, second in ((low - 1e-11, False), (high + 1e-11, True)):
+        answer = solve_reference(JAMS, [0.5, 12, -approach], 1.5, 1.0, "poisson", digits=25)
+        assert ("SECOND_COMPRESSION" in answer.flags) == second
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_6_never_a_third(law):
+    p = fuzz.draw(np.random.default_rng(6), "second compression", 150)
+    for k in range(150):
+        phases = [s.phase for s in solve(*(x[k] for x in p), law).segments]
+        starts = [a for a, b in zip(phases, ["", *phases], strict=False) if a == "compression" != b]
+        assert len(starts) <= 2
+
+
+# ---- 7: friction and restitution at their ends ----
+
+
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+@pytest.mark.parametrize("friction", [0.0, 1e-12, 10.0, 1e3, 1e6])
+@pytest.mark.parametrize("law", LAWS)
+def test_7_ends_of_friction_and_restitution(friction, restitution, law):
+    agrees(W, [1.0, -2.0, -1.0], friction, restitution, law)
+
+
+# ---- 8: W ill-conditioned and singular ----
+
+
+@pytest.mark.parametrize("condition", [1e3, 1e6, 1e9, 1e11, 1e13])
+@pytest.mark.parametrize("seed", range(3))
+def test_8_condition(condition, seed):
+    rng = np.random.default_rng((8, seed))
+    Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    delassus = (Q * [1.0, rng.choice([1.0, condition**-0.5]), 1 / condition]) @ Q.T
+    agrees((delassus + delassus.T) / 2, [0.5, -0.75, -1.0], 0.6)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("friction", [0.5, 1.2, 2.0])
+def test_8_the_pendulum_locks_whatever_sign_rounding_gives(friction, law):
+    """The paper's pendulum: rank two. Noise of some ε, of either sign, on the eigenvalue that is zero."""
+    delassus = np.array([[1.5, 0, 1.5], [0, 3, 0], [1.5, 0, 1.5]])
+    velocity = np.array([-1.0, 1.0, -1.0]) / math.sqrt(2)
+    plain = solve(delassus, velocity, friction, 0.8, law)
+    for noise in (-8e-16, -2e-16, 2e-16, 8e-16):
+        noisy = delassus + noise * np.outer([1, 0, -1], [1, 0, -1])
+        solution = solve(noisy, velocity, friction, 0.8, law)
+        assert solution.velocity == pytest.approx(plain.velocity, abs=1e-14)
+        assert solution.impulse == pytest.approx(plain.impulse, abs=1e-14)
+        assert solution.flags == plain.flags
+    assert (plain.status == Status.LOCKED) == (friction > 1)
+
+
+def test_8_eigenvalues_on_either_side_of_the_tolerance():
+    """Above 32 ε‖W‖ below zero W is refused, with the eigenvalue and the tolerance in the message."""
+    zero = 32 * 2.0**-52
+    assert solve(np.diag([1.0, -0.9 * zero, 1.0]), [1.0, 0.0, -1.0], 0.5).status == Status.SEPARATED
+    with pytest.raises(pinimpact.InputError, match=r"-7\.81.*7\.1"):
+        solve(np.diag([1.0, -1.1 * zero, 1.0]), [1.0, 0.0, -1.0], 0.5)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_8_one_joint(law):
+    """Rank one: where friction is enough the joint locks, else it slips to the stop and back."""
+    x = np.array([1.0, 2.0, 2.0])
+    for friction in (0.3, 2.0):
+        agrees(np.outer(x, x), -x, friction, 0.5, law)
+
+
+def test_8_one_joint_under_a_surface_that_moves_across():
+    """Slip turns until nothing acts; if the surface still comes in then, nothing stops it."""
+    x = np.array([3.0, 3.0, -4.0])
+    with pytest.raises(pinimpact.UnstoppableApproachError, match=r"-0\.908"):
+        solve(np.outer(x, x), [-0.71875, -0.21875, -0.40625], 25.8, 0.0)
+    agrees(np.outer(x, x), [-0.5, 0.5, -0.4], 0.2, 0.5)
+
+
+def test_8_planar_mechanism():
+    """A zero tangential row: the mechanism cannot move across; whether the surface does is another matter."""
+    plane = np.array([[1.0, 0, 0.5], [0, 0, 0], [0.5, 0, 2.0]])
+    for across in (0.0, 1e-12, 0.3):
+        solution = agrees(plane, [0.4, across, -1.0], 0.6)
+        assert solution.velocity[1] == pytest.approx(across, rel=1e-14)
+
+
+def test_8_nothing_can_move():
+    with pytest.raises(pinimpact.UnstoppableApproachError):
+        solve(np.zeros((3, 3)), [0.0, 0.0, -1.0], 0.5)
+    assert solve(np.zeros((3, 3)), [1.0, 0.0, 0.0], 0.5).status == Status.NO_IMPACT
+
+
+# ---- 9: scales ----
+
+
+@pytest.mark.parametrize("mass", [1e-9, 1e-3, 1e9, 1e150])
+@pytest.mark.parametrize("speed", [1e-12, 1e6, 1e-140])
+def test_9_masses_and_speeds(mass, speed):
+    velocity = np.array([0.5, -0.25, -1.0])
+    plain, scaled = solve(W, velocity, 0.4), solve(W / mass, speed * velocity, 0.4)
+    assert scaled.velocity / speed == pytest.approx(plain.velocity, rel=1e-14)
+    assert scaled.impulse / (mass * speed) == pytest.approx(plain.impulse, rel=1e-14)
+
+
+def test_9_beyond_what_doubles_hold():
+    with pytest.raises(pinimpact.InputError, match="double precision"):
+        solve(W * 1e-200, [1e150, 0.0, -1e150], 0.4)
+
+
+# ---- 11: laws that make energy, laws that cannot be met ----
+
+
+def test_11_newtons_law_creates_energy_and_says_so():
+    rod = [[4, 0, 0], [0, 1.6, -1.2], [0, -1.2, 3.4]]
+    created = agrees(rod, [0.0, 0.4, -1.0], 0.7, 1.0, "newton")
+    assert created.work.total > 0
+    assert Flag.ENERGY_CREATED in created.flags
+    for law in ("poisson", "energetic"):
+        assert Flag.ENERGY_CREATED not in agrees(rod, [0.0, 0.4, -1.0], 0.7, 1.0, law).flags
+
+
+def test_11_a_locked_mechanism():
+    """Poisson's law spends its impulse, the others end where v₃ is held at zero."""
+    locked = np.array([[1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
+    P = {law: agrees(locked, [-1.0, 0.5, -1.0], 3.0, 0.5, law).impulse[2] for law in LAWS}
+    assert P["newton"] == P["energetic"] < P["poisson"]
+
+
+# ---- sweeps: no jump that the reference does not have ----
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_sweeps_jump_only_where_they_may(name):
+    """Closing in on the steepest places the change dies away, except at the jumps of the model."""
+    sweep = SWEEPS[name]
+    jumps = 0
+    for low, high in sweep.steepest(400, 3):
+        low, high, change = sweep.close_in(low, high)
+        if change > 1e-5:
+            jumps += 1
+            assert Flag.NEAR_JUMP in solve_impact(sweep.problem(low)).flags
+            assert Flag.NEAR_JUMP in solve_impact(sweep.problem(high)).flags
+    assert jumps == sweep.jumps
+
+
+# ---- the fuzz run, short ----
+
+
+def test_fuzz():
+    report = fuzz.run(seed=2, count=9000)
+    assert [(what, category, law) for what, category, law, _ in report.violations] == []
+    assert max(t.iterations for t in report.tallies.values()) <= MOST_ITERATIONS
+    seen = {name for t in report.tallies.values() for name, number in t.flags.items() if number}
+    assert seen == {flag.name for flag in Flag if flag}
+
+
+def test_fuzz_sees_a_wrong_answer(monkeypatch):
+    """The run is worth something only if it notices: a solver off by 1e-8 in one impulse."""
+
+    def wrong(*arguments):
+        batch = solve_impacts(*arguments)
+        batch.impulse[:, 0] *= 1 + 1e-8
+        return batch
+
+    monkeypatch.setattr(fuzz, "solve_impacts", wrong)
+    report = fuzz.Report()
+    fuzz.check(np.random.default_rng(0), "isotropic", "poisson", 10, report)
+    assert {"momentum", "ledger"} <= {what for what, *_ in report.violations}
