@@ -489,7 +489,7 @@ class Report:
     longest: tuple[int, str, Problems] | None = None
 
     def markdown(self) -> str:
-        """Return the tallies as a table."""
+        """Return the tallies as tables."""
         lines = [
             "| category | problems | refused | most iterations | worst disagreement / sensitivity |",
             "| --- | ---: | ---: | ---: | ---: |",
@@ -501,6 +501,9 @@ class Report:
         most = max(t.iterations for t in self.tallies.values())
         worst = max(t.disagreement for t in self.tallies.values())
         lines.append(f"| **all** | {total} | {refused} | {most} | {worst:.2g} |")
+        lines += ["", "| flag | problems that raised it |", "| --- | ---: |"]
+        for flag in Flag:
+            lines.append(f"| {flag.name} | {sum(t.flags[flag.name] for t in self.tallies.values())} |")
         return "\n".join(lines)
 
 
