@@ -136,7 +136,7 @@ def test_4_half_integer_exponents():
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-200, 1e-100, 1e-12, 1e-3])
+@pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-100, 1e-12, 1e-3])
 def test_5_jam_at_first_touch(approach, law):
     solution = agrees(JAMS, [1.0, 0.5, -approach], 1.5, 0.5, law)
     assert Flag.JAM in solution.flags

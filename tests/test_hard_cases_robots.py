@@ -12,7 +12,6 @@ from . import robot_cases as cases
 LAWS = pinimpact.LAWS
 ROBOTS = {
     **cases.FRAMES,
-    "go1": "FR_foot",  # free-flyer
     "icub": "r_sole",  # free-flyer
 }
 
