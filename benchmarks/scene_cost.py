@@ -22,30 +22,33 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 MUJOCO_STEP = 0.002
 
 
-def ball() -> pin.Model:
+def free_body(inertia: pin.Inertia, tips: tuple[tuple[float, float, float], ...] = ()) -> pin.Model:
     model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
-    model.addFrame(pin.Frame("center", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    for k, point in enumerate(tips):
+        placement = pin.SE3(np.eye(3), np.array(point))
+        model.addFrame(pin.Frame(f"tip{k}", joint, 0, placement, pin.FrameType.OP_FRAME))
     return model
 
 
 def scenes() -> dict[str, tuple[Scene, np.ndarray, np.ndarray, float]]:
-    belt = Plane(velocity=(0.5, 0.2, 0))
-    rolling = Contact("center", belt, friction=0.3, restitution=0.5, radius=0.1)
-    tumbling = ball()
-    tumbling.inertias[1] = pin.Inertia(2.0, np.zeros(3), np.diag([0.01, 0.02, 0.03]))
-    upright = [0.0, 0.0, 0.0, 1.0]
+    rod = free_body(
+        pin.Inertia(1.0, np.zeros(3), np.diag([1e-4, 1 / 12, 1 / 12])), ((-0.5, 0, 0), (0.5, 0, 0))
+    )
+    tips = [Contact(f"tip{k}", Plane(), friction=0.4, restitution=0.5, radius=0.01) for k in range(2)]
+    tilted = pin.Quaternion(pin.utils.rotate("y", 0.3)).coeffs()
+    body = free_body(pin.Inertia(2.0, np.zeros(3), np.diag([0.01, 0.02, 0.03])))
     return {
-        "ball that bounces and rolls on a conveyor": (
-            Scene(ball(), [rolling]),
-            np.array([0, 0, 0.4, *upright]),
-            np.array([1.0, 0, 0, 0, 3.0, 0]),
-            2.0,
+        "rod that falls on one tip, then the other": (
+            Scene(rod, tips),
+            np.array([0, 0, 0.5, *tilted]),
+            np.zeros(6),
+            0.5,
         ),
         "tumbling body in flight": (
-            Scene(tumbling),
-            np.array([0, 0, 0, *upright]),
+            Scene(body),
+            np.array([0, 0, 0, 0, 0, 0, 1.0]),
             np.array([1.0, 0, 3.0, 0.1, 5.0, 0.1]),
             2.0,
         ),

@@ -156,7 +156,7 @@ class _Run:
         self.integrator = Integrator(self.flow, table, model.nq, model.nv, rtol, atol)
         self.floor = GAP_FLOOR * scene.extent + 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
         self.touch = 4.0 * self.floor
-        self.drift = max(self.touch, 1e-2 * atol)
+        self.drift = max(self.touch, atol)
         self._limit_q = np.array([limit.index_q for limit in self.limits], dtype=np.int64)
         self._limit_v = np.array([limit.index_v for limit in self.limits], dtype=np.int64)
         self._limit_sign = np.array([limit.sign for limit in self.limits])

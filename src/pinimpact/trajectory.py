@@ -311,7 +311,7 @@ class Trajectory:
                 simultaneous,
                 record,
             )
-            for i, (time, source, resting, simultaneous, record, mu, e, law) in enumerate(meta["impacts"])
+            for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
         ]
         return cls(
             segments,
