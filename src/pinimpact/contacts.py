@@ -19,9 +19,7 @@ from .surfaces import Plane, Vector, check_frame_key, vector
 
 Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
-_jacobian = pin.computeFrameJacobian
 _placement = pin.updateFramePlacement
-_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 @dataclass(frozen=True)
@@ -167,10 +165,11 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     space = workspace(model, data)
     q = configuration(space, model, q)
     check_contact("contact", contact)
+    pin.computeJointJacobians(model, data, q)
     kinematic = kinematics(model, data, q, space, contact)
     rows = np.empty((3, space.nv))
     seen = np.array(geometry.jacobian(*kinematic, contact.constants, rows))
-    gap, _, _, _, *point = geometry.locate(kinematic[0], kinematic[2], contact.constants)
+    gap, _, _, _, *point = geometry.locate(kinematic[0], kinematic[3], contact.constants)
     return ContactGeometry(np.array(point), gap, seen[:9].reshape(3, 3), rows[:2].T, rows[2], seen[9:])
 
 
@@ -186,8 +185,8 @@ def contact_matrices(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data. Changes ``data.M`` and what else ``pin.crba`` and ``pin.computeFrameJacobian``
-            write; ``data.oMi`` and ``data.oMf`` are brought to q only along the frames in question.
+        data: Its data. Changes ``data.M``, ``data.J``, ``data.oMi`` and what else ``pin.crba`` and
+            ``pin.computeJointJacobians`` write; ``data.oMf`` is brought to q only for the frames in question.
         q: (nq,) configuration.
         contact: The contact that the impulse acts at.
         held: Contacts whose points cannot move relative to their planes: three bilateral rows each,
@@ -246,22 +245,39 @@ def contact_matrices(
 
 def kinematics(
     model: pin.Model, data: pin.Data, q: Array, space: Workspace, contact: Contact
-) -> tuple[Array, Array, Array | None, Array | None]:
-    """Return placement (4, 4) and Jacobian (6, nv) of the contact's frame, and of the plane's carrier.
+) -> tuple[Array, Array, NDArray[np.bool_], Array | None, Array | None, NDArray[np.bool_] | None]:
+    """Return what `geometry.jacobian` takes of the contact's frame and of the plane's carrier.
 
-    The Jacobians are in world axes at the frames' origins, linear over angular.
+    ``data.J`` and ``data.oMi`` have to be those of q already.
     """
     frame = space.frames.get(contact.frame)
     if frame is None:
         frame = space.frame(contact.frame)
-    rows = _jacobian(model, data, q, frame, _ALIGNED)
     placement = _placement(model, data, frame).homogeneous
+    columns = space.columns
     body = contact.plane.body
+    if columns is None:
+        columns = _columns_of(model, data, q, frame)
     if body is None:
-        return placement, rows, None, None
+        return placement, columns, space.support(frame), None, None, None
     carrier = space.frame(body, "body")
-    carrier_rows = _jacobian(model, data, q, carrier, _ALIGNED)
-    return placement, rows, _placement(model, data, carrier).homogeneous, carrier_rows
+    carrier_columns = columns if space.columns is not None else _columns_of(model, data, q, carrier)
+    carrier_placement = _placement(model, data, carrier).homogeneous
+    return (
+        placement,
+        columns,
+        space.support(frame),
+        carrier_placement,
+        carrier_columns,
+        space.support(carrier),
+    )
+
+
+def _columns_of(model: pin.Model, data: pin.Data, q: Array, frame: int) -> Array:
+    """Return (6, nv) a frame's Jacobian with respect to the world's origin, mimic joints summed."""
+    rows = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    rows[:3] -= np.cross(rows[3:], data.oMf[frame].translation, axisa=0, axisc=0)
+    return rows
 
 
 def check_contact(field: str, value: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import weakref
 from collections.abc import Iterable, Sequence
@@ -94,7 +95,10 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
 class Workspace:
     """What does not change about a model and its data from one call to the next; see `workspace`."""
 
-    __slots__ = ("curved", "data", "frames", "model", "nframes", "nv", "parents", "q_shape", "v_shape")
+    __slots__ = (
+        *("columns", "curved", "data", "frames", "model", "nframes", "nv", "parents", "q_shape", "supports"),
+        "v_shape",
+    )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
         if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
@@ -110,6 +114,9 @@ class Workspace:
         if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
             self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
+        self.supports: dict[int, np.ndarray] = {}
+        # what crba and computeJointJacobians write; with mimic joints it has columns of its own
+        self.columns = _unowned(data.J, (6, model.nv)) if data.J.size == 6 * model.nv else None
 
     def frame(self, key: str | int, field: str = "frame") -> int:
         """Return the id of a frame given by name or id; see `frame_id`."""
@@ -121,6 +128,23 @@ class Workspace:
                 raise outdated(model, self.data())
             self.frames[key] = found
         return found
+
+    def support(self, frame: int) -> np.ndarray:
+        """Return (nv,) booleans: the velocities that move a frame given by id."""
+        found = self.supports.get(frame)
+        if found is None:
+            model: Any = self.model()
+            # with mimic joints a column holds what the frame's own joints do, and nothing else
+            found = self.supports[frame] = np.full(self.nv, self.columns is None)
+            for joint in list(model.supports[model.frames[frame].parentJoint])[1:]:
+                found[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = True
+        return found
+
+
+def _unowned(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a view of an array, column by column, that does not keep its owner alive."""
+    numbers = (ctypes.c_double * array.size).from_address(array.__array_interface__["data"][0])
+    return np.ctypeslib.as_array(numbers).reshape(shape, order="F")
 
 
 def outdated(model: pin.Model, data: Any) -> InputError:
@@ -138,7 +162,8 @@ _workspaces: dict[int, Workspace] = {}
 
 
 def _forget(key: int) -> Any:
-    return lambda _: _workspaces.pop(key, None)
+    forget = _workspaces.pop  # bound now: at exit the module may be gone before the data
+    return lambda _: forget(key, None)
 
 
 def workspace(model: pin.Model, data: pin.Data) -> Workspace:

@@ -40,6 +40,7 @@ _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model
 _mass_matrix = pin.crba
+_WORLD = pin.Convention.WORLD
 _is_normalized = pin.isNormalized
 _contiguous = np.ascontiguousarray
 _empty = np.empty
@@ -201,16 +202,12 @@ def impact(
     restitution = contact.restitution
     if callable(restitution):
         restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
-    frame, frame_jacobian, carrier, carrier_jacobian = kinematics(model, data, q_now, space, contact)
     nv = space.nv
     answer = _empty(nv + SIZE)
     outcome = _reset(
-        _mass_matrix(model, data, q_now),
+        _mass_matrix(model, data, q_now, _WORLD),
         space.parents,
-        frame,
-        frame_jacobian,
-        carrier,
-        carrier_jacobian,
+        *kinematics(model, data, q_now, space, contact),
         contact.constants,
         q_now,
         v_now,
@@ -294,7 +291,7 @@ def impacts(
         if not np.isfinite(q[row]).all() or (space.curved and not pin.isNormalized(model, q[row], 1e-8)):
             continue
         outcome = kernel.reset(
-            pin.crba(model, data, q[row]),
+            pin.crba(model, data, q[row], pin.Convention.WORLD),
             space.parents,
             *kinematics(model, data, q[row], space, contact),
             contact.constants,

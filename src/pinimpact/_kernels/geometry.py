@@ -86,14 +86,17 @@ def surface_velocity(carrier, constants, x1, x2, x3):
 
 
 @jit
-def jacobian(frame, frame_jacobian, carrier, carrier_jacobian, constants, out):
+def jacobian(frame, frame_columns, frame_support, carrier, carrier_columns, carrier_support, constants, out):
     """Fill the contact Jacobian J.
 
     Args:
         frame: (4, 4) placement of the contact's frame.
-        frame_jacobian: (6, nv) its Jacobian in world axes at its origin, linear over angular.
+        frame_columns: (6, nv) motion of the world's origin, as if fixed to what each velocity moves, linear
+            over angular, in world axes.
+        frame_support: (nv,) booleans: the velocities that move the frame.
         carrier: (4, 4) placement of the frame that carries the plane; None for the world.
-        carrier_jacobian: (6, nv) its Jacobian, likewise.
+        carrier_columns: (6, nv) for the carrier, likewise.
+        carrier_support: (nv,) likewise.
         constants: (16,) of the contact.
         out: (3, nv) takes J.
 
@@ -102,18 +105,19 @@ def jacobian(frame, frame_jacobian, carrier, carrier_jacobian, constants, out):
     """
     _, n1, n2, n3, x1, x2, x3 = locate(frame, carrier, constants)
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
-    r1, r2, r3 = x1 - frame[0, 3], x2 - frame[1, 3], x3 - frame[2, 3]
-    f = frame_jacobian
+    f = frame_columns
     for j in range(out.shape[1]):
-        u1 = f[0, j] + f[4, j] * r3 - f[5, j] * r2
-        u2 = f[1, j] + f[5, j] * r1 - f[3, j] * r3
-        u3 = f[2, j] + f[3, j] * r2 - f[4, j] * r1
+        u1 = u2 = u3 = 0.0
+        if frame_support[j]:
+            u1 = f[0, j] + f[4, j] * x3 - f[5, j] * x2
+            u2 = f[1, j] + f[5, j] * x1 - f[3, j] * x3
+            u3 = f[2, j] + f[3, j] * x2 - f[4, j] * x1
         if carrier is not None:
-            s1, s2, s3 = x1 - carrier[0, 3], x2 - carrier[1, 3], x3 - carrier[2, 3]
-            c = carrier_jacobian
-            u1 -= c[0, j] + c[4, j] * s3 - c[5, j] * s2
-            u2 -= c[1, j] + c[5, j] * s1 - c[3, j] * s3
-            u3 -= c[2, j] + c[3, j] * s2 - c[4, j] * s1
+            c = carrier_columns
+            if carrier_support[j]:
+                u1 -= c[0, j] + c[4, j] * x3 - c[5, j] * x2
+                u2 -= c[1, j] + c[5, j] * x1 - c[3, j] * x3
+                u3 -= c[2, j] + c[3, j] * x2 - c[4, j] * x1
         out[0, j] = a1 * u1 + a2 * u2 + a3 * u3
         out[1, j] = b1 * u1 + b2 * u2 + b3 * u3
         out[2, j] = n1 * u1 + n2 * u2 + n3 * u3

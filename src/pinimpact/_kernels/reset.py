@@ -37,16 +37,34 @@ def dot(x, y):
 
 
 @jit
-def reset(mass, parents, frame, frame_jacobian, carrier, carrier_jacobian, constants, q, v, mu, e, law, out):
+def reset(
+    mass,
+    parents,
+    frame,
+    frame_columns,
+    frame_support,
+    carrier,
+    carrier_columns,
+    carrier_support,
+    constants,
+    q,
+    v,
+    mu,
+    e,
+    law,
+    out,
+):
     """Resolve the impact of one contact.
 
     Args:
         mass: (nv, nv) M.
         parents: (nv,) the next velocity on the way to the root, or −1.
-        frame: This and the next four as in `geometry.jacobian`.
-        frame_jacobian: See there.
+        frame: This and the next six as in `geometry.jacobian`.
+        frame_columns: See there.
+        frame_support: See there.
         carrier: See there.
-        carrier_jacobian: See there.
+        carrier_columns: See there.
+        carrier_support: See there.
         constants: See there.
         q: (nq,), only looked through for numbers that are not finite.
         v: (nv,) pre-impact velocity.
@@ -66,7 +84,9 @@ def reset(mass, parents, frame, frame_jacobian, carrier, carrier_jacobian, const
     stopped = factor(mass, parents, lower)
     if stopped >= 0:
         return SINGULAR_MASS, stopped, 0
-    seen = jacobian(frame, frame_jacobian, carrier, carrier_jacobian, constants, y)
+    seen = jacobian(
+        frame, frame_columns, frame_support, carrier, carrier_columns, carrier_support, constants, y
+    )
     s1, s2, s3 = seen[9], seen[10], seen[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
     solve_transposed(lower, parents, y)
