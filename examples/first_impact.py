@@ -7,9 +7,4 @@ v = [0.4, 2.1, 0.4, -0.6, 0.25, 1.2, 0, 0, 0]  # joint velocities as the hand to
 hit = pinimpact.impact(robot.model, robot.data, robot.q0, v, hand)  # hit.v: the joint velocities after
 for segment in hit.solution.segments:
     print(f"{segment.mode} in {segment.phase}, normal impulse {segment.start:.3f} to {segment.end:.3f} N s")
-print(
-    "impulse on the robot [N s]:",
-    hit.impulse_world.round(3),
-    "energy [J]:",
-    round(hit.solution.work.total, 3),
-)
+print(f"impulse on the robot {hit.impulse_world.round(3)} N s, its work {hit.solution.work.total:.3f} J")
