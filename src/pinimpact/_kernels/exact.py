@@ -149,7 +149,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     flags = SINGULAR_DELASSUS if rank < 3 else 0
 
     # where A is singular nothing acts across its range: v_t either has a part there for good, or none
-    planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
     if planar:
         norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
         d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
@@ -230,7 +230,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             ):
                 # the identity of theory.md, 6 knows v₃ better than the sum over the path
                 v3 = approach - k1 * start1 - k2 * start2 + s * p3
-            excess = math.sqrt(k1 * k1 + k2 * k2) - mu
+            stick_ratio = math.sqrt(k1 * k1 + k2 * k2)
+            excess = stick_ratio - mu
             if abs(excess) <= NEAR_THRESHOLD * mu:
                 flags |= NEAR_STICK_THRESHOLD
             if excess <= 0.0:
@@ -243,7 +244,11 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             else:
                 flags |= SLIP_RESUMED
                 mode = RESUMED
-                gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
+                if flat:
+                    s1, s2 = k1 / stick_ratio, k2 / stick_ratio
+                    gain = (a11 + a22) * excess
+                else:
+                    gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
                 rate = c - mu * (b1 * s1 + b2 * s2)
                 dp1, dp2 = -mu * s1, -mu * s2
         else:
