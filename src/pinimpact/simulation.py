@@ -21,11 +21,9 @@ from .flow import MODES, Active, Flow
 from .integrator import QUADRATURES, Integrator, Segment
 from .lookup import configuration, free_velocities, workspace
 from .manifold import joint_table
-from .outcome import LAWS
 from .problem import ImpactProblem, finite_array
 from .reset import impact
 from .scene import STANDARD_GRAVITY, Scene
-from .solution import Solution
 from .solvers import solve_impact
 from .trajectory import Energy, ImpactRecord, ModeInterval, Note, Trajectory
 
@@ -591,7 +589,7 @@ class _Run:
                 resting = self.sustained and not plastic and self._number_of(i)[1] < self.rest
             if hit is None or resting:
                 hit = self._impact(self.plastic[i], v)
-            after, problem, impulse = hit.v.copy(), _problem(hit.solution), hit.impulse_world
+            after, problem, impulse = hit.v.copy(), hit.problem, hit.impulse_world
         else:
             limit = self.limits[i - len(self.contacts)]
             e = self.limit_restitution
@@ -921,14 +919,6 @@ def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
         still = (0.0, 0.0, 0.0)
         contact = replace(contact, plane=replace(contact.plane, velocity=still, angular_velocity=still))
     return contact
-
-
-def _problem(solution: Solution) -> ImpactProblem:
-    """Return the contact-space problem of a solution, so that a trajectory can keep it as numbers."""
-    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law = solution._inputs
-    delassus = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
-    surface = np.array(solution._surface_velocity)
-    return ImpactProblem(delassus, np.array([v1, v2, v3]), mu, e, LAWS[law], surface)
 
 
 def _joint_of(model: pin.Model, velocity: int) -> int:

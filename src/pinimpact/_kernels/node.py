@@ -7,6 +7,8 @@ infinity (a < 0), is one convergent series: there is no speed at which "small" w
 
 from __future__ import annotations
 
+import math
+
 from .delassus import EPS
 from .jit import inner
 from .slip import RECIPROCAL, TERMS, in_frame, polynomials
@@ -72,7 +74,7 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
         g2, g1, g0 = g1, g0, new
         series[k + 1] = new
         total += new
-    good = p1 < 0.0 and abs(g0) + abs(g1) + abs(g2) <= EPS * total
+    good = p1 < 0.0 and total < math.inf and abs(g0) + abs(g1) + abs(g2) <= EPS * total
     if good:
         for k in range(TERMS + 5):
             z = exponent + k
