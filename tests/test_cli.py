@@ -91,3 +91,24 @@ def test_run_keeps_what_was_computed_when_it_cannot_go_on(tmp_path: Path) -> Non
     assert result.exit_code == 1
     assert "Error:" in result.output
     assert (tmp_path / "out" / "trajectory.npz").is_file()
+
+
+def test_cost_answers_what_reaches_an_error(tmp_path: Path) -> None:
+    args = ("cost", "--robot", "two_link_arm", "--method", "exact", "--target", "1e-9", "--time-cap", "0.01")
+    result = call(*args, "-o", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert "exact" in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cost.json", "cost.png"]
+
+
+def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rich.progress import Progress
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "update", interrupt)
+    result = call("run", str(SCENES / "ball_on_conveyor.toml"), "-o", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert "Interrupted" in result.output
+    assert (tmp_path / "trajectory.npz").is_file()
