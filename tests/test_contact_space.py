@@ -88,7 +88,8 @@ def test_segments_tile_the_impact(problem):
     for before, after in pairwise(segments):
         assert after.start == pytest.approx(before.end, abs=small)
         assert not (before.mode == "stick" and after.mode == "slip")
-        assert (before.mode, before.phase) != (after.mode, after.phase)
+        same = (before.mode, before.phase) == (after.mode, after.phase)
+        assert not same or Flag.SLIP_RESUMED in solution.flags
     compression = sum(s.end - s.start for s in segments if s.phase == "compression")
     assert compression == pytest.approx(solution.compression_impulse, rel=1e-12)
     assert (Flag.STICK in solution.flags) == any(s.mode == "stick" for s in segments)

@@ -324,7 +324,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             scale = speed * per
             d1, d2, n1, x = s1, s2, 0.0, 0.0
             restoring = phase == RESTITUTION
-            node = expanded = False
+            node = expanded = event != NOTHING  # False, and no literal: see VELOCITY
             last, f = 0.0, (0.0,) * 12
             stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
 

@@ -13,7 +13,8 @@ import numpy as np
 from .jit import inner
 from .slip import TERMS, moments, within_reach
 
-VELOCITY, IMPULSE, WORK = 0, 1, 2
+VELOCITY, IMPULSE, WORK = np.int64(0), np.int64(1), np.int64(2)
+"""What `seek` looks for; no literals, for numba compiles a function anew for each."""
 
 SETTLED = 38.0
 """e^{−SETTLED} is below rounding."""
