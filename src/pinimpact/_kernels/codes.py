@@ -1,14 +1,28 @@
-"""Integers that the kernels speak: the values of `outcome.Status` and `outcome.Flag`, modes and phases."""
+"""Integers that the kernels speak: the values of `outcome.Status` and `outcome.Flag`, modes, phases, events.
 
-SEPARATED, ENDED_AT_REST, NO_IMPACT, LOCKED = 0, 1, 2, 3
-INVALID_NUMBERS, INDEFINITE_DELASSUS, UNSTOPPABLE, LAW_UNREACHABLE = 4, 5, 6, 7
-OUT_OF_RANGE, NOT_CONVERGED = 8, 9
+They are NumPy's, for numba takes Python's as literals and compiles a function anew for each.
+"""
 
-JAM, IMPACT_WITHOUT_COLLISION, SECOND_COMPRESSION, STICKS = 1, 2, 4, 8
-SLIP_RESUMED, LOCKS, ENERGY_CREATED, NEAR_JUMP = 16, 32, 64, 128
-NEAR_STICK_THRESHOLD, SINGULAR_DELASSUS, SLIP_TURNS = 256, 512, 1024
+from collections.abc import Iterator
 
-SLIP, STICK, RESUMED = 0, 1, 2
-COMPRESSION, RESTITUTION = 0, 1
-POISSON, ENERGETIC, NEWTON = 0, 1, 2
-NOTHING, STOPS, LAW_MET, FALLS_BACK = 0, 1, 2, 3
+import numpy as np
+
+
+def _counting(count: int) -> Iterator[np.int64]:
+    return (np.int64(i) for i in range(count))
+
+
+def _bits(count: int) -> Iterator[np.int64]:
+    return (np.int64(1 << i) for i in range(count))
+
+
+SEPARATED, ENDED_AT_REST, NO_IMPACT, LOCKED, *_failures = _counting(10)
+INVALID_NUMBERS, INDEFINITE_DELASSUS, UNSTOPPABLE, LAW_UNREACHABLE, OUT_OF_RANGE, NOT_CONVERGED = _failures
+
+JAM, IMPACT_WITHOUT_COLLISION, SECOND_COMPRESSION, STICKS, SLIP_RESUMED, LOCKS, *_more = _bits(11)
+ENERGY_CREATED, NEAR_JUMP, NEAR_STICK_THRESHOLD, SINGULAR_DELASSUS, SLIP_TURNS = _more
+
+SLIP, STICK, RESUMED = _counting(3)
+COMPRESSION, RESTITUTION = _counting(2)
+POISSON, ENERGETIC, NEWTON = _counting(3)
+NOTHING, STOPS, LAW_MET, FALLS_BACK, NEVER = _counting(5)

@@ -22,6 +22,7 @@ from .codes import (
     LOCKS,
     NEAR_JUMP,
     NEAR_STICK_THRESHOLD,
+    NEVER,
     NEWTON,
     NO_IMPACT,
     NOT_CONVERGED,
@@ -43,12 +44,12 @@ from .codes import (
 )
 from .delassus import EPS, ZERO, classify
 from .jit import inner, jit
-from .node import expand_node, nearby_root
 from .normal import linear_event, restitution_goal
 from .record import mark, mark_stretch, note
 from .secular import resumed_direction
-from .slip import TERMS, expand, in_frame, polynomials, reach
-from .stretch import IMPULSE, VELOCITY, WORK, first_root, halley, point, seek, seek_near, works
+from .slip import TERMS, in_frame, polynomials
+from .stretch import works
+from .turning import NEAR, NO_FORCE, turn_on
 
 SCRATCH = 2 * TERMS + 6
 """Floats of scratch space that an impact needs."""
@@ -59,17 +60,11 @@ MAX_STEPS = 1000
 STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
 
-NO_FORCE = 2.0**-46
-"""Where slip may turn into a direction without force, a force this small is rounding."""
-
 VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 TOO_SHORT = 2.0**-300
 """Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
-
-NEAR = 1e-2
-"""Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
 
 NEAR_THRESHOLD = 1e-6
 """Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
@@ -319,110 +314,30 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
 
         else:
             flags |= SLIP_TURNS
-            # ---- a stretch of turning slip, on which its series converges and v₃ is monotone ----
-            jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-            scale = speed * per
-            d1, d2, n1, x = s1, s2, 0.0, 0.0
-            restoring = phase == RESTITUTION
-            node = expanded = event != NOTHING  # False, and no literal: see VELOCITY
-            last, f = 0.0, (0.0,) * 12
-            stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
-
-            # most often the next event is near: try for it at once
-            kind, aim, guess = VELOCITY, goal if restoring else 0.0, 0.0
-            bend = m0 - 0.5 * t1
-            if law == POISSON and restoring:
-                kind, aim = IMPULSE, left
-                guess = halley(-left, scale, bend)
-            elif law == ENERGETIC and restoring:
-                kind, aim = WORK, left
-                square = v3 * v3 + 2.0 * rate * left
-                if square > 0.0:
-                    guess = halley(-2.0 * left / (v3 + math.sqrt(square)), scale, bend)
-            elif rate > 0.0:
-                guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
-            if guess > 0.0 and guess * max(abs(turn), -t1) < 1.0:
-                expanded = True
-                last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
-                stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
-                x = seek_near(stretch, kind, aim, guess, last)
-                if x > 0.0:
-                    event = LAW_MET if restoring else STOPS
-
-            if event == NOTHING:
-                # go as far as the series converges and v₃ is monotone: into the invariant direction ahead ...
-                root = nearby_root(turn, t1, t2, t3, t4)
-                if root != 0.0:
-                    expanded = False
-                    node, e1, e2, n1, el, ep, f = expand_node(
-                        series, inverse, f11, f12, f22, fb1, fb2, s1, s2, root
-                    )
-                if node and endless_slip and abs(f[3] * n1) <= NO_FORCE:
-                    f = f[:3] + (0.0,) + f[4:]  # noqa: RUF005 (numba)
-                if node:
-                    t = first_root(jam0, jam1, jam2, root)
-                    if endless_slip and f[3] == 0.0 and abs(root - t) <= 1e-9 * abs(root):
-                        t = root  # dv₃/dP₃ tends to s
-                    peaks = t != root
-                    x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
-                    d1, d2, bl, bp = e1, e2, el * omega, ep * omega
-                    jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
-                else:
-                    # ... or some way towards it
-                    if not expanded:
-                        last, f = expand(series, turn, t1, t2, t3, t4, m0, m1, m2, m3)
-                    whole = reach(last, f[0])
-                    x = first_root(jam0, jam1, jam2, f[0] * whole) / f[0]
-                    peaks = x < whole
-                stretch = (node, series, inverse, f, scale, mu, c, bl, bp, v3, speed)
-                endless = x == math.inf and f[3] <= 0.0
-                if endless:
-                    span = math.inf
-                    if endless_slip and f[3] == 0.0:
-                        jam0 = s
-                    v3_end = math.inf if jam0 > 0.0 else -math.inf
-                    if jam0 == 0.0:
-                        v3_end = (k1 * d1 + k2 * d2) * speed * f[1] + offset
-                else:
-                    span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
-                    v3_end = v3 + dv3
-                    if x == math.inf and s == 0.0:
-                        v3_end = offset
-                # what the velocity brings
-                met = v3_end > goal or (v3_end == goal and x < math.inf)
-                aim = goal if law == NEWTON and restoring and met else 0.0
-                if restoring:
-                    if aim > 0.0:
-                        event = LAW_MET
-                    elif v3_end < 0.0:
-                        event = FALLS_BACK
-                    elif law == NEWTON and peaks and rate > 0.0 and goal - v3_end < NEAR * goal:
-                        flags |= NEAR_JUMP
-                elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
-                    event = STOPS
-                if event != NOTHING:
-                    kind = VELOCITY
-                    x = seek(stretch, kind, aim, v3 - aim, v3_end - aim, x)
-                    endless = False
-                # what the sum of impulse or work brings before that
-                if restoring and law != NEWTON:
-                    kind, total = IMPULSE, math.inf
-                    if law == ENERGETIC:
-                        kind = WORK
-                        if not endless:
-                            total, _ = works(stretch, x)
-                    elif not endless:
-                        total = span if event == NOTHING else point(stretch, x)[0]
-                    if total >= left:
-                        event = LAW_MET
-                        x = seek(stretch, kind, left, -left, total - left, x)
-                        endless = False
-                if endless:
-                    return failed(LAW_UNREACHABLE if restoring else UNSTOPPABLE, math.ldexp(v3, scale_v))
-
-            if event != NOTHING:
-                span, along, across, dv3, ratio, t, _, _ = point(stretch, x)
-                v3_end = v3 + dv3
+            field = (f11, f12, f22, fb1, fb2, omega, per, mu, c, s, k1, k2)
+            polynomial = (t1, t2, t3, t4, m0, m1, m2, m3, bl, bp)
+            slip = (s1, s2, speed, v3)
+            event, near_jump, x, stretch, n1, d1, d2, jam, end = turn_on(
+                series,
+                inverse,
+                field,
+                endless_slip,
+                slip,
+                turn,
+                polynomial,
+                rate,
+                phase,
+                law,
+                goal,
+                left,
+                offset,
+            )
+            if event == NEVER:
+                never = LAW_UNREACHABLE if phase == RESTITUTION else UNSTOPPABLE
+                return failed(never, math.ldexp(v3, scale_v))
+            if near_jump:
+                flags |= NEAR_JUMP
+            span, along, across, v3_end, ratio, t = end
             if work_wanted:
                 work, friction_work = works(stretch, x)
             if path_wanted:
@@ -432,7 +347,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             p3 += span
             v3 = v3_end
             chord = 1.0 + t * t
-            rate = (jam0 + t * (jam1 + t * jam2)) / chord
+            rate = (jam[0] + t * (jam[1] + t * jam[2])) / chord
             if rate < 0.0:
                 flags |= JAM
             cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
@@ -441,7 +356,8 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
             s1 *= norm
             s2 *= norm
             speed *= ratio
-            if node:
+            f = stretch[3]
+            if stretch[0]:
                 y = t / f[0]
                 turn = n1 * t * (1.0 + y * (f[4] + y * (f[5] + y * f[6]))) / (chord * chord)
             else:

@@ -51,6 +51,14 @@ def inner(function: F) -> F:
     return compiled
 
 
+def inlined(function: F) -> F:
+    """Like `inner`, for a large kernel with one caller: passing its many values would cost more than its code."""
+    compiled: F = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(
+        function
+    )
+    return compiled
+
+
 def jit(function: F) -> F:
     """Compile `function` on first call; cached on disk where a place is writable."""
     compiled = numba.njit(**_OPTIONS)(function)

@@ -14,7 +14,7 @@ from .jit import inner
 from .slip import TERMS, moments, within_reach
 
 VELOCITY, IMPULSE, WORK = np.int64(0), np.int64(1), np.int64(2)
-"""What `seek` looks for; no literals, for numba compiles a function anew for each."""
+"""What `seek` looks for; NumPy's integers as in `codes`."""
 
 SETTLED = 38.0
 """e^{−SETTLED} is below rounding."""
