@@ -72,7 +72,7 @@ _FLAG_TEXTS = {
     Flag.LOCKED: "Stick locked the normal direction.",
     Flag.ENERGY_CREATED: "The law created kinetic energy.",
     Flag.NEAR_JUMP: "The impact map is discontinuous nearby: a small change of input may change the outcome.",
-    Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the one that decides between stick and slip.",
+    Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the threshold between stick and slip.",
     Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
     Flag.SLIP_TURNED: "The direction of slip turned along the path.",
 }

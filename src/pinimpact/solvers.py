@@ -190,7 +190,7 @@ def solve_impact(
         mu, e = float(problem.friction), float(problem.restitution)
     except (TypeError, ValueError):
         raise InputError(
-            f"friction, restitution: numbers expected, {problem.friction!r} and {problem.restitution!r} given",
+            f"friction, restitution: numbers expected, not {problem.friction!r}, {problem.restitution!r}",
             field="friction",
             value=(problem.friction, problem.restitution),
         ) from None

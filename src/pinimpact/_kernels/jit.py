@@ -52,7 +52,7 @@ def inner(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Like `inner`, for a large kernel with one caller: passing its many values would cost more than its code."""
+    """Like `inner`, for a kernel with one caller: to pass its many values would cost more than its code."""
     compiled: F = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(
         function
     )
