@@ -105,7 +105,8 @@ def test_every_stepped_impact_obeys_mechanics(method, problem):
     try:
         solution = solve_impact(problem, method, record=True, **STEPPING[method])
     except PinimpactError as gave_up:  # creeping slip is stiff; docs/accuracy.md
-        assert gave_up.field in STEPPING[method]
+        if gave_up.field not in STEPPING[method]:
+            raise
         reject()
     W, v, mu = problem.delassus, problem.velocity, problem.friction
     P, w = solution.impulse, solution.work
