@@ -301,6 +301,7 @@ def test_what_was_special_is_said():
         assert all(s[0].isupper() and s.endswith(".") for s in sentences)
         assert str(solution.status).endswith(".")
     assert Flag.NONE.describe() == ()
+    assert Flag(np.int64(8)) is Flag.STICK  # as arrays hold them
 
 
 @pytest.mark.parametrize(

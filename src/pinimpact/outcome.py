@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+from operator import index
+from typing import Any
 
 
 class Status(enum.IntEnum):
@@ -57,6 +59,11 @@ class Flag(enum.IntFlag):
     NEAR_STICK_THRESHOLD = 256
     SINGULAR_DELASSUS = 512
     SLIP_TURNED = 1024
+
+    @classmethod
+    def _missing_(cls, value: object) -> Any:
+        """Take NumPy's integers too, such as the rows of ``batch.flags``."""
+        return super()._missing_(index(value))  # type: ignore[arg-type]
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence for each flag that is set, in the order of their values."""
