@@ -42,9 +42,9 @@ from .codes import (
     STOPS,
     UNSTOPPABLE,
 )
-from .delassus import EPS, ZERO, classify
+from .delassus import ZERO, classify
 from .jit import inner, jit
-from .normal import linear_event, restitution_goal
+from .normal import creates_energy, linear_event, restitution_goal
 from .record import mark, mark_stretch, note
 from .secular import resumed_direction
 from .slip import TERMS, in_frame, polynomials
@@ -410,11 +410,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         v1 = v2 = 0.5 * (v1 + v2)
         p1 = p2 = 0.5 * (p1 + p2)
 
-    # kinetic energy gained, ½ P·(v⁻ + v⁺), against the rounding of its terms
-    gained, size = p3 * (approach + v3), abs(p3 * approach) + abs(p3 * v3)
-    gained += p1 * (start1 + v1) + p2 * (start2 + v2)
-    size += abs(p1) * (abs(start1) + abs(v1)) + abs(p2) * (abs(start2) + abs(v2))
-    if gained > 64.0 * EPS * size:
+    if creates_energy(start1, start2, approach, v1, v2, v3, p1, p2, p3):
         flags |= ENERGY_CREATED
 
     if swapped:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from .codes import COMPRESSION, ENERGETIC, FALLS_BACK, LAW_MET, NEWTON, NOTHING, POISSON, STOPS
+from .delassus import EPS
 from .jit import inner
 
 
@@ -51,3 +52,11 @@ def linear_event(phase, law, left, v3, rate):
     if rate < 0.0 and -v3 / rate < span:
         return -v3 / rate, FALLS_BACK
     return span, event
+
+
+@inner
+def creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
+    """Whether the kinetic energy gained from v to w, ½ P·(v + w), is beyond its rounding. (1.5)"""
+    gained = p1 * (v1 + w1) + p2 * (v2 + w2) + p3 * (v3 + w3)
+    size = abs(p1) * (abs(v1) + abs(w1)) + abs(p2) * (abs(v2) + abs(w2)) + abs(p3) * (abs(v3) + abs(w3))
+    return gained > 64.0 * EPS * size

@@ -48,7 +48,7 @@ from .codes import (
 from .delassus import EPS, ZERO, classify
 from .exact import NEAR, NEAR_THRESHOLD, failed
 from .jit import jit
-from .normal import linear_event, restitution_goal
+from .normal import creates_energy, linear_event, restitution_goal
 from .record import mark, note
 from .secular import resumed_direction
 
@@ -381,11 +381,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
     if v3 <= 0.0:
         v3 = 0.0
         status = LOCKED if flags & LOCKS else ENDED_AT_REST
-    # kinetic energy gained, ½ P·(v⁻ + v⁺), against the rounding of its terms
-    gained, size = p3 * (approach + v3), abs(p3 * approach) + abs(p3 * v3)
-    gained += p1 * (start1 + v1) + p2 * (start2 + v2)
-    size += abs(p1) * (abs(start1) + abs(v1)) + abs(p2) * (abs(start2) + abs(v2))
-    if gained > 64.0 * EPS * size:
+    if creates_energy(start1, start2, approach, v1, v2, v3, p1, p2, p3):
         flags |= ENERGY_CREATED
     if not math.isfinite(v1 + v2 + v3 + p1 + p2 + p3):
         return failed(OUT_OF_RANGE, 0.0)
