@@ -231,7 +231,8 @@ def test_table_obeys_the_laws_of_mechanics():
             if p.law == "poisson":
                 assert abs(Pr - e * Pc) <= small * P[2]
             elif p.law == "energetic" and not locked:
-                assert abs(Wr + e**2 * Wc) <= small * abs(Wc) + mpf(2) ** -1060
+                # the works are quadratures: a few digits fewer, still twice what a double holds
+                assert abs(Wr + e**2 * Wc) <= mpf(10) ** -40 * abs(Wc) + mpf(2) ** -1060
             elif p.law == "newton" and not locked:
                 assert abs(v[2] + e * v0[2]) <= small * abs(v0[2])
             if p.law == "energetic" or e == 0:
