@@ -115,7 +115,7 @@ def _energy(model: pin.Model, hit: ImpactRecord) -> Table:
 
 def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
     """Return a table; cells are names, or numbers to be set to the right."""
-    table = Table(title=Text(title), title_justify="left")
+    table = Table(title=Text(title), title_justify="left", min_width=min(len(title), 80))  # titles stay whole
     for name in head:
         table.add_column(Text(name))
     for row in rows:
