@@ -15,16 +15,23 @@ MOST_SPREAD = 2.0**27
 
 
 @inner
-def _rotate(app, aqq, apq, apr, aqr, vp, vq):
-    """One Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
-    if apq == 0.0:
-        return app, aqq, apr, aqr, vp, vq
+def jacobi_angle(app, aqq, apq):
+    """Return tangent, cosine and sine of the rotation that annihilates the off-diagonal apq ≠ 0."""
     theta = 0.5 * (aqq - app) / apq
     t = 1.0 / (abs(theta) + math.sqrt(1.0 + theta * theta)) if abs(theta) < 1e150 else 0.5 / abs(theta)
     if theta < 0.0:
         t = -t
     cos = 1.0 / math.sqrt(1.0 + t * t)
     sin = t * cos
+    return t, cos, sin
+
+
+@inner
+def _rotate(app, aqq, apq, apr, aqr, vp, vq):
+    """One Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
+    if apq == 0.0:
+        return app, aqq, apr, aqr, vp, vq
+    t, cos, sin = jacobi_angle(app, aqq, apq)
     return (
         app - t * apq,
         aqq + t * apq,

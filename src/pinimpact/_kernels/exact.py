@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from .codes import (
     COMPRESSION,
     ENDED_AT_REST,
@@ -442,11 +440,3 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
         path[i, 4] = math.ldexp(sign1 * y1, scale_p)
         path[i, 5] = math.ldexp(sign2 * y2, scale_p)
     return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points
-
-
-@jit
-def solve(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
-    """Solve one impact without trace and path; arguments and the first ten results as in `solve_into`."""
-    scratch = np.empty(SCRATCH)
-    empty = np.empty((0, 6))
-    return solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, empty, empty)[:10]

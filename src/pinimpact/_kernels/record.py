@@ -10,13 +10,14 @@ POINTS = 8
 
 @inner
 def note(trace, rows, mode, phase, start, end, normal_work, friction_work):
-    """Append a move to the trace, or lengthen its last row if mode and phase go on; return the rows."""
-    if rows > 0 and trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase:
+    """Append a move to the trace, or lengthen the last row if it goes on or there is room for no other."""
+    full = rows == trace.shape[0]
+    if rows > 0 and (full or (trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase)):
         trace[rows - 1, 3] = end
         trace[rows - 1, 4] += normal_work
         trace[rows - 1, 5] += friction_work
         return rows
-    if end > start and rows < trace.shape[0]:
+    if end > start and not full:
         trace[rows, 0] = mode
         trace[rows, 1] = phase
         trace[rows, 2] = start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from .delassus import jacobi_angle
 from .jit import inner
 
 
@@ -20,12 +21,7 @@ def resumed_direction(a11, a12, a22, b1, b2, mu):
     if a12 == 0.0:
         cos, sin, low, high = 1.0, 0.0, mu * a11, mu * a22
     else:
-        theta = 0.5 * (a22 - a11) / a12
-        t = 1.0 / (abs(theta) + math.sqrt(1.0 + theta * theta)) if abs(theta) < 1e150 else 0.5 / abs(theta)
-        if theta < 0.0:
-            t = -t
-        cos = 1.0 / math.sqrt(1.0 + t * t)
-        sin = t * cos
+        t, cos, sin = jacobi_angle(a11, a22, a12)
         low, high = mu * (a11 - t * a12), mu * (a22 + t * a12)
     low, high = max(low, 0.0), max(high, 0.0)
     y1 = cos * b1 - sin * b2

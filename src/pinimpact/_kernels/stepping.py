@@ -342,12 +342,7 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
             if abs(v1 * u2 - v2 * u1) > TURNED * before * speed:
                 flags |= SLIP_TURNS
 
-        if rows > 0 and (rows == len(trace) or (trace[rows - 1, 0] == mode and trace[rows - 1, 1] == phase)):
-            trace[rows - 1, 3] = p3 + h
-            trace[rows - 1, 4] += work
-            trace[rows - 1, 5] += friction_work
-        else:
-            rows = note(trace, rows, mode, phase, p3, p3 + h, work, friction_work)
+        rows = note(trace, rows, mode, phase, p3, p3 + h, work, friction_work)
         p1 += d1
         p2 += d2
         p3 += h
