@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, contact_matrices
-from pinimpact._kernels import charts
-from pinimpact.flow import Active, ContactPoint
+from pinimpact import Contact, Plane, Scene, contact_matrices
+from pinimpact._kernels import charts, touch
+from pinimpact.flow import Closed, Flow
 from pinimpact.manifold import joint_table
+
+
+@numba.njit
+def curvature(columns, points, placement, peak, h):
+    """Return the bound for the first contact; `touch.curvature` is called from kernels only."""
+    constants, ends, signs, group = points
+    return touch.curvature(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
 
 
 def curved_model():
@@ -60,51 +68,57 @@ def test_charts_move_as_the_model_does(size):
 @pytest.mark.parametrize("radius", [0.0, 0.4])
 def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, radius):
     model = curved_model()
-    data, other = model.createData(), model.createData()
+    other = model.createData()
     normal = np.array([0.2, -0.5, 0.8])
     normal /= np.linalg.norm(normal)
     belt = np.cross(normal, [0.3, 0.7, -0.2])
     plane = Plane((0.1, 0.2, -0.3), tuple(normal), tuple(belt), tuple(1.3 * normal), body)
     contact = Contact("frame5", plane, offset=(0.1, -0.2, 0.3), radius=radius)
-    point = ContactPoint(model, data, contact)
-    active = Active([point], [], model.nv)
     q, v, tau = random_state(model, 2)
+    flow = Flow(Scene(model, [contact], control=lambda *_: tau), model, [contact], [])
+    closed = Closed(model.nv, [0])
 
     def evaluate(q, v):
-        a = pin.aba(model, data, q, v, tau, pin.Convention.WORLD).copy()
-        active.measure()
-        return a, active.velocity[0].copy(), active.acceleration[0].copy()
+        a = flow.release(0.0, q, v).copy()
+        flow.measure(closed)
+        return a, closed.velocity[0].copy(), closed.acceleration[0].copy()
+
+    def gap_and_rate(q, v):
+        found = np.empty((1, 2))
+        flow.look(q, v, found)
+        return found[0]
 
     a, velocity, acceleration = evaluate(q, v)
     matrices = contact_matrices(model, other, q, contact)
-    assert active.gap[0] == pytest.approx(contact.gap(model, other, q), abs=1e-13)
+    assert closed.gap[0] == pytest.approx(contact.gap(model, other, q), abs=1e-13)
     # the tangential axes may differ by a turn about the normal
     expected = matrices.velocity(v)
     assert velocity[2] == pytest.approx(expected[2], abs=1e-12)
     assert np.hypot(*velocity[:2]) == pytest.approx(np.hypot(*expected[:2]), rel=1e-11)
-    assert active.rows[0, 2] == pytest.approx(matrices.h, abs=1e-12)
-    assert active.rows[0] @ v - velocity == pytest.approx(active.surface[0], abs=1e-12)
-    gap, rate = point.gap_and_rate()
-    assert gap == pytest.approx(active.gap[0], abs=1e-13)
+    assert closed.rows[0, 2] == pytest.approx(matrices.h, abs=1e-12)
+    assert closed.rows[0] @ v - velocity == pytest.approx(closed.surface[0], abs=1e-12)
+    gap, rate = gap_and_rate(q, v)
+    assert gap == pytest.approx(closed.gap[0], abs=1e-13)
 
     h = 1e-5
-    ahead = evaluate(pin.integrate(model, q, h * v + 0.5 * h * h * a), v + h * a)[1]
-    gap_ahead = point.gap_and_rate()[0]
-    behind = evaluate(pin.integrate(model, q, -h * v + 0.5 * h * h * a), v - h * a)[1]
-    gap_behind = point.gap_and_rate()[0]
+    states = [(pin.integrate(model, q, s * v + 0.5 * s * s * a), v + s * a) for s in (h, -h)]
+    (ahead, behind), (gap_ahead, gap_behind) = (
+        [evaluate(*state)[1] for state in states],
+        [gap_and_rate(*state)[0] for state in states],
+    )
     assert (ahead - behind) / (2 * h) == pytest.approx(acceleration, rel=1e-7, abs=1e-6)
     assert (gap_ahead - gap_behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
 
 
 def test_the_bound_of_the_curvature_holds():
     model = curved_model()
-    data = model.createData()
-    point = ContactPoint(model, data, Contact("frame5", Plane(), offset=(0.1, 0, 0.2)))
+    contact = Contact("frame5", Plane(), offset=(0.1, 0, 0.2))
     for seed in range(20):
         q, v, tau = random_state(model, seed)
-        a = pin.aba(model, data, q, v, tau, pin.Convention.WORLD).copy()
-        second = point.normal_acceleration()
+        flow = Flow(Scene(model, [contact], control=lambda *_, tau=tau: tau), model, [contact], [])
+        closed = Closed(model.nv, [0])
+        a = flow.release(0.0, q, v).copy()
+        flow.measure(closed)
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
-        assert (
-            abs(second) <= point.curvature(peak, 0.0)[0] / 1.5 + 9.82
-        )  # the data's acceleration has gravity in it
+        size, _ = curvature(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
+        assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it

@@ -1,138 +1,112 @@
-"""The smooth flow of a scene between events, and what the guards look at."""
+"""The smooth flow of a scene between events: what the kernels that evaluate it read and write."""
 
 from __future__ import annotations
 
+import ctypes
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ._kernels import sustained, touch
-from ._kernels.sustained import FREE, HELD, SLIP, STICK
+from ._kernels import closing, motion, sustained
+from ._kernels.motion import ALLOWANCE, EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STILL, UNIQUE
+from ._kernels.sustained import FREE, HELD, SLIP
 from .contacts import Contact
 from .errors import SimulationError
+from .integrator import QUADRATURES, Step
 from .lookup import frame_id
+from .manifold import joint_table
 from .scene import Scene
 from .surfaces import contact_axes
 
 Array = NDArray[np.float64]
 
 _WORLD = pin.Convention.WORLD
-MODES = {FREE: "free", SLIP: "slip", STICK: "stick", HELD: "held"}
-"""Names of the modes of a contact."""
-
-LEAST_EFFECTIVE = 1e-9
-"""Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
 
 
-class ContactPoint:
-    """A contact bound to a data: where its numbers stand there, and the kernels applied to them."""
+def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array, Array]:
+    """Return a contact's joints (tip, plane), its constants and the signs of the velocities that move it.
 
-    def __init__(self, model: pin.Model, data: pin.Data, contact: Contact) -> None:
-        self.contact = contact
-        self.name = contact.label
-        frame = model.frames[frame_id(model, contact.frame)]
-        plane = contact.plane
-        tip, base = frame.parentJoint, 0
-        carrier = pin.SE3.Identity()
-        if plane.body is not None:
-            body = model.frames[frame_id(model, plane.body, "body")]
-            base, carrier = body.parentJoint, body.placement
-        R = carrier.rotation
-        self.constants = np.concatenate(
-            [
-                frame.placement.act(np.array(contact.offset)),
-                [contact.radius],
-                carrier.act(np.array(plane.point)),
-                (contact_axes(plane.normal) @ R.T).ravel(),
-                R @ plane.velocity,
-                R @ plane.angular_velocity,
-            ]
-        )
-        self.weights = np.zeros(model.nv)
-        self._group = np.repeat(np.arange(model.njoints), np.array(model.nvs))
-        for joint, weight in ((tip, 1.0), (base, -1.0)):
-            for support in list(model.supports[joint])[1:]:
-                i = model.idx_vs[support]
-                self.weights[i : i + model.nvs[support]] += weight
-        # views into the data, which pin.aba keeps up to date
-        self._tip = (data.oMi[tip].rotation, data.oMi[tip].translation, data.ov[tip].vector)
-        self._base = (data.oMi[base].rotation, data.oMi[base].translation, data.ov[base].vector)
-        self._accelerations = (data.oa_gf[tip].vector, data.oa_gf[base].vector)
-        self._jacobian = data.J.reshape(6, model.nv)
-        self._data = data
-
-    def gap_and_rate(self) -> tuple[float, float]:
-        """Return the gap [m] and its rate [m/s] at the state last evaluated."""
-        return touch.gap_and_rate(*self._tip, *self._base, self.constants)
-
-    def curvature(self, peak: Array, h: float) -> tuple[float, float]:
-        """Return bounds of |d²gap/dt²| over a step and of its variation, with half as much for safety."""
-        R, t, _ = self._tip
-        size, change = touch.curvature(
-            self._jacobian, self.weights, self._group, R, t, self.constants, peak, h
-        )
-        return 1.5 * size, 1.5 * change
-
-    def normal_acceleration(self) -> float:
-        """Return d²gap/dt² at the state last evaluated, without contact forces [m/s²]."""
-        rows, three = np.empty((3, len(self.weights))), np.empty((3, 3))
-        self.motion(rows, three[0], three[1], three[2])
-        return float(three[1, 2])
-
-    def motion(self, rows: Array, velocity: Array, acceleration: Array, surface: Array) -> float:
-        """Fill what a closed contact needs, see `touch.contact_motion`; return the gap [m]."""
-        R, t, V = self._tip
-        S, s, U = self._base
-        A, B = self._accelerations
-        return touch.contact_motion(
-            R,
-            t,
-            V,
-            A,
-            S,
-            s,
-            U,
-            B,
-            self.constants,
-            self._jacobian,
-            self.weights,
-            rows,
-            velocity,
-            acceleration,
-            surface,
-        )
+    The constants are those of `pinimpact._kernels.touch`; the signs (nv,) are 1 for a velocity that moves
+    the tip alone, −1 for the plane alone, else 0.
+    """
+    frame = model.frames[frame_id(model, contact.frame)]
+    plane = contact.plane
+    tip, base = frame.parentJoint, 0
+    carrier = pin.SE3.Identity()
+    if plane.body is not None:
+        body = model.frames[frame_id(model, plane.body, "body")]
+        base, carrier = body.parentJoint, body.placement
+    R = carrier.rotation
+    constants = np.concatenate(
+        [
+            frame.placement.act(np.array(contact.offset)),
+            [contact.radius],
+            carrier.act(np.array(plane.point)),
+            (contact_axes(plane.normal) @ R.T).ravel(),
+            R @ plane.velocity,
+            R @ plane.angular_velocity,
+        ]
+    )
+    signs = np.zeros(model.nv)
+    for joint, sign in ((tip, 1.0), (base, -1.0)):
+        for support in list(model.supports[joint])[1:]:
+            i = model.idx_vs[support]
+            signs[i : i + model.nvs[support]] += sign
+    return tip, base, constants, signs
 
 
-class Active:
-    """The numbers of some contacts and scalar rows at one state, in arrays of their own.
+class Closed:
+    """Some contacts and scalar rows, with what an evaluation leaves of them.
+
+    A scalar row is a joint at its limit or held by its dry friction.
 
     Attributes:
-        points: The contacts.
+        which: (nc,) numbers of the contacts; modes, mu: (nc,) theirs; reference: (nc, 2) directions of slip.
         scalars: (ns,) velocity index of each scalar row.
-        rows: (nc, 3, nv); velocity, acceleration, surface: (nc, 3); gap: list of nc.
+        rows: (nc, 3, nv); velocity, acceleration, surface, force: (nc, 3); gap: (nc,); rest: (nc,) the gap
+            that each keeps.
+        scalar_force: (ns,) forces at limits and in stuck joints.
+        arrays: All, as `pinimpact._kernels.motion` takes them.
     """
 
-    def __init__(self, points: list[ContactPoint], scalars: list[int], nv: int) -> None:
-        count = len(points)
-        self.points = points
+    def __init__(
+        self,
+        nv: int,
+        which: Sequence[int] = (),
+        modes: Sequence[int] = (),
+        mu: Sequence[float] = (),
+        scalars: Sequence[int] = (),
+        bounds: Any = (),
+        rest: Sequence[float] = (),
+    ) -> None:
+        count = len(which)
+        self.which = np.array(which, dtype=np.int64)
+        self.modes = np.array(modes, dtype=np.int64)
+        self.mu = np.array(mu, dtype=float)
+        self.reference = np.ones((count, 2))
         self.scalars = np.array(scalars, dtype=np.int64)
+        limits = np.array(bounds, dtype=float).reshape(-1, 2).T.copy()
         self.rows = np.zeros((count, 3, nv))
         self.velocity = np.zeros((count, 3))
         self.acceleration = np.zeros((count, 3))
         self.surface = np.zeros((count, 3))
-        self.gap = [0.0] * count
-        self._views = [
-            (point, self.rows[i], self.velocity[i], self.acceleration[i], self.surface[i])
-            for i, point in enumerate(points)
-        ]
-
-    def measure(self) -> None:
-        """Take the numbers from the data, at the state last evaluated without contact forces."""
-        for i, (point, rows, velocity, acceleration, surface) in enumerate(self._views):
-            self.gap[i] = point.motion(rows, velocity, acceleration, surface)
+        self.gap = np.zeros(count)
+        self.rest = np.array(rest, dtype=float)
+        self.force = np.zeros((count, 3))
+        self.scalar_force = np.zeros(len(scalars))
+        size = sum(1 if mode == SLIP else 3 for mode in modes) + len(scalars)
+        self.system, self.target, self.solution = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+        self.arrays = (
+            *(self.which, self.modes, self.mu, self.reference, self.scalars, limits[0], limits[1]),
+            *(self.rest, self.rows, self.velocity, self.acceleration, self.surface),
+            *(self.gap, np.zeros((count, 2)), np.zeros((size, nv)), np.zeros((size, nv)), self.system),
+            *(self.target, self.solution, self.force, self.scalar_force),
+        )
 
     def stacked(self) -> Array:
         """Return the (3 nc + ns, nv) rows of all."""
@@ -142,153 +116,294 @@ class Active:
         return np.vstack([self.rows.reshape(-1, nv), unit])
 
 
+@dataclass(slots=True)
+class Closing:
+    """What stays closed at an instant.
+
+    Attributes:
+        velocity: (nv,) the velocity, without what closed contacts take away of it.
+        work: Kinetic energy gained by that [J].
+        modes: Mode of each contact that stays closed.
+        reference: Directions of slip.
+        limits: Joint limits that stay closed.
+        stuck: Joints that their dry friction holds.
+        breaking: The force on each joint that it holds no longer.
+        jamming: A contact where slip drives the surface in and no force exists.
+        converged: Whether the forces were found to the usual accuracy.
+    """
+
+    velocity: Array
+    work: float
+    modes: dict[int, int] = field(default_factory=dict)
+    reference: dict[int, Array] = field(default_factory=dict)
+    limits: list[int] = field(default_factory=list)
+    stuck: list[int] = field(default_factory=list)
+    breaking: dict[int, float] = field(default_factory=dict)
+    jamming: int | None = None
+    converged: bool = True
+
+
 class Flow:
     """v̇ and the powers at a state, with the contacts that are closed in their present modes.
 
     Attributes:
-        points: All contacts of the scene, held ones last.
-        mode: Mode of each.
-        active: The closed contacts, limits and stuck joints.
-        force: (nc, 3) forces of the closed contacts in contact axes at the state last evaluated [N].
-        scalar_force: (ns,) forces at limits and in stuck joints.
-        unique: Whether the motion determines these forces; otherwise they are those of least norm.
-        dry, sliding: (nv,) dry friction of the joints, and with its sign where a joint slides (else zero).
-        still: Speed [m/s] below which the direction of slip is the one remembered.
-        allowance: Force [N] by which Coulomb's law may seem violated through rounding.
-        margin: By how much the forces keep to Coulomb's law; negative, the modes do not hold.
-        least_margin: The least since it was last set to infinity.
+        contacts: All contacts of the scene, held ones last.
+        mode: (n,) the mode of each.
+        closed: The closed contacts, limits and stuck joints.
+        dry: (nv,) dry friction of the joints; sliding: with its sign where a joint slides, else zero.
+        step: The numbers of the step that the flow is integrated in.
+        machine: All that the kernels need.
     """
 
     def __init__(self, scene: Scene, model: pin.Model, contacts: list[Contact], held: list[Contact]) -> None:
         without = scene.without
+        nv = model.nv
         self.model = model
-        self.data = model.createData()
-        self.nv = model.nv
-        pin.aba(model, self.data, pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv), _WORLD)
-        self.points = [ContactPoint(model, self.data, contact) for contact in (*contacts, *held)]
+        self.nv = nv
+        self.data = data = model.createData()
+        self.contacts = [*contacts, *held]
         self.control = None if "control" in without else scene.control
-        damping = scene.joint_damping
-        self.damping = damping * ("joint damping" not in without)
+        self.failure: BaseException | None = None
         self.dry = scene.joint_friction * ("joint friction" not in without)
-        self.sliding = np.zeros(model.nv)
-        self.idle = np.zeros(model.nv)
-        self._tau = np.zeros(model.nv)
-        self._powers = np.zeros(2)
-        self.still = 0.0
-        self.allowance = 0.0
-        self.margin = self.least_margin = math.inf
-        self.driven = self.control is not None or bool(self.damping.any() or self.dry.any())
-        self.set_modes([HELD if i >= len(contacts) else FREE for i in range(len(self.points))], {}, [], [])
+        self.sliding = np.zeros(nv)
+        self._q, self._v, self._tau = pin.neutral(model), np.zeros(nv), np.zeros(nv)
+        self._given, self._clock = np.zeros(nv), np.zeros(1)
+        self._rates = np.zeros(nv + QUADRATURES)
+        pin.aba(model, data, self._q, self._v, self._tau, _WORLD)
+        pin.computeMinverse(model, data)
+        # by address from the kernels, so they must live as long as this
+        self._calls = (
+            *(pin.aba, (model, data, self._q, self._v, self._tau, _WORLD)),
+            *(pin.computeMinverse, (model, data)),
+            *(pin.forwardKinematics, (model, data, self._q, self._v)),
+            *(self._take_least_norm, ()),
+            *(self._ask_control, ()),
+        )
+        calls = np.array([id(item) for item in self._calls])
+        if self.control is None:
+            calls[motion.CONTROL] = 0
+        self.tree = (
+            *(calls, self._q, self._v, self._tau, self._given, self._clock),
+            *(data.ddq, data.Minv.reshape(nv, nv)),
+            _rows_of([(m.rotation, m.translation) for m in data.oMi], 12),
+            *(_rows_of([(m.vector,) for m in motions], 6) for motions in (data.v, data.ov, data.oa_gf)),
+            *(data.J.reshape(6, nv), scene.joint_damping * ("joint damping" not in without), self.sliding),
+        )
+        parts = [contact_constants(model, contact) for contact in self.contacts]
+        self.points = (
+            np.array([constants for _, _, constants, _ in parts]).reshape(-1, 22),
+            np.array([(tip, base) for tip, base, _, _ in parts], dtype=np.int64).reshape(-1, 2),
+            np.array([signs for _, _, _, signs in parts]).reshape(-1, nv),
+            np.repeat(np.arange(model.njoints), np.array(model.nvs)),
+        )
+        limits = () if "joint limits" in without else scene.limits()
+        self.limits = (
+            np.array([limit.index_q for limit in limits], dtype=np.int64),
+            np.array([limit.index_v for limit in limits], dtype=np.int64),
+            np.array([limit.sign for limit in limits], dtype=float),
+            np.array([limit.bound for limit in limits], dtype=float),
+        )
+        self.state = np.zeros(7)
+        self.state[[MARGIN, LEAST_MARGIN]] = math.inf
+        self.state[UNIQUE] = 1.0
+        self.step = Step(joint_table(model), model.nq, nv)
+        self.held_gap = [0.0] * len(held)
+        self.mode = np.full(len(self.contacts), FREE)
+        self.mode[len(contacts) :] = HELD
+        self._known: dict[Any, tuple[Closed, Any]] = {}
+        self.close(self.mode, {}, [], [])
 
-    def set_modes(
-        self,
-        mode: list[int],
-        reference: dict[int, Array],
-        scalars: list[int],
-        scalar_bounds: list[tuple[float, float]],
+    def close(
+        self, mode: NDArray[np.int64], reference: dict[int, Array], limits: list[int], stuck: list[int]
     ) -> None:
-        """Close the contacts whose mode is not `FREE`, and the scalar rows given, within their bounds."""
+        """Close the contacts whose mode is not `FREE`, joint limits, and joints that dry friction holds."""
         self.mode = mode
-        self.closed = [i for i, m in enumerate(mode) if m != FREE]
-        self.active = Active([self.points[i] for i in self.closed], scalars, self.nv)
-        count = len(self.closed)
-        self.modes = np.array([mode[i] for i in self.closed], dtype=np.int64)
-        self.mu = np.array([self.points[i].contact.friction for i in self.closed])
-        self.reference = np.array([reference.get(i, (1.0, 0.0)) for i in self.closed]).reshape(count, 2)
-        self.lower = np.array([lower for lower, _ in scalar_bounds])
-        self.upper = np.array([upper for _, upper in scalar_bounds])
-        self.force = np.zeros((count, 3))
-        self.scalar_force = np.zeros(len(scalars))
-        size = sum(1 if m == SLIP else 3 for m in self.modes) + len(scalars)
-        self._directions = np.zeros((count, 2))
-        self._rows = np.zeros((size, self.nv))
-        self._response = np.zeros((size, self.nv))
-        self._solution = np.zeros(size)
-        self.unique = True
-        self.constrained = bool(count or scalars)
-
-    def applied(self, t: float, q: Array, v: Array, powers: Array) -> Array:
-        """Return the generalized forces of control, damping and sliding dry friction; fill their powers."""
-        if not self.driven:
-            return self.idle
-        control = self.idle if self.control is None else self.ask_control(t, q, v)
-        sustained.joint_forces(v, control, self.damping, self.sliding, self._tau, powers)
-        return self._tau
-
-    def ask_control(self, t: float, q: Array, v: Array) -> Array:
-        """Return the control's forces, checked."""
-        assert self.control is not None
-        tau = np.asarray(self.control(t, q.copy(), v.copy()), dtype=float)
-        if tau.shape != (self.nv,):
-            raise SimulationError(
-                f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; ({self.nv},) expected",
-                field="control",
-                value=tau,
+        key = (mode.tobytes(), tuple(limits), tuple(stuck))
+        known = self._known.get(key)
+        if known is None:
+            which = np.flatnonzero(mode).tolist()
+            scalars, bounds = self._scalar_rows(limits, stuck)
+            free = len(self.contacts) - len(self.held_gap)
+            closed = Closed(
+                self.nv,
+                which,
+                mode[which].tolist(),
+                [self.contacts[i].friction for i in which],
+                scalars,
+                bounds,
+                [self.held_gap[i - free] if i >= free else 0.0 for i in which],
             )
-        if not math.isfinite(tau.dot(tau)):
-            raise SimulationError(
-                f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
-                field="control",
-                value=tau,
+            known = self._known[key] = (
+                closed,
+                (self.step.arrays, self.tree, self.points, closed.arrays, self.state, self.limits),
             )
-        return tau
+        self.closed: Closed = known[0]
+        self.machine: Any = known[1]
+        for k, i in enumerate(self.closed.which.tolist()):
+            self.closed.reference[k] = reference.get(i, (1.0, 0.0))
+        self.constrained = len(self.closed.which) + len(self.closed.scalars) > 0
+        self.state[UNIQUE] = 1.0
 
-    def open(self, t: float, q: Array, v: Array) -> Array:
-        """Evaluate without contact forces: return v̇ and leave the kinematics in the data."""
-        return pin.aba(self.model, self.data, q, v, self.applied(t, q, v, self._powers), _WORLD)
+    def _scalar_rows(self, limits: list[int], stuck: list[int]) -> tuple[list[int], Array]:
+        """Return (ns,) velocity indices of limits and stuck joints, and (ns, 2) bounds of their forces."""
+        bounds = [(0.0, math.inf) if self.limits[2][k] > 0.0 else (-math.inf, 0.0) for k in limits]
+        bounds += [(-self.dry[j], self.dry[j]) for j in stuck]
+        return self.limits[1][limits].tolist() + stuck, np.array(bounds).reshape(-1, 2)
+
+    def choose(
+        self, t: float, q: Array, v: Array, contacts: list[int], limits: list[int], stuck: list[int]
+    ) -> Closing:
+        """Find what stays closed of the contacts, limits and joints that are at rest against each other.
+
+        Args:
+            t: Time [s].
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            contacts: Those that touch; held ones among them.
+            limits: Joint limits that touch.
+            stuck: Velocity indices of joints with dry friction that are at rest.
+        """
+        scalars, bounds = self._scalar_rows(limits, stuck)
+        velocity = v.copy()
+        mode, reference = np.full(len(contacts), FREE), np.zeros((len(contacts), 2))
+        fate, strength = np.full(len(scalars), closing.OPEN), np.zeros(len(scalars))
+        held = self.mode[contacts] == HELD
+        mu = np.array([self.contacts[i].friction for i in contacts])
+        self._q[:] = q
+        self._v[:] = v
+        jamming, converged, work = closing.choose(
+            *(t, velocity, np.array(contacts, dtype=np.int64), held, mu, np.array(scalars, dtype=np.int64)),
+            *(self.limits[2][limits], bounds[:, 0].copy(), bounds[:, 1].copy()),
+            *(self.tree, self.points, self.state, mode, reference, fate, strength),
+        )
+        self.check()
+        if jamming >= 0:
+            return Closing(velocity, work, jamming=contacts[jamming])
+        ends = fate.tolist()
+        joints = list(zip(stuck, ends[len(limits) :], strength[len(limits) :].tolist(), strict=True))
+        return Closing(
+            velocity,
+            work,
+            {i: m for i, m in zip(contacts, mode.tolist(), strict=True) if m != FREE},
+            dict(zip(contacts, reference, strict=True)),
+            [k for k, end in zip(limits, ends, strict=False) if end == closing.CLOSED],
+            [j for j, end, _ in joints if end == closing.CLOSED],
+            {j: force for j, end, force in joints if end == closing.BREAKING},
+            converged=converged,
+        )
+
+    def correct(self, t: float, q: Array, v: Array, shut: NDArray[np.bool_]) -> float:
+        """Bring what is closed back, changing q and v; return the kinetic energy gained."""
+        work = closing.correct(t, q, v, shut, self.machine)
+        self.check()
+        return float(work)
+
+    def _ask_control(self) -> None:
+        """Take the control's forces; an error is kept, for a kernel cannot pass it on."""
+        try:
+            t = float(self._clock[0])
+            tau = np.asarray(self.control(t, self._q.copy(), self._v.copy()), dtype=float)  # type: ignore[misc]
+            if tau.shape != (self.nv,):
+                raise SimulationError(
+                    f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; "
+                    f"({self.nv},) expected",
+                    field="control",
+                    value=tau,
+                )
+            if not math.isfinite(tau.dot(tau)):
+                raise SimulationError(
+                    f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
+                    field="control",
+                    value=tau,
+                )
+            self._given[:] = tau
+        except BaseException as error:
+            self.failure = error
+            self.state[FAILED] = 1.0
+
+    def _take_least_norm(self) -> None:
+        """Solve for the forces of least norm, without forces that pull where none need to."""
+        try:
+            closed = self.closed
+            closed.solution[:] = least_norm(closed.system, closed.target, closed.modes)
+        except BaseException as error:
+            self.failure = error
+            self.state[FAILED] = 1.0
+
+    def check(self) -> None:
+        """Raise what went wrong in a call from a kernel, if anything did."""
+        if self.state[FAILED]:
+            self.state[FAILED] = 0.0
+            failure, self.failure = self.failure, None
+            raise failure or KeyboardInterrupt
+
+    @property
+    def evaluations(self) -> int:
+        """How often v̇ was evaluated."""
+        return int(self.state[EVALUATIONS])
+
+    @property
+    def still(self) -> float:
+        """Speed [m/s] below which slip is none."""
+        return float(self.state[STILL])
+
+    @property
+    def allowance(self) -> float:
+        """Force [N] by which Coulomb's law may seem violated through rounding."""
+        return float(self.state[ALLOWANCE])
+
+    @property
+    def unique(self) -> bool:
+        """Whether the motion determined the forces last computed; otherwise they are those of least norm."""
+        return bool(self.state[UNIQUE])
+
+    def begin(self, t: float, q: Array, v: Array) -> None:
+        """Begin a stretch: evaluate at its start."""
+        run, rates, nv = self.step, self.step.rates, self.nv
+        run.q0[:] = q
+        run.v0[:] = v
+        rates[0, :nv] = v
+        rates[:, 2 * nv :] = 0.0
+        self._evaluate(t, q, v, rates[0, nv:])
+
+    def release(self, t: float, q: Array, v: Array) -> Array:
+        """Evaluate without contact forces: return v̇ and leave the kinematics; the array is the data's own."""
+        self._q[:] = q
+        self._v[:] = v
+        motion.release(t, self.tree, self.state, self._rates[self.nv :])
+        self.check()
+        return self.tree[6]
+
+    def evaluate(self, t: float, q: Array, v: Array) -> None:
+        """Evaluate; the numbers of what is closed are left in `closed`."""
+        self._evaluate(t, q, v, self._rates)
+
+    def _evaluate(self, t: float, q: Array, v: Array, rates: Array) -> None:
+        self._q[:] = q
+        self._v[:] = v
+        motion.evaluate(t, self.tree, self.points, self.closed.arrays, self.state, rates)
+        self.check()
+
+    def look(self, q: Array, v: Array, found: Array) -> None:
+        """Fill (n, 2) gap and gap rate of all contacts."""
+        self._q[:] = q
+        self._v[:] = v
+        motion.gaps(self.tree, self.points, self.state, found)
+        self.check()
+
+    def anchor(self, q: Array, v: Array) -> None:
+        """Let the held contacts keep the gaps that they have at this state."""
+        self.evaluate(0.0, q, v)
+        self.held_gap = self.closed.gap.tolist()
+        self.closed.rest[:] = self.closed.gap
+
+    def measure(self, closed: Closed) -> None:
+        """Take the numbers of some contacts, at the state last evaluated."""
+        motion.measure(self.tree, self.points, closed.arrays)
 
     def inverse(self) -> Array:
-        """Return M⁻¹ at the state last evaluated; the array is the data's own."""
-        return pin.computeMinverse(self.model, self.data).reshape(self.nv, self.nv)
-
-    def __call__(self, t: float, q: Array, v: Array, out: Array) -> None:
-        """Fill `out` with v̇ and the powers of control, joints, sliding friction and surfaces."""
-        nv = self.nv
-        tau = self.applied(t, q, v, out[nv:]) if self.driven else self.idle
-        out[:nv] = pin.aba(self.model, self.data, q, v, tau, _WORLD)
-        if self.constrained:
-            self._constrain(out[:nv], out[nv + 2 :])
-
-    def _constrain(self, acceleration: Array, powers: Array) -> None:
-        """Add what the closed contacts do."""
-        active = self.active
-        active.measure()
-        system, target, effective = sustained.assemble(
-            self.inverse(),
-            acceleration,
-            active.rows,
-            active.acceleration,
-            active.velocity,
-            self.modes,
-            self.mu,
-            self.reference,
-            self.still,
-            active.scalars,
-            self._directions,
-            self._rows,
-            self._response,
-        )
-        self.unique = sustained.solve(system, target, self._solution)
-        if not self.unique:
-            self._solution[:] = least_norm(system, target, self.modes)
-        self.margin = self.allowance + sustained.finish(
-            self._solution,
-            self._response,
-            self._directions,
-            active.velocity,
-            active.surface,
-            self.modes,
-            self.mu,
-            self.lower,
-            self.upper,
-            acceleration,
-            self.force,
-            self.scalar_force,
-            powers,
-        )
-        if effective <= LEAST_EFFECTIVE:
-            self.margin = -math.inf
-        self.least_margin = min(self.least_margin, self.margin)
+        """Return M⁻¹ at the state last evaluated."""
+        return np.array(pin.computeMinverse(self.model, self.data)).reshape(self.nv, self.nv)
 
 
 def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:
@@ -312,3 +427,18 @@ def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArra
         trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=sustained.RANK)[0]
         if np.abs(system @ trial - target).max() > 1e-9 * np.abs(target).max():
             return solution
+
+
+def _rows_of(parts: list[tuple[Any, ...]], width: int) -> Array:
+    """Return (n, width) rows as one view of what Pinocchio keeps in a vector, one row an element."""
+    address = parts[0][0].__array_interface__["data"][0]
+    numbers = (ctypes.c_double * (len(parts) * width)).from_address(address)
+    rows = np.ctypeslib.as_array(numbers).reshape(-1, width)
+    for row, part in zip(rows, parts, strict=True):
+        laid_out = [item.T.ravel() if item.ndim == 2 else item for item in part]
+        if not np.array_equal(row, np.concatenate(laid_out)):
+            raise SimulationError(
+                "model: this Pinocchio lays out its data in another way than the kernels read it",
+                field="model",
+            )
+    return rows

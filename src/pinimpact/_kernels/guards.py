@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .jit import jit
+from .jit import inner
 
 
-@jit
+@inner
 def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     """Whether the gap provably stays above −floor.
 
@@ -23,16 +23,3 @@ def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     rest = width - m
     right = later_gap - rest * (later_rate + 0.5 * curvature * rest)
     return max(left, right) > -floor if 0.0 < m < width else (left > -floor if m > 0.0 else right > -floor)
-
-
-@jit
-def unclear_limits(index_q, index_v, sign, bound, q0, v0, q1, v1, peak, width, floor, out):
-    """Fill the numbers of the joint limits that may be passed within a step; return how many."""
-    count = 0
-    for i in range(len(index_q)):
-        a, b, s = index_q[i], index_v[i], sign[i]
-        gap = max(s * (q0[a] - bound[i]), 0.0)
-        if not clear(gap, s * v0[b], s * (q1[a] - bound[i]), s * v1[b], 1.5 * peak[1, b], width, floor):
-            out[count] = i
-            count += 1
-    return count

@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from .charts import advance, chart_rate
-from .jit import jit
+from .jit import inner, jit
 
 
-@jit
+@inner
 def stage(i, h, step, rates, v0, joints, q0, xi, q, v):
     """Fill q and v at stage i, and the stage's ξ̇."""
     n = len(v0)
@@ -30,7 +30,7 @@ def stage(i, h, step, rates, v0, joints, q0, xi, q, v):
     chart_rate(joints, xi, v, rates[i, :n])
 
 
-@jit
+@inner
 def error_norm(h, error, rates, v0, v1, sizes, rtol, atol):
     """Return the error of the step over the tolerance, root mean square over ξ and v."""
     n = len(v0)
@@ -50,7 +50,7 @@ def error_norm(h, error, rates, v0, v1, sizes, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * 2 * n)
 
 
-@jit
+@inner
 def dense(h, step, weights, rates, out):
     """Fill the (7, n) coefficients of the dense output; see `interpolate`."""
     for m in range(rates.shape[1]):
@@ -89,7 +89,7 @@ def state(coefficients, theta, joints, q0, v0, q, v):
     advance(joints, q0, xi, q)
 
 
-@jit
+@inner
 def largest(rates, count, n, out):
     """Fill the largest |ξ̇| and |v̇| of the first `count` stages, and their largest change from the first."""
     for m in range(n):

@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from .jit import jit
+from .jit import inner, jit
 
 FREE, SLIP, STICK, HELD = range(4)
 RANK = 1e-10
 """Singular values below this part of the largest count as zero."""
 
 
-@jit
+@inner
 def slip_direction(velocity, reference, still):
     """Return the direction of slip, signed to agree with `reference`: smooth where the slip reverses."""
     s = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
@@ -28,7 +28,7 @@ def slip_direction(velocity, reference, still):
     return velocity[0] / s, velocity[1] / s
 
 
-@jit
+@inner
 def joint_forces(velocity, control, damping, dry, tau, powers):
     """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
     given = taken = 0.0
@@ -40,7 +40,7 @@ def joint_forces(velocity, control, damping, dry, tau, powers):
     powers[0], powers[1] = given, taken
 
 
-@jit
+@inner
 def assemble(
     minverse,
     acceleration,
@@ -55,6 +55,8 @@ def assemble(
     directions,
     rows,
     response,
+    system,
+    target,
 ):
     """Set up the equations of the closed contacts and scalar rows.
 
@@ -72,14 +74,13 @@ def assemble(
         directions: (nc, 2) takes the directions of slip.
         rows: (m, nv) takes the rows whose acceleration becomes zero: one of a slipping contact, else three.
         response: (m, nv) takes M⁻¹ times the direction in which each row's force acts.
+        system: (m, m) takes the equations; target: (m,) their right-hand side.
 
     Returns:
-        The (m, m) system, its right-hand side, and the least effective inverse inertia of a slipping contact
-        over that without friction (at most zero: Painlevé's paradox).
+        The least effective inverse inertia of a slipping contact over that without friction (at most zero:
+        Painlevé's paradox).
     """
     n, size = len(acceleration), len(rows)
-    system = np.empty((size, size))
-    target = np.empty(size)
     column = np.empty(n)
     least = 1.0
     m = 0
@@ -127,10 +128,10 @@ def assemble(
             for j in range(n):
                 total += rows[a, j] * response[b, j]
             system[a, b] = total
-    return system, target, least
+    return least
 
 
-@jit
+@inner
 def solve(system, target, solution):
     """Solve by elimination with complete pivoting; return False where the system is singular to `RANK`."""
     size = len(target)
@@ -166,7 +167,7 @@ def solve(system, target, solution):
     return True
 
 
-@jit
+@inner
 def finish(
     solution,
     response,

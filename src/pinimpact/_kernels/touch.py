@@ -1,8 +1,8 @@
 """Motion of one contact point relative to its plane: gap, velocity, acceleration, Jacobian.
 
-Bodies are given by the placement of their joint (rotation, translation) and by spatial vectors in world axes
-at the world's origin (linear over angular), as Pinocchio's ABA in world convention leaves them in its data.
-The acceleration may include gravity, for only differences of two bodies enter.
+Bodies are given by the placement of their joint (12,), the rotation column by column and the translation,
+and by spatial vectors (linear over angular), as Pinocchio leaves them in its data. The acceleration may
+include gravity, for only differences of two bodies enter.
 
 The contact point is the point of the tip that is closest to the plane, so on a sphere it is not a material
 point: with c the centre, p = c − r n and ṗ = ċ − r ṅ. The contact velocity is that of the two bodies'
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from .jit import jit
+from .jit import inner
 
 CONSTANTS = 22
 """Length of the constants of a contact, in the axes of the two joints.
@@ -23,39 +23,57 @@ angular velocity of its material (3 + 3).
 """
 
 
-@jit
+@inner
 def cross(a1, a2, a3, b1, b2, b3):
     return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
 
 
-@jit
-def apply(R, k, i):
-    """Rotate the vector that stands at k[i:i + 3]."""
-    a, b, c = k[i], k[i + 1], k[i + 2]
+@inner
+def rotate(R, a, b, c):
+    """Rotate a vector by the placement R."""
     return (
-        R[0, 0] * a + R[0, 1] * b + R[0, 2] * c,
-        R[1, 0] * a + R[1, 1] * b + R[1, 2] * c,
-        R[2, 0] * a + R[2, 1] * b + R[2, 2] * c,
+        R[0] * a + R[3] * b + R[6] * c,
+        R[1] * a + R[4] * b + R[7] * c,
+        R[2] * a + R[5] * b + R[8] * c,
     )
 
 
-@jit
-def gap_and_rate(R, t, V, S, s, U, k):
-    """Return the gap [m] and its rate [m/s]; the tip's joint has (R, t) and V, the plane's (S, s) and U."""
-    c1, c2, c3 = apply(R, k, 0)
-    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
-    x1, x2, x3 = apply(S, k, 4)
-    x1, x2, x3 = x1 + s[0], x2 + s[1], x3 + s[2]
-    n1, n2, n3 = apply(S, k, 13)
-    r1, r2, r3 = c1 - x1, c2 - x2, c3 - x3
-    a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
-    b1, b2, b3 = cross(U[3], U[4], U[5], c1, c2, c3)
-    rate = n1 * (V[0] + a1 - U[0] - b1) + n2 * (V[1] + a2 - U[1] - b2) + n3 * (V[2] + a3 - U[2] - b3)
-    return n1 * r1 + n2 * r2 + n3 * r3 - k[3], rate
+@inner
+def direction(R, k, i):
+    """Rotate the vector that stands at k[i:i + 3]."""
+    return rotate(R, k[i], k[i + 1], k[i + 2])
 
 
-@jit
-def curvature(J, weights, group, R, t, k, peak, h):
+@inner
+def place(R, k, i):
+    """Move the point that stands at k[i:i + 3]."""
+    a, b, c = rotate(R, k[i], k[i + 1], k[i + 2])
+    return a + R[9], b + R[10], c + R[11]
+
+
+@inner
+def gap_and_rate(R, V, S, U, k):
+    """Return the gap [m] and its rate [m/s].
+
+    Args:
+        R, V: Placement of the tip's joint, and its velocity in its own axes at its own origin.
+        S, U: Those of the joint that carries the plane.
+        k: (22,) see `CONSTANTS`.
+    """
+    c1, c2, c3 = place(R, k, 0)
+    x1, x2, x3 = place(S, k, 4)
+    n1, n2, n3 = direction(S, k, 13)
+    a1, a2, a3 = cross(V[3], V[4], V[5], k[0], k[1], k[2])
+    v1, v2, v3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
+    w1, w2, w3 = rotate(S, U[3], U[4], U[5])
+    b1, b2, b3 = cross(w1, w2, w3, c1 - S[9], c2 - S[10], c3 - S[11])
+    u1, u2, u3 = rotate(S, U[0], U[1], U[2])
+    rate = n1 * (v1 - u1 - b1) + n2 * (v2 - u2 - b2) + n3 * (v3 - u3 - b3)
+    return n1 * (c1 - x1) + n2 * (c2 - x2) + n3 * (c3 - x3) - k[3], rate
+
+
+@inner
+def curvature(J, weights, group, R, k, peak, h):
     """Return bounds of |d²gap/dt²| over a step of length h, and of how much d²gap/dt² varies in it.
 
     With J_k the column of velocity k for the tip's centre, d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
@@ -63,14 +81,13 @@ def curvature(J, weights, group, R, t, k, peak, h):
     factor ω. The |J_k| are the present ones, lengthened by the way the point can go.
 
     Args:
-        J, weights, R, t, k: As in `contact_motion`.
+        J, weights, R, k: As in `contact_motion`.
         group: (nv,) number of the joint that each velocity belongs to.
         peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
         h: Its length [s].
     """
     n = len(weights)
-    c1, c2, c3 = apply(R, k, 0)
-    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
+    c1, c2, c3 = place(R, k, 0)
     all_v = all_a = all_d = 0.0
     carried = False
     for j in range(n):
@@ -118,13 +135,14 @@ def curvature(J, weights, group, R, t, k, peak, h):
     return straight + bent, changed + h * mixed + 2.0 * drifted + 2.0 * h * all_v * bent
 
 
-@jit
-def contact_motion(R, t, V, A, S, s, U, B, k, J, weights, rows, velocity, acceleration, surface):
+@inner
+def contact_motion(R, V, A, S, U, B, k, J, weights, rows, velocity, acceleration, surface):
     """Fill what a sustained contact needs, in the plane's axes t₁, t₂, n.
 
     Args:
-        R, t, V, A: Placement, velocity and acceleration of the tip's joint.
-        S, s, U, B: Those of the joint that carries the plane.
+        R, V, A: Placement of the tip's joint, its velocity and acceleration in world axes at the world's
+            origin.
+        S, U, B: Those of the joint that carries the plane.
         k: (22,) see `CONSTANTS`.
         J: (6, nv) joint Jacobian in world axes at the world's origin.
         weights: (nv,) 1 for velocities that move the tip only, −1 the plane only, 0 neither or both.
@@ -136,11 +154,9 @@ def contact_motion(R, t, V, A, S, s, U, B, k, J, weights, rows, velocity, accele
     Returns:
         The gap [m].
     """
-    c1, c2, c3 = apply(R, k, 0)
-    c1, c2, c3 = c1 + t[0], c2 + t[1], c3 + t[2]
-    x1, x2, x3 = apply(S, k, 4)
-    x1, x2, x3 = x1 + s[0], x2 + s[1], x3 + s[2]
-    n1, n2, n3 = apply(S, k, 13)
+    c1, c2, c3 = place(R, k, 0)
+    x1, x2, x3 = place(S, k, 4)
+    n1, n2, n3 = direction(S, k, 13)
     r = k[3]
     p1, p2, p3 = c1 - r * n1, c2 - r * n2, c3 - r * n3
     # rate of the contact point and of the plane's own point
@@ -157,8 +173,8 @@ def contact_motion(R, t, V, A, S, s, U, B, k, J, weights, rows, velocity, accele
     b1, b2, b3 = cross(w1, w2, w3, dp1, dp2, dp3)
     g1, g2, g3 = A[0] - B[0] + a1 + b1, A[1] - B[1] + a2 + b2, A[2] - B[2] + a3 + b3
     # the surface's own motion u = u₀ + Ω × (p − x), and its rate
-    u1, u2, u3 = apply(S, k, 16)
-    o1, o2, o3 = apply(S, k, 19)
+    u1, u2, u3 = direction(S, k, 16)
+    o1, o2, o3 = direction(S, k, 19)
     y1, y2, y3 = p1 - x1, p2 - x2, p3 - x3
     a1, a2, a3 = cross(U[3], U[4], U[5], u1, u2, u3)
     e1, e2, e3 = cross(U[3], U[4], U[5], o1, o2, o3)
@@ -173,7 +189,7 @@ def contact_motion(R, t, V, A, S, s, U, B, k, J, weights, rows, velocity, accele
     g1, g2, g3 = g1 - a1, g2 - a2, g3 - a3
     n = len(weights)
     for i in range(3):
-        e1, e2, e3 = apply(S, k, 7 + 3 * i)
+        e1, e2, e3 = direction(S, k, 7 + 3 * i)
         velocity[i] = e1 * v1 + e2 * v2 + e3 * v3
         acceleration[i] = e1 * g1 + e2 * g2 + e3 * g3
         surface[i] = e1 * u1 + e2 * u2 + e3 * u3
