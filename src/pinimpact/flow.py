@@ -203,7 +203,7 @@ class Flow:
             np.array([limit.sign for limit in limits], dtype=float),
             np.array([limit.bound for limit in limits], dtype=float),
         )
-        self.state = np.zeros(7)
+        self.state = np.zeros(10)
         self.state[[MARGIN, LEAST_MARGIN]] = math.inf
         self.state[UNIQUE] = 1.0
         self.step = Step(joint_table(model), model.nq, nv)

@@ -217,7 +217,7 @@ class _Run:
         self.seen = np.empty_like(self._later)
         flow.look(now.q, now.v, self.seen)
         # guess how long a bounce just begun will last, so that no step is taken far beyond it
-        self.horizon = 1.3 * march.horizon(flow.mode, self.seen, now.touch, flow.tree, flow.points)
+        self.horizon = 1.3 * march.outlook(flow.mode, self.seen, now.touch, *flow.machine[1:5])
         self._turn_references()
 
     def _turn_references(self) -> None:
@@ -232,7 +232,7 @@ class _Run:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
         now, flow, t = self.now, self.flow, self.now.t
         left = self.duration - t
-        ending, trial, error, time, number, margin, drift, rejected, natural = march.advance(
+        ending, trial, time, number, margin, drift, rejected, natural = march.advance(
             *(t, min(h, self.max_step, self.horizon), left, self.rtol, self.atol, now.floor),
             *(flow.mode, now.shut, now.tolerated, self.seen, self._later, flow.machine),
         )
@@ -269,7 +269,7 @@ class _Run:
             self.horizon = math.inf
             self._turn_references()
         self._sample()
-        return trial * min(5.0, 0.9 * max(error, 1e-7) ** -0.125)
+        return natural
 
     def _cut(self, segment: Segment, t: float, number: int) -> None:
         """End the step at an event and deal with it."""

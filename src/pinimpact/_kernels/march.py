@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from . import step, touch
+from . import collocation, step, touch
 from .crossings import ALONG, FORCE, GAP, LIMIT, RATE, curvatures, first_crossing, root, sample
 from .guards import clear
 from .jit import inner, jit
-from .motion import FAILED, LEAST_MARGIN, MARGIN, STILL, gaps, look_closely
+from .motion import ERROR, FAILED, LEAST_MARGIN, LENGTH, MARGIN, STIFFNESS, STILL, gaps, look_closely
 from .sustained import FREE, SLIP
 
 COVERED, EVENT, VANISHED, BROKEN = range(4)
@@ -27,8 +27,14 @@ LOOKS = 10
 
 
 @jit
-def horizon(mode, seen, near, tree, points):
-    """Guess how long a bounce just begun lasts, at the state last evaluated; infinite where there is none."""
+def outlook(mode, seen, near, tree, points, closed, state):
+    """Prepare for a stretch that begins at the state last evaluated: take the stiffness of its slip.
+
+    Returns:
+        A guess how long a bounce just begun lasts [s]; infinite where there is none.
+    """
+    state[STIFFNESS] = collocation.stiffness(tree, closed, state)
+    state[LENGTH] = 0.0
     guess = math.inf
     n = points[2].shape[1]
     rows, three = np.empty((3, n)), np.empty((3, 3))
@@ -58,9 +64,9 @@ def advance(t, h, left, rtol, atol, floor, mode, shut, tolerated, seen, later, m
         machine: See `crossings`; the step and its dense output are left in `run`.
 
     Returns:
-        How it ended, the length of the step, its error over the tolerance, the time of the event and its
+        How it ended, the length of the step, the time of the event and its
         number (contacts, then limits), the margin and the drift of the closed contacts at the end of the
-        step, the attempts rejected, and the length that a step without event might have had.
+        step, the attempts rejected, and the length to try next.
     """
     run, tree, points, closed, state, _ = machine
     rejected = 0
@@ -68,11 +74,15 @@ def advance(t, h, left, rtol, atol, floor, mode, shut, tolerated, seen, later, m
     while True:
         trial = left if h > 0.9 * left else h
         if t + trial <= t:
-            return VANISHED, trial, 0.0, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
+            return VANISHED, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
         state[LEAST_MARGIN] = math.inf
-        error = step.attempt(t, trial, rtol, atol, run, tree, points, closed, state)
+        implicit = trial * state[STIFFNESS] > collocation.STIFF
+        if implicit:
+            error = collocation.attempt(t, trial, rtol, atol, run, tree, points, closed, state)
+        else:
+            error = step.attempt(t, trial, rtol, atol, run, tree, points, closed, state)
         if state[FAILED] != 0.0:
-            return BROKEN, trial, 0.0, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
+            return BROKEN, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
         if error > 1.0:
             rejected += 1
             h = trial * (0.2 if error == math.inf else max(0.2, 0.9 * error**-0.125))
@@ -81,19 +91,40 @@ def advance(t, h, left, rtol, atol, floor, mode, shut, tolerated, seen, later, m
         margin = state[MARGIN]
         drift = drifted(run, closed)
         velocity = closed[9].copy()
+        stiffness = collocation.stiffness(tree, closed, state)
         if len(mode):
             gaps(tree, points, state, later)
-        step.complete(t, trial, run, tree, points, closed, state)
+        if implicit:
+            collocation.complete(trial, run)
+        else:
+            step.complete(t, trial, run, tree, points, closed, state)
         time, number = first_event(t, trial, floor, mode, shut, tolerated, seen, later, velocity, machine)
         if state[FAILED] != 0.0:
-            return BROKEN, trial, 0.0, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
+            return BROKEN, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
         if time > t + trial:
             step.go_on(run)
-            return COVERED, trial, error, time, number, margin, drift, rejected, natural
+            state[STIFFNESS] = stiffness
+            natural = trial * growth(trial, error, state)
+            return COVERED, trial, time, number, margin, drift, rejected, natural
         if time >= t:
-            return EVENT, trial, error, time, number, margin, drift, rejected, natural
+            return EVENT, trial, time, number, margin, drift, rejected, natural
         h = 0.5 * trial  # the slip turns too fast for a step of this length
         rejected += 1
+
+
+@inner
+def growth(h, error, state):
+    """Return how much longer the next step may be, and keep this one in mind for the step after it.
+
+    The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
+    after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
+    """
+    error = max(error, 1e-7)
+    factor = min(5.0, 0.9 * error**-0.125)
+    if state[LENGTH] > 0.0:
+        factor = min(factor, 0.9 * h / state[LENGTH] * (max(state[ERROR], 1e-2) / error**2) ** 0.125)
+    state[LENGTH], state[ERROR] = h, error
+    return max(factor, 0.2)
 
 
 @inner

@@ -16,7 +16,7 @@ velocity indices, lower and upper (ns,), rest (nc,) the gap that the contact kee
 leaves: rows (nc, 3, nv), velocity, acceleration, surface (nc, 3), gap (nc,), directions (nc, 2), equations
 and response (m, nv), system (m, m), target and solution (m,), force (nc, 3), scalar_force (ns,).
 
-`state` (7,) — see `STILL` and its neighbours.
+`state` (10,) — see `STILL` and its neighbours.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from .jit import inner, jit
 ABA, MINVERSE, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
 """Where `calls` has the function; its arguments follow."""
 
-STILL, ALLOWANCE, MARGIN, LEAST_MARGIN, UNIQUE, FAILED, EVALUATIONS = range(7)
+STILL, ALLOWANCE, MARGIN, LEAST_MARGIN, UNIQUE, FAILED, EVALUATIONS, STIFFNESS, LENGTH, ERROR = range(10)
 """In `state`: the speed [m/s] below which the direction of slip is the one remembered; the force [N] by which
 Coulomb's law may seem violated through rounding; by how much the forces keep to it, negative where the modes
 do not hold, and the least of it since it was last set to infinity; whether the motion determines the forces,
-else they are those of least norm; whether a call raised; how often v̇ was evaluated."""
+else they are those of least norm; whether a call raised; how often v̇ was evaluated; the stiffness of
+slip at the start of the step, see `collocation`; length and error of the step before, zero at a start."""
 
 LEAST_EFFECTIVE = 1e-9
 """Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""

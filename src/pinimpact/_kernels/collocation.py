@@ -1,0 +1,269 @@
+"""One step of the Radau IIA method of order 9, for slip whose direction settles fast.
+
+Friction follows the direction of slip, and at a small speed s that direction turns at a rate of about
+wᵀu/s: w picks the velocity across the slip, and u = ∂v̇/∂θ is what a turn of the friction does. Where h wᵀu/s
+is large an explicit step is unstable. Here the angles θ of friction at the stages are unknowns of their own,
+with the condition that there is no velocity across them; that stays regular down to s = 0. Newton's method
+then needs no more than a system with one unknown per contact and stage, and the rest is iterated along.
+
+Source of the method: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections
+IV.5 and IV.8. Its coefficients are made here from their definition.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from . import stages
+from .charts import advance, chart_rate, magnitudes, turned_too_far
+from .dop853 import STAGES as LAST
+from .jit import inner
+from .motion import FAILED, LEAST_MARGIN, STILL, evaluate
+from .sustained import SLIP, slip_direction, solve
+
+NODES_COUNT = 5
+ITERATIONS = 12
+STIFF = 3.0
+"""Explicit steps are stable up to about twice this h wᵀu/s."""
+
+
+def _coefficients():
+    """Return nodes, matrix, weights of the rates at 0, dense output and the factor of the error estimate."""
+    s = NODES_COUNT
+    p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
+    p = p.deriv(s - 1)
+    nodes = np.sort(p.roots().real)
+    for _ in range(3):
+        nodes = nodes - p(nodes) / p.deriv()(nodes)
+    nodes[-1] = 1.0
+    powers = np.arange(s)
+    lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
+    integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
+    matrix = nodes[:, None] ** (powers + 1.0) @ integrals
+    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `stages.interpolate`
+    basis, factor = [], Polynomial([0.0, 1.0])
+    for k in range(s):
+        basis.append(np.pad(factor.coef, (0, s + 1 - len(factor.coef)))[1:])
+        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
+    dense = np.linalg.solve(np.array(basis).T, integrals)
+    eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
+    real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
+    return nodes, matrix, lagrange[0].copy(), dense, 1.0 / real
+
+
+NODES, MATRIX, AT_START, DENSE, GAMMA = _coefficients()
+
+
+@inner
+def turn(k, s1, s2, tree, closed, across, effect):
+    """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
+    minverse = tree[7]
+    modes, mu = closed[1], closed[2]
+    jacobians = closed[8]
+    equations, response, system, _, solution = closed[14:19]
+    n, size = len(across), len(solution)
+    row = 0
+    for i in range(k):
+        row += 1 if modes[i] == SLIP else 3
+    force = mu[k] * solution[row]
+    pushed, change, answer = np.empty(n), np.empty(size), np.empty(size)
+    for j in range(n):
+        across[j] = s1 * jacobians[k, 1, j] - s2 * jacobians[k, 0, j]
+        pushed[j] = -force * across[j]
+    for j in range(n):
+        total = 0.0
+        for i in range(n):
+            total += minverse[j, i] * pushed[i]
+        effect[j] = total
+    for m in range(size):
+        total = 0.0
+        for j in range(n):
+            total -= equations[m, j] * effect[j]
+        change[m] = total
+    if solve(system, change, answer):
+        for m in range(size):
+            for j in range(n):
+                effect[j] += response[m, j] * answer[m]
+
+
+@inner
+def stiffness(tree, closed, state):
+    """Return the largest |wᵀu/s| of the contacts that slip, at the state last evaluated [1/s]."""
+    modes, mu, reference, velocity = closed[1], closed[2], closed[3], closed[9]
+    n = tree[7].shape[0]
+    across, effect = np.empty(n), np.empty(n)
+    largest = 0.0
+    for k in range(len(modes)):
+        if modes[k] == SLIP and mu[k] > 0.0:
+            s1, s2 = slip_direction(velocity[k], reference[k], state[STILL])
+            turn(k, s1, s2, tree, closed, across, effect)
+            rate = 0.0
+            for j in range(n):
+                rate += across[j] * effect[j]
+            largest = max(largest, abs(rate) / max(math.hypot(velocity[k, 0], velocity[k, 1]), 1e-300))
+    return largest
+
+
+@inner
+def attempt(t, h, rtol, atol, run, tree, points, closed, state):
+    """Compute a step of length h; return its error as `step.attempt` does, infinite if it is not found."""
+    reference = closed[3]
+    remembered, still = reference.copy(), state[STILL]
+    state[STILL] = math.inf  # so that friction takes the direction that it is given
+    error = collocate(t, h, rtol, atol, run, tree, points, closed, state)
+    reference[:] = remembered
+    state[STILL] = still
+    if error < math.inf and state[FAILED] == 0.0:
+        tree[1][:] = run[3]
+        tree[2][:] = run[4]
+        evaluate(t + h, tree, points, closed, state, run[5][LAST, len(run[4]) :])
+    return error
+
+
+@inner
+def collocate(t, h, rtol, atol, run, tree, points, closed, state):
+    joints, q0, v0, q1, v1, rates, xi, sizes = run[:8]
+    q, v = tree[1], tree[2]
+    modes, mu, reference, velocity = closed[1], closed[2], closed[3], closed[9]
+    n, width, s = len(v0), rates.shape[1], NODES_COUNT
+    slips = np.flatnonzero((modes == SLIP) & (mu > 0.0))
+    count = len(slips)
+    size = s * count
+    directions = np.empty((s, count, 2))
+    across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
+    speeds = np.zeros((s, count))
+    matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
+    found = np.empty((s, width))
+    scale = np.empty(2 * n)
+    magnitudes(joints, q0, sizes)
+    for m in range(n):
+        scale[m] = 1.0 / (atol + rtol * sizes[m])
+        scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
+    for i in range(s):
+        rates[1 + i] = rates[0]
+        for c in range(count):
+            directions[i, c] = reference[slips[c]]
+    before = math.inf
+    for iteration in range(ITERATIONS):
+        state[LEAST_MARGIN] = math.inf
+        for i in range(s):
+            for m in range(n):
+                a = b = 0.0
+                for j in range(s):
+                    a += MATRIX[i, j] * rates[1 + j, m]
+                    b += MATRIX[i, j] * rates[1 + j, n + m]
+                xi[m] = h * a
+                v[m] = v0[m] + h * b
+            if turned_too_far(joints, xi):
+                return math.inf
+            advance(joints, q0, xi, q)
+            chart_rate(joints, xi, v, found[i, :n])
+            found[i, 2 * n :] = 0.0
+            for c in range(count):
+                reference[slips[c]] = directions[i, c]
+            evaluate(t + NODES[i] * h, tree, points, closed, state, found[i, n:])
+            if state[FAILED] != 0.0:
+                return math.inf
+            for m in range(width):
+                found[i, m] -= rates[1 + i, m]
+            for c in range(count):
+                k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
+                turn(k, s1, s2, tree, closed, across[i, c], effect[i, c])
+                speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
+                right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
+        for i in range(s):
+            for c in range(count):
+                row = i * count + c
+                for j in range(s):
+                    for m in range(n):
+                        right[row] -= h * MATRIX[i, j] * across[i, c, m] * found[j, n + m]
+                    for d in range(count):
+                        total = 0.0
+                        for m in range(n):
+                            total += across[i, c, m] * effect[j, d, m]
+                        matrix[row, j * count + d] = h * MATRIX[i, j] * total
+                matrix[row, row] -= speeds[i, c]
+        if not solve(matrix, right, angle):
+            return math.inf
+        norm = 0.0
+        for i in range(s):
+            for c in range(count):
+                change = angle[i * count + c]
+                for m in range(n):
+                    found[i, n + m] += effect[i, c, m] * change
+                x, y = math.cos(change), math.sin(change)
+                s1, s2 = directions[i, c, 0], directions[i, c, 1]
+                directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
+            for m in range(width):
+                rates[1 + i, m] += found[i, m]
+            for m in range(2 * n):
+                norm += (h * found[i, m] * scale[m]) ** 2
+        norm = math.sqrt(norm / (2 * n * s))
+        ratio = norm / before if iteration > 0 else 0.5
+        if not norm < math.inf or (iteration > 2 and ratio >= 1.0):
+            return math.inf
+        if norm == 0.0 or (ratio < 1.0 and norm * ratio / (1.0 - ratio) <= 1e-2):
+            break
+        before = norm
+    else:
+        return math.inf
+    # the error: what the rates' polynomial says of the start, against the rates there
+    error = np.empty(2 * n)
+    for m in range(2 * n):
+        total = rates[0, m]
+        for j in range(s):
+            total -= AT_START[j] * rates[1 + j, m]
+        error[m] = GAMMA * h * total
+    filtered(h, across[0], effect[0], speeds[0], error[n:])
+    norm = 0.0
+    for m in range(2 * n):
+        norm += (error[m] * scale[m]) ** 2
+    norm = math.sqrt(norm / (2 * n))
+    for m in range(n):
+        a = b = 0.0
+        for j in range(s):
+            a += MATRIX[s - 1, j] * rates[1 + j, m]
+            b += MATRIX[s - 1, j] * rates[1 + j, n + m]
+        xi[m] = h * a
+        v1[m] = v0[m] + h * b
+    advance(joints, q0, xi, q1)
+    return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
+
+
+@inner
+def filtered(h, across, effect, speeds, error):
+    """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
+    count, n = across.shape
+    matrix, right, answer = np.empty((count, count)), np.empty(count), np.empty(count)
+    for c in range(count):
+        right[c] = 0.0
+        for m in range(n):
+            right[c] += across[c, m] * error[m]
+        for d in range(count):
+            total = 0.0
+            for m in range(n):
+                total += across[c, m] * effect[d, m]
+            matrix[c, d] = -GAMMA * h * total
+        matrix[c, c] += speeds[c]
+    if solve(matrix, right, answer):
+        for c in range(count):
+            for m in range(n):
+                error[m] += GAMMA * h * effect[c, m] * answer[c]
+
+
+@inner
+def complete(h, run):
+    """Fill the dense output of the step last attempted, and `peak`."""
+    rates, peak, coefficients = run[5], run[8], run[9]
+    n = len(run[2])
+    stages.largest(rates, 1 + NODES_COUNT, n, peak)
+    for m in range(rates.shape[1]):
+        for k in range(7):
+            total = 0.0
+            if k < NODES_COUNT:
+                for j in range(NODES_COUNT):
+                    total += DENSE[k, j] * rates[1 + j, m]
+            coefficients[k, m] = h * total
