@@ -79,8 +79,7 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     closed = Closed(model.nv, [0])
 
     def evaluate(q, v):
-        a = flow.release(0.0, q, v).copy()
-        flow.measure(closed)
+        a = flow.probe(0.0, q, v, closed)
         return a, closed.velocity[0].copy(), closed.acceleration[0].copy()
 
     def gap_and_rate(q, v):
@@ -117,8 +116,7 @@ def test_the_bound_of_the_curvature_holds():
         q, v, tau = random_state(model, seed)
         flow = Flow(Scene(model, [contact], control=lambda *_, tau=tau: tau), model, [contact], [])
         closed = Closed(model.nv, [0])
-        a = flow.release(0.0, q, v).copy()
-        flow.measure(closed)
+        a = flow.probe(0.0, q, v, closed)
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
         size, _ = curvature(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
         assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it

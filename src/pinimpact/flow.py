@@ -12,12 +12,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ._kernels import closing, motion, sustained
-from ._kernels.motion import ALLOWANCE, EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STILL, UNIQUE
+from ._kernels import closing, march, motion, sustained
+from ._kernels.motion import EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STIFFNESS, STILL, UNIQUE
 from ._kernels.sustained import FREE, HELD, SLIP
 from .contacts import Contact
 from .errors import SimulationError
-from .integrator import QUADRATURES, Step
+from .integrator import Step
 from .lookup import frame_id
 from .manifold import joint_table
 from .scene import Scene
@@ -108,13 +108,6 @@ class Closed:
             *(self.target, self.solution, self.force, self.scalar_force),
         )
 
-    def stacked(self) -> Array:
-        """Return the (3 nc + ns, nv) rows of all."""
-        nv = self.rows.shape[2]
-        unit = np.zeros((len(self.scalars), nv))
-        unit[np.arange(len(self.scalars)), self.scalars] = 1.0
-        return np.vstack([self.rows.reshape(-1, nv), unit])
-
 
 @dataclass(slots=True)
 class Closing:
@@ -152,7 +145,7 @@ class Flow:
         closed: The closed contacts, limits and stuck joints.
         dry: (nv,) dry friction of the joints; sliding: with its sign where a joint slides, else zero.
         step: The numbers of the step that the flow is integrated in.
-        machine: All that the kernels need.
+        machine: All that the kernels need, see `pinimpact._kernels.memory`.
     """
 
     def __init__(self, scene: Scene, model: pin.Model, contacts: list[Contact], held: list[Contact]) -> None:
@@ -168,7 +161,6 @@ class Flow:
         self.sliding = np.zeros(nv)
         self._q, self._v, self._tau = pin.neutral(model), np.zeros(nv), np.zeros(nv)
         self._given, self._clock = np.zeros(nv), np.zeros(1)
-        self._rates = np.zeros(nv + QUADRATURES)
         pin.aba(model, data, self._q, self._v, self._tau, _WORLD)
         pin.computeMinverse(model, data)
         # by address from the kernels, so they must live as long as this
@@ -210,7 +202,7 @@ class Flow:
         self.held_gap = [0.0] * len(held)
         self.mode = np.full(len(self.contacts), FREE)
         self.mode[len(contacts) :] = HELD
-        self._known: dict[Any, tuple[Closed, Any]] = {}
+        self._known: dict[Any, tuple[Closed, NDArray[np.int64]]] = {}
         self.close(self.mode, {}, [], [])
 
     def close(
@@ -233,16 +225,24 @@ class Flow:
                 bounds,
                 [self.held_gap[i - free] if i >= free else 0.0 for i in which],
             )
-            known = self._known[key] = (
-                closed,
-                (self.step.arrays, self.tree, self.points, closed.arrays, self.state, self.limits),
-            )
+            known = self._known[key] = (closed, self._table(closed))
         self.closed: Closed = known[0]
-        self.machine: Any = known[1]
+        self.machine: NDArray[np.int64] = known[1]
         for k, i in enumerate(self.closed.which.tolist()):
             self.closed.reference[k] = reference.get(i, (1.0, 0.0))
         self.constrained = len(self.closed.which) + len(self.closed.scalars) > 0
         self.state[UNIQUE] = 1.0
+
+    def _table(self, closed: Closed) -> NDArray[np.int64]:
+        """Return the table that `pinimpact._kernels.memory` reads; the arrays live as long as this does."""
+        parts = (*self.step.arrays, *self.tree, *self.points, *closed.arrays, self.state, *self.limits)
+        table = np.ones((len(parts), 4), dtype=np.int64)
+        for row, array in zip(table, parts, strict=True):
+            assert array.flags.forc
+            assert array.itemsize == 8
+            row[0] = array.ctypes.data
+            row[1 : 1 + array.ndim] = array.shape
+        return table
 
     def _scalar_rows(self, limits: list[int], stuck: list[int]) -> tuple[list[int], Array]:
         """Return (ns,) velocity indices of limits and stuck joints, and (ns, 2) bounds of their forces."""
@@ -269,12 +269,18 @@ class Flow:
         fate, strength = np.full(len(scalars), closing.OPEN), np.zeros(len(scalars))
         held = self.mode[contacts] == HELD
         mu = np.array([self.contacts[i].friction for i in contacts])
-        self._q[:] = q
-        self._v[:] = v
         jamming, converged, work = closing.choose(
-            *(t, velocity, np.array(contacts, dtype=np.int64), held, mu, np.array(scalars, dtype=np.int64)),
+            *(
+                t,
+                q,
+                velocity,
+                np.array(contacts, dtype=np.int64),
+                held,
+                mu,
+                np.array(scalars, dtype=np.int64),
+            ),
             *(self.limits[2][limits], bounds[:, 0].copy(), bounds[:, 1].copy()),
-            *(self.tree, self.points, self.state, mode, reference, fate, strength),
+            *(mode, reference, fate, strength, self.machine),
         )
         self.check()
         if jamming >= 0:
@@ -348,62 +354,36 @@ class Flow:
         return float(self.state[STILL])
 
     @property
-    def allowance(self) -> float:
-        """Force [N] by which Coulomb's law may seem violated through rounding."""
-        return float(self.state[ALLOWANCE])
+    def stiffness(self) -> float:
+        """How fast the direction of slip settles at the start of the step, about [1/s]."""
+        return float(self.state[STIFFNESS])
 
     @property
     def unique(self) -> bool:
         """Whether the motion determined the forces last computed; otherwise they are those of least norm."""
         return bool(self.state[UNIQUE])
 
-    def begin(self, t: float, q: Array, v: Array) -> None:
-        """Begin a stretch: evaluate at its start."""
-        run, rates, nv = self.step, self.step.rates, self.nv
-        run.q0[:] = q
-        run.v0[:] = v
-        rates[0, :nv] = v
-        rates[:, 2 * nv :] = 0.0
-        self._evaluate(t, q, v, rates[0, nv:])
-
-    def release(self, t: float, q: Array, v: Array) -> Array:
-        """Evaluate without contact forces: return v̇ and leave the kinematics; the array is the data's own."""
-        self._q[:] = q
-        self._v[:] = v
-        motion.release(t, self.tree, self.state, self._rates[self.nv :])
+    def begin(self, t: float, q: Array, v: Array, near: float, seen: Array) -> float:
+        """Begin a stretch: evaluate at its start and fill the gaps and rates; see `march.begin`."""
+        guess = march.begin(t, q, v, near, self.mode, seen, self.machine)
         self.check()
-        return self.tree[6]
-
-    def evaluate(self, t: float, q: Array, v: Array) -> None:
-        """Evaluate; the numbers of what is closed are left in `closed`."""
-        self._evaluate(t, q, v, self._rates)
-
-    def _evaluate(self, t: float, q: Array, v: Array, rates: Array) -> None:
-        self._q[:] = q
-        self._v[:] = v
-        motion.evaluate(t, self.tree, self.points, self.closed.arrays, self.state, rates)
-        self.check()
+        return float(guess)
 
     def look(self, q: Array, v: Array, found: Array) -> None:
         """Fill (n, 2) gap and gap rate of all contacts."""
-        self._q[:] = q
-        self._v[:] = v
-        motion.gaps(self.tree, self.points, self.state, found)
+        march.look(q, v, found, self.machine)
+
+    def probe(self, t: float, q: Array, v: Array, closed: Closed) -> Array:
+        """Take the motion of some contacts at a state without contact forces; return v̇ there."""
+        march.probe(t, q, v, self._table(closed))
         self.check()
+        return self.tree[6].copy()
 
     def anchor(self, q: Array, v: Array) -> None:
         """Let the held contacts keep the gaps that they have at this state."""
-        self.evaluate(0.0, q, v)
+        self.probe(0.0, q, v, self.closed)
         self.held_gap = self.closed.gap.tolist()
         self.closed.rest[:] = self.closed.gap
-
-    def measure(self, closed: Closed) -> None:
-        """Take the numbers of some contacts, at the state last evaluated."""
-        motion.measure(self.tree, self.points, closed.arrays)
-
-    def inverse(self) -> Array:
-        """Return M⁻¹ at the state last evaluated."""
-        return np.array(pin.computeMinverse(self.model, self.data)).reshape(self.nv, self.nv)
 
 
 def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:

@@ -248,14 +248,13 @@ class Instant:
 
     def _yielding_inverse(self) -> Array:
         """Return M⁻¹ with what is held and locked projected out, at the present state."""
-        flow = self.flow
-        flow.release(self.t, self.q, self.v)
-        inverse = flow.inverse()
-        rows = np.eye(self.model.nv)[~free_velocities(self.model, self.locked)]
+        nv = self.model.nv
+        inverse = np.array(pin.computeMinverse(self.model, self.data, self.q)).reshape(nv, nv)
+        rows = np.eye(nv)[~free_velocities(self.model, self.locked)]
         if self.held:
-            anchors = Closed(self.model.nv, range(len(self.contacts), len(flow.contacts)))
-            flow.measure(anchors)
-            rows = np.vstack([rows, anchors.stacked()])
+            anchors = Closed(nv, range(len(self.contacts), len(self.flow.contacts)))
+            self.flow.probe(self.t, self.q, self.v, anchors)
+            rows = np.vstack([rows, anchors.rows.reshape(-1, nv)])
         if len(rows):
             response = inverse @ rows.T
             inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ._kernels import march
+from ._kernels import collocation, march, step
 from ._kernels.sustained import SLIP
 from .errors import InputError, PinimpactError, SimulationError
 from .instant import Instant
@@ -210,14 +210,12 @@ class _Run:
     def _restart(self) -> None:
         """Begin a smooth stretch at the present state."""
         now, flow = self.now, self.flow
-        flow.begin(now.t, now.q, now.v)
+        self.seen = np.empty_like(self._later)
+        # no step is taken far beyond the end of a bounce
+        self.horizon = 1.3 * flow.begin(now.t, now.q, now.v, now.touch, self.seen)
         if not flow.unique and not self.told:
             now.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.told = not flow.unique
-        self.seen = np.empty_like(self._later)
-        flow.look(now.q, now.v, self.seen)
-        # guess how long a bounce just begun will last, so that no step is taken far beyond it
-        self.horizon = 1.3 * march.outlook(flow.mode, self.seen, now.touch, *flow.machine[1:5])
         self._turn_references()
 
     def _turn_references(self) -> None:
@@ -232,24 +230,38 @@ class _Run:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
         now, flow, t = self.now, self.flow, self.now.t
         left = self.duration - t
-        ending, trial, time, number, margin, drift, rejected, natural = march.advance(
-            *(t, min(h, self.max_step, self.horizon), left, self.rtol, self.atol, now.floor),
-            *(flow.mode, now.shut, now.tolerated, self.seen, self._later, flow.machine),
-        )
-        self.rejected += rejected
-        if ending == march.BROKEN:
+        natural = h
+        h = min(h, self.max_step, self.horizon)
+        while True:
+            trial = left if h > 0.9 * left else h
+            if t + trial <= t:
+                raise SimulationError(
+                    f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
+                    "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
+                    field="rtol",
+                    value=self.rtol,
+                )
+            explicit = trial * flow.stiffness <= collocation.STIFF
+            attempt = step.attempt if explicit else collocation.attempt
+            error = attempt(t, trial, self.rtol, self.atol, flow.machine)
             flow.check()
-        if ending == march.VANISHED:
-            raise SimulationError(
-                f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
-                "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
-                field="rtol",
-                value=self.rtol,
+            if error > 1.0:
+                self.rejected += 1
+                natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                continue
+            time, number, margin, drift, growth = march.finish(
+                *(t, trial, error, explicit, now.floor, flow.mode, now.shut, now.tolerated),
+                *(self.seen, self._later, flow.machine),
             )
+            flow.check()
+            if time >= t:
+                break
+            self.rejected += 1
+            h = 0.5 * trial  # the slip turns too fast for a step of this length
         self.steps += 1
         segment = flow.step.segment(t, trial, now.q, now.v, self.w)
         self.segments.append(segment)
-        if ending == march.EVENT:
+        if time <= segment.end:
             self._cut(segment, time, number)
             return natural
         self.stalled = 0
@@ -269,7 +281,7 @@ class _Run:
             self.horizon = math.inf
             self._turn_references()
         self._sample()
-        return natural
+        return trial * growth
 
     def _cut(self, segment: Segment, t: float, number: int) -> None:
         """End the step at an event and deal with it."""

@@ -11,9 +11,11 @@ import math
 import numpy as np
 
 from . import charts
+from . import memory as at
 from .foreign import call
 from .jit import inner, jit
-from .motion import ALLOWANCE, FAILED, MINVERSE, STILL, evaluate, look_closely, release
+from .memory import d1, d2, d3, i1, i2
+from .motion import ALLOWANCE, FAILED, INVERT, STILL, evaluate, look_closely, release
 from .sustained import RANK, SLIP, STICK, decide
 
 OPEN, CLOSED, BREAKING = range(3)
@@ -141,6 +143,7 @@ def take_away(rows, velocity, minverse, v):
 @jit
 def choose(
     t,
+    q,
     v,
     contacts,
     held,
@@ -149,18 +152,17 @@ def choose(
     sign,
     lower,
     upper,
-    tree,
-    points,
-    state,
     mode,
     reference,
     fate,
     strength,
+    mem,
 ):
-    """Find what stays closed of the contacts and scalar rows that touch, at the state in the buffers.
+    """Find what stays closed of the contacts and scalar rows that touch.
 
     Args:
         t: Time [s].
+        q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
         contacts: (nc,) the contacts that touch.
         held: (nc,) whether they are bilateral.
@@ -168,21 +170,24 @@ def choose(
         scalars: (ns,) velocity indices of the scalar rows.
         sign: (nl,) of the joint limits among them, which come first: 1 for a lower one.
         lower, upper: (ns,) bounds of the scalar forces.
-        tree, points, state: See `motion`.
         mode: (nc,) takes the modes, `FREE` for a contact that opens.
         reference: (nc, 2) takes the directions of slip where they are known.
         fate: (ns,) takes what becomes of the scalar rows.
         strength: (ns,) takes their forces.
+        mem: The table of `memory`.
 
     Returns:
         The position in `contacts` where slip drives the surface in and no force exists, or −1; whether the
         forces were found to the usual accuracy; the kinetic energy gained.
     """
-    calls, acceleration, minverse = tree[0], tree[6], tree[7]
+    state = d1(mem, at.STATE)
+    calls, acceleration, minverse = i1(mem, at.CALLS), d1(mem, at.ACCELERATION), d2(mem, at.MINVERSE)
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
     nc, ns, nl, n = len(contacts), len(scalars), len(sign), len(v)
     size = 3 * nc + ns
-    release(t, tree, state, np.empty(2))
-    if state[FAILED] != 0.0 or not call(calls[MINVERSE], calls[MINVERSE + 1]):
+    release(t, mem, np.empty(2))
+    if state[FAILED] != 0.0 or not call(calls[INVERT], calls[INVERT + 1]):
         state[FAILED] = 1.0
         return -1, True, 0.0
     rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
@@ -190,7 +195,7 @@ def choose(
     surface = np.empty(3)
     for k in range(nc):
         b = 3 * k
-        look_closely(tree, points, contacts[k], rows[b : b + 3], velocity[k], free[b : b + 3], surface)
+        look_closely(mem, contacts[k], rows[b : b + 3], velocity[k], free[b : b + 3], surface)
     for m in range(ns):
         rows[3 * nc + m, scalars[m]] = 1.0
         free[3 * nc + m] = acceleration[scalars[m]]
@@ -262,29 +267,29 @@ def choose(
 
 
 @jit
-def correct(t, q, v, shut, machine):
+def correct(t, q, v, shut, mem):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
 
     Args:
         t: Time [s].
         q: (nq,) the configuration, which is changed.
         v: (nv,) the velocity, which is changed.
-        shut: (m,) whether each joint limit is closed.
-        machine: See `crossings`.
+        shut: (mem,) whether each joint limit is closed.
+        mem: The table of `memory`.
     """
-    run, tree, points, closed, state, limits = machine
-    joints = run[0]
-    minverse = tree[7]
-    which, modes, scalars, rest = closed[0], closed[1], closed[4], closed[7]
-    jacobians, velocity, gap = closed[8], closed[9], closed[12]
-    index_q, index_v, _, bound = limits
+    state = d1(mem, at.STATE)
+    joints = i2(mem, at.JOINTS)
+    minverse = d2(mem, at.MINVERSE)
+    which, modes, scalars, rest = i1(mem, at.WHICH), i1(mem, at.MODES), i1(mem, at.SCALARS), d1(mem, at.REST)
+    jacobians, velocity, gap = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d1(mem, at.GAP)
+    index_q, index_v, bound = i1(mem, at.INDEX_Q), i1(mem, at.INDEX_V), d1(mem, at.BOUND)
     n, nc, ns = len(v), len(which), len(scalars)
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + len(shut), n))
     off = np.empty(len(rows))
-    tree[1][:] = q
-    tree[2][:] = v
-    evaluate(t, tree, points, closed, state, rates)
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    evaluate(t, mem, rates)
     count = 0
     for k in range(nc):
         rows[count] = jacobians[k, 2]
@@ -302,8 +307,8 @@ def correct(t, q, v, shut, machine):
         for m in range(len(shut)):
             if shut[m]:
                 q[index_q[m]] = bound[m]
-        tree[1][:] = q
-        evaluate(t, tree, points, closed, state, rates)
+        d1(mem, at.Q)[:] = q
+        evaluate(t, mem, rates)
     rows[:] = 0.0
     count = 0
     for k in range(nc):

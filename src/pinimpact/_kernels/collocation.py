@@ -17,12 +17,14 @@ import math
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from . import memory as at
 from . import stages
 from .charts import advance, chart_rate, magnitudes, turned_too_far
 from .dop853 import STAGES as LAST
-from .jit import inner
+from .jit import inner, jit
+from .memory import d1, d2, d3, i1, i2
 from .motion import FAILED, LEAST_MARGIN, STILL, evaluate
-from .sustained import SLIP, slip_direction, solve
+from .sustained import SLIP, solve
 
 NODES_COUNT = 5
 ITERATIONS = 12
@@ -48,7 +50,7 @@ def _coefficients():
     for k in range(s):
         basis.append(np.pad(factor.coef, (0, s + 1 - len(factor.coef)))[1:])
         factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
-    dense = np.linalg.solve(np.array(basis).T, integrals)
+    dense = np.linalg.solve(np.array(basis, dtype=float).T, integrals)
     eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
     real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
     return nodes, matrix, lagrange[0].copy(), dense, 1.0 / real
@@ -58,12 +60,17 @@ NODES, MATRIX, AT_START, DENSE, GAMMA = _coefficients()
 
 
 @inner
-def turn(k, s1, s2, tree, closed, across, effect):
+def turn(k, s1, s2, mem, across, effect):
     """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
-    minverse = tree[7]
-    modes, mu = closed[1], closed[2]
-    jacobians = closed[8]
-    equations, response, system, _, solution = closed[14:19]
+    minverse = d2(mem, at.MINVERSE)
+    modes, mu = i1(mem, at.MODES), d1(mem, at.MU)
+    jacobians = d3(mem, at.ROWS)
+    equations, response, system, solution = (
+        d2(mem, at.EQUATIONS),
+        d2(mem, at.RESPONSE),
+        d2(mem, at.SYSTEM),
+        d1(mem, at.SOLUTION),
+    )
     n, size = len(across), len(solution)
     row = 0
     for i in range(k):
@@ -89,45 +96,45 @@ def turn(k, s1, s2, tree, closed, across, effect):
                 effect[j] += response[m, j] * answer[m]
 
 
-@inner
-def stiffness(tree, closed, state):
-    """Return the largest |wᵀu/s| of the contacts that slip, at the state last evaluated [1/s]."""
-    modes, mu, reference, velocity = closed[1], closed[2], closed[3], closed[9]
-    n = tree[7].shape[0]
-    across, effect = np.empty(n), np.empty(n)
-    largest = 0.0
-    for k in range(len(modes)):
-        if modes[k] == SLIP and mu[k] > 0.0:
-            s1, s2 = slip_direction(velocity[k], reference[k], state[STILL])
-            turn(k, s1, s2, tree, closed, across, effect)
-            rate = 0.0
-            for j in range(n):
-                rate += across[j] * effect[j]
-            largest = max(largest, abs(rate) / max(math.hypot(velocity[k, 0], velocity[k, 1]), 1e-300))
-    return largest
-
-
-@inner
-def attempt(t, h, rtol, atol, run, tree, points, closed, state):
+@jit
+def attempt(t, h, rtol, atol, mem):
     """Compute a step of length h; return its error as `step.attempt` does, infinite if it is not found."""
-    reference = closed[3]
+    state = d1(mem, at.STATE)
+    state[LEAST_MARGIN] = math.inf
+    reference = d2(mem, at.REFERENCE)
     remembered, still = reference.copy(), state[STILL]
     state[STILL] = math.inf  # so that friction takes the direction that it is given
-    error = collocate(t, h, rtol, atol, run, tree, points, closed, state)
+    error = collocate(t, h, rtol, atol, mem)
     reference[:] = remembered
     state[STILL] = still
     if error < math.inf and state[FAILED] == 0.0:
-        tree[1][:] = run[3]
-        tree[2][:] = run[4]
-        evaluate(t + h, tree, points, closed, state, run[5][LAST, len(run[4]) :])
+        d1(mem, at.Q)[:] = d1(mem, at.Q1)
+        d1(mem, at.V)[:] = d1(mem, at.V1)
+        evaluate(t + h, mem, d2(mem, at.RATES)[LAST, len(d1(mem, at.V1)) :])
+        complete(h, mem)
     return error
 
 
 @inner
-def collocate(t, h, rtol, atol, run, tree, points, closed, state):
-    joints, q0, v0, q1, v1, rates, xi, sizes = run[:8]
-    q, v = tree[1], tree[2]
-    modes, mu, reference, velocity = closed[1], closed[2], closed[3], closed[9]
+def collocate(t, h, rtol, atol, mem):
+    state = d1(mem, at.STATE)
+    joints, q0, v0, q1, v1, rates, xi, sizes = (
+        i2(mem, at.JOINTS),
+        d1(mem, at.Q0),
+        d1(mem, at.V0),
+        d1(mem, at.Q1),
+        d1(mem, at.V1),
+        d2(mem, at.RATES),
+        d1(mem, at.XI),
+        d1(mem, at.SIZES),
+    )
+    q, v = d1(mem, at.Q), d1(mem, at.V)
+    modes, mu, reference, velocity = (
+        i1(mem, at.MODES),
+        d1(mem, at.MU),
+        d2(mem, at.REFERENCE),
+        d2(mem, at.VELOCITY),
+    )
     n, width, s = len(v0), rates.shape[1], NODES_COUNT
     slips = np.flatnonzero((modes == SLIP) & (mu > 0.0))
     count = len(slips)
@@ -164,14 +171,14 @@ def collocate(t, h, rtol, atol, run, tree, points, closed, state):
             found[i, 2 * n :] = 0.0
             for c in range(count):
                 reference[slips[c]] = directions[i, c]
-            evaluate(t + NODES[i] * h, tree, points, closed, state, found[i, n:])
+            evaluate(t + NODES[i] * h, mem, found[i, n:])
             if state[FAILED] != 0.0:
                 return math.inf
             for m in range(width):
                 found[i, m] -= rates[1 + i, m]
             for c in range(count):
                 k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
-                turn(k, s1, s2, tree, closed, across[i, c], effect[i, c])
+                turn(k, s1, s2, mem, across[i, c], effect[i, c])
                 speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
                 right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
         for i in range(s):
@@ -255,10 +262,10 @@ def filtered(h, across, effect, speeds, error):
 
 
 @inner
-def complete(h, run):
+def complete(h, mem):
     """Fill the dense output of the step last attempted, and `peak`."""
-    rates, peak, coefficients = run[5], run[8], run[9]
-    n = len(run[2])
+    rates, peak, coefficients = d2(mem, at.RATES), d2(mem, at.PEAK), d2(mem, at.COEFFICIENTS)
+    n = len(d1(mem, at.V0))
     stages.largest(rates, 1 + NODES_COUNT, n, peak)
     for m in range(rates.shape[1]):
         for k in range(7):

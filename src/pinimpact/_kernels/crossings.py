@@ -3,9 +3,6 @@
 A function is given by its kind and a number: `GAP` of a contact and `LIMIT` of a joint have a rate, `ALONG`
 (slip along its remembered direction), `RATE` (of a joint, against its dry friction) and `FORCE` (by how much
 the forces keep to Coulomb's law) have none.
-
-`machine` — (run, tree, points, closed, state, limits): see `step`, `motion`, and for limits index_q, index_v
-(m,), sign and bound (m,).
 """
 
 from __future__ import annotations
@@ -14,32 +11,44 @@ import math
 
 import numpy as np
 
+from . import memory as at
 from . import stages
 from .guards import clear
 from .jit import inner
+from .memory import d1, d2, i1, i2
 from .motion import MARGIN, evaluate, kinematics, look
 
 GAP, LIMIT, ALONG, RATE, FORCE = np.arange(5)  # as variables, for literals would be compiled one by one
 
 
 @inner
-def sample(kind, i, t, start, h, machine):
+def sample(kind, i, t, start, h, mem):
     """Return the function and its rate at a time within the step last completed."""
-    run, tree, points, closed, state, limits = machine
-    joints, q0, v0, coefficients = run[0], run[1], run[2], run[9]
-    q, v = tree[1], tree[2]
+    state = d1(mem, at.STATE)
+    joints, q0, v0, coefficients = (
+        i2(mem, at.JOINTS),
+        d1(mem, at.Q0),
+        d1(mem, at.V0),
+        d2(mem, at.COEFFICIENTS),
+    )
+    q, v = d1(mem, at.Q), d1(mem, at.V)
     stages.state(coefficients, (t - start) / h, joints, q0, v0, q, v)
     if kind == GAP:
-        kinematics(tree, state)
-        return look(tree, points, i)
+        kinematics(mem)
+        return look(mem, i)
     if kind == LIMIT:
-        index_q, index_v, sign, bound = limits
+        index_q, index_v, sign, bound = (
+            i1(mem, at.INDEX_Q),
+            i1(mem, at.INDEX_V),
+            d1(mem, at.SIGN),
+            d1(mem, at.BOUND),
+        )
         return sign[i] * (q[index_q[i]] - bound[i]), sign[i] * v[index_v[i]]
     if kind == RATE:
         return v[i], 0.0
-    evaluate(t, tree, points, closed, state, np.empty(len(v) + 4))
+    evaluate(t, mem, np.empty(len(v) + 4))
     if kind == ALONG:
-        reference, velocity = closed[3], closed[9]
+        reference, velocity = d2(mem, at.REFERENCE), d2(mem, at.VELOCITY)
         return reference[i, 0] * velocity[i, 0] + reference[i, 1] * velocity[i, 1], 0.0
     return max(state[MARGIN], -1e300), 0.0
 
@@ -52,7 +61,7 @@ def curvatures(rate, later_rate, width, size, change):
 
 
 @inner
-def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, floor, h, machine):
+def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, floor, h, mem):
     """Return the first time in (a, b] at which a gap closes, or NaN.
 
     Between two times the gap stays above both parabolas that its values, its rates and the curvature allow
@@ -91,7 +100,7 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
                 if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
                     break
                 t = guess
-                value, slope = sample(kind, i, t, a, h, machine)
+                value, slope = sample(kind, i, t, a, h, mem)
                 if abs(value) <= 1e-3 * floor:
                     break
                 if value > 0.0:
@@ -108,18 +117,18 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
             continue
         depth += 1
         later[depth] = middle
-        later_gap[depth], later_rate[depth] = sample(kind, i, middle, a, h, machine)
+        later_gap[depth], later_rate[depth] = sample(kind, i, middle, a, h, mem)
     return math.nan
 
 
 @inner
-def root(kind, i, a, b, fa, fb, start, h, machine):
+def root(kind, i, a, b, fa, fb, start, h, mem):
     """Return where a function changes sign between a and b, to rounding and not before (Ridders' method)."""
     for _ in range(100):
         middle = a + 0.5 * (b - a)
         if not a < middle < b or fb == 0.0:
             break
-        fm = sample(kind, i, middle, start, h, machine)[0]
+        fm = sample(kind, i, middle, start, h, mem)[0]
         if fm == 0.0:
             return middle
         scale = math.sqrt(fm * fm - fa * fb)
@@ -129,7 +138,7 @@ def root(kind, i, a, b, fa, fb, start, h, machine):
         else:
             a, fa = middle, fm
         if a < guess < b:
-            fg = sample(kind, i, guess, start, h, machine)[0]
+            fg = sample(kind, i, guess, start, h, mem)[0]
             if fg == 0.0:
                 return guess
             if fa * fg < 0.0:

@@ -6,15 +6,26 @@ import math
 
 import numpy as np
 
-from . import collocation, step, touch
+from . import memory as at
+from . import step, touch
 from .crossings import ALONG, FORCE, GAP, LIMIT, RATE, curvatures, first_crossing, root, sample
 from .guards import clear
 from .jit import inner, jit
-from .motion import ERROR, FAILED, LEAST_MARGIN, LENGTH, MARGIN, STIFFNESS, STILL, gaps, look_closely
+from .memory import d1, d2, d3, f2, i1, i2
+from .motion import (
+    ERROR,
+    LEAST_MARGIN,
+    LENGTH,
+    MARGIN,
+    STIFFNESS,
+    STILL,
+    evaluate,
+    gaps,
+    look_closely,
+    measure,
+    release,
+)
 from .sustained import FREE, SLIP
-
-COVERED, EVENT, VANISHED, BROKEN = range(4)
-"""How a step ends: it is covered; an event cuts it; it fell below what time resolves; a call raised."""
 
 MODE_CHANGE = np.int64(-1)
 """Number of an event that is no contact's or limit's."""
@@ -27,89 +38,124 @@ LOOKS = 10
 
 
 @jit
-def outlook(mode, seen, near, tree, points, closed, state):
-    """Prepare for a stretch that begins at the state last evaluated: take the stiffness of its slip.
+def begin(t, q, v, near, mode, seen, mem):
+    """Begin a stretch: evaluate at its start, look at the gaps, and take the stiffness of slip.
+
+    Args:
+        t: Time [s].
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        near: Gap [m] at which a contact counts as touching.
+        mode: (n,) modes of all contacts.
+        seen: (n, 2) takes their gaps and rates.
+        mem: The table of `memory`.
 
     Returns:
         A guess how long a bounce just begun lasts [s]; infinite where there is none.
     """
-    state[STIFFNESS] = collocation.stiffness(tree, closed, state)
+    state = d1(mem, at.STATE)
+    rates = d2(mem, at.RATES)
+    n = len(v)
+    d1(mem, at.Q0)[:] = q
+    d1(mem, at.V0)[:] = v
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    rates[:, 2 * n :] = 0.0
+    rates[0, :n] = v
+    evaluate(t, mem, rates[0, n:])
+    state[STIFFNESS] = fastest_turn(mem)
     state[LENGTH] = 0.0
     guess = math.inf
-    n = points[2].shape[1]
+    if len(mode) == 0:
+        return guess
+    gaps(mem, seen)
     rows, three = np.empty((3, n)), np.empty((3, 3))
     for i in range(len(mode)):
         if mode[i] == FREE and abs(seen[i, 0]) <= near and seen[i, 1] > 0.0:
-            look_closely(tree, points, i, rows, three[0], three[1], three[2])
+            look_closely(mem, i, rows, three[0], three[1], three[2])
             if three[1, 2] < 0.0:
                 guess = min(guess, -2.0 * seen[i, 1] / three[1, 2])
     return guess
 
 
 @jit
-def advance(t, h, left, rtol, atol, floor, mode, shut, tolerated, seen, later, machine):
-    """Take one accepted step, and look for the first event in it.
+def look(q, v, seen, mem):
+    """Fill (n, 2) gaps and rates of all contacts at a state."""
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    gaps(mem, seen)
+
+
+@jit
+def probe(t, q, v, mem):
+    """Evaluate at a state without contact forces; the motion of what is closed is left in its arrays."""
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    release(t, mem, np.empty(2))
+    measure(mem)
+
+
+@jit
+def finish(t, h, error, explicit, floor, mode, shut, tolerated, seen, later, mem):
+    """Finish a step whose error is small enough: look for the first event in it.
 
     Args:
-        t: The time [s]; the state stands in `run`.
-        h: Length to try [s].
-        left: Time left [s].
-        rtol, atol: Tolerances.
+        t: Its start [s].
+        h: Its length [s].
+        error: Its error over the tolerance.
+        explicit: Whether it was an explicit one.
         floor: Gaps above −floor count as none.
         mode: (n,) modes of all contacts.
         shut: (m,) whether each joint limit is closed.
         tolerated: Whether forces beyond their bounds are no event, for no other mode is held either.
         seen: (n, 2) gaps and rates at t.
         later: (n, 2) takes them at the end of the step.
-        machine: See `crossings`; the step and its dense output are left in `run`.
+        mem: The table of `memory`; the step's dense output is left in it, and its end as the next one's start
+            if no event cuts it.
 
     Returns:
-        How it ended, the length of the step, the time of the event and its
-        number (contacts, then limits), the margin and the drift of the closed contacts at the end of the
-        step, the attempts rejected, and the length to try next.
+        The time of the first event, infinite if there is none and minus infinity to ask for a shorter step;
+        its number (contacts, then limits); the margin and the drift of the closed contacts at the end of the
+        step; how much longer the next one may be.
     """
-    run, tree, points, closed, state, _ = machine
-    rejected = 0
-    natural = h
-    while True:
-        trial = left if h > 0.9 * left else h
-        if t + trial <= t:
-            return VANISHED, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
-        state[LEAST_MARGIN] = math.inf
-        implicit = trial * state[STIFFNESS] > collocation.STIFF
-        if implicit:
-            error = collocation.attempt(t, trial, rtol, atol, run, tree, points, closed, state)
-        else:
-            error = step.attempt(t, trial, rtol, atol, run, tree, points, closed, state)
-        if state[FAILED] != 0.0:
-            return BROKEN, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
-        if error > 1.0:
-            rejected += 1
-            h = trial * (0.2 if error == math.inf else max(0.2, 0.9 * error**-0.125))
-            natural = h
-            continue
-        margin = state[MARGIN]
-        drift = drifted(run, closed)
-        velocity = closed[9].copy()
-        stiffness = collocation.stiffness(tree, closed, state)
-        if len(mode):
-            gaps(tree, points, state, later)
-        if implicit:
-            collocation.complete(trial, run)
-        else:
-            step.complete(t, trial, run, tree, points, closed, state)
-        time, number = first_event(t, trial, floor, mode, shut, tolerated, seen, later, velocity, machine)
-        if state[FAILED] != 0.0:
-            return BROKEN, trial, t, MODE_CHANGE, 0.0, 0.0, rejected, natural
-        if time > t + trial:
-            step.go_on(run)
-            state[STIFFNESS] = stiffness
-            natural = trial * growth(trial, error, state)
-            return COVERED, trial, time, number, margin, drift, rejected, natural
-        if time >= t:
-            return EVENT, trial, time, number, margin, drift, rejected, natural
-        h = 0.5 * trial  # the slip turns too fast for a step of this length
-        rejected += 1
+    state = d1(mem, at.STATE)
+    margin = state[MARGIN]
+    drift = drifted(mem)
+    velocity = d2(mem, at.VELOCITY).copy()
+    stiffness = fastest_turn(mem)
+    if len(mode):
+        gaps(mem, later)
+    if explicit:
+        step.complete(t, h, mem)
+    time, number = first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem)
+    if time > t + h:
+        step.go_on(mem)
+        state[STIFFNESS] = stiffness
+        return time, number, margin, drift, growth(h, error, state)
+    return time, number, margin, drift, 1.0
+
+
+@inner
+def fastest_turn(mem):
+    """Return how fast the direction of slip settles at the most, about [1/s]; see `collocation`."""
+    modes, mu, velocity = i1(mem, at.MODES), d1(mem, at.MU), d2(mem, at.VELOCITY)
+    jacobians, minverse, force = d3(mem, at.ROWS), d2(mem, at.MINVERSE), d2(mem, at.FORCE)
+    reference = d2(mem, at.REFERENCE)
+    n = minverse.shape[0]
+    fastest = 0.0
+    for k in range(len(modes)):
+        if modes[k] == SLIP and mu[k] > 0.0:
+            speed = math.hypot(velocity[k, 0], velocity[k, 1])
+            s1, s2 = reference[k, 0], reference[k, 1]
+            if speed > 0.0:
+                s1, s2 = velocity[k, 0] / speed, velocity[k, 1] / speed
+            total = 0.0
+            for i in range(n):
+                a = s1 * jacobians[k, 1, i] - s2 * jacobians[k, 0, i]
+                for j in range(n):
+                    total += a * minverse[i, j] * (s1 * jacobians[k, 1, j] - s2 * jacobians[k, 0, j])
+            fastest = max(fastest, mu[k] * abs(force[k, 2]) * total / max(speed, 1e-300))
+    return fastest
 
 
 @inner
@@ -128,35 +174,46 @@ def growth(h, error, state):
 
 
 @inner
-def drifted(run, closed):
+def drifted(mem):
     """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
-    modes, scalars, rest, velocity, gap = closed[1], closed[4], closed[7], closed[9], closed[12]
+    modes, scalars, rest, velocity, gap = (
+        i1(mem, at.MODES),
+        i1(mem, at.SCALARS),
+        d1(mem, at.REST),
+        d2(mem, at.VELOCITY),
+        d1(mem, at.GAP),
+    )
     worst = 0.0
     for k in range(len(modes)):
         worst = max(worst, abs(gap[k] - rest[k]), abs(velocity[k, 2]))
         if modes[k] != SLIP:
             worst = max(worst, abs(velocity[k, 0]), abs(velocity[k, 1]))
     for j in scalars:
-        worst = max(worst, abs(run[4][j]))
+        worst = max(worst, abs(d1(mem, at.V1)[j]))
     return worst
 
 
 @inner
-def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, machine):
+def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem):
     """Return time and number of the first event in the step last completed.
 
     The time is infinite where there is none, and minus infinity to ask for a shorter step.
     """
-    run, tree, points, closed, _, limits = machine
-    q0, v0, q1, v1, peak = run[1], run[2], run[3], run[4], run[8]
+    q0, v0, q1, v1, peak = d1(mem, at.Q0), d1(mem, at.V0), d1(mem, at.Q1), d1(mem, at.V1), d2(mem, at.PEAK)
     end = t + h
     found, number = math.inf, int(MODE_CHANGE)
     bounds = np.empty((len(mode), 2))
     for i in range(len(mode)):  # before a sample moves the kinematics
         if mode[i] == FREE:
-            tip = points[1][i, 0]
+            tip = i2(mem, at.ENDS)[i, 0]
             bounds[i, 0], bounds[i, 1] = touch.curvature(
-                tree[12], points[2][i], points[3], tree[8][tip], points[0][i], peak, h
+                f2(mem, at.COLUMNS),
+                d2(mem, at.WEIGHTS)[i],
+                i1(mem, at.GROUP),
+                d2(mem, at.PLACEMENT)[tip],
+                d2(mem, at.CONSTANTS)[i],
+                peak,
+                h,
             )
     for i in range(len(mode)):
         if mode[i] != FREE:
@@ -166,42 +223,52 @@ def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, machi
         fall, _ = curvatures(seen[i, 1], rate, h, size, change)
         if not clear(max(seen[i, 0], 0.0), seen[i, 1], gap, rate, fall, h, floor):
             if found < math.inf:
-                gap, rate = sample(GAP, i, end, t, h, machine)
+                gap, rate = sample(GAP, i, end, t, h, mem)
             time = first_crossing(
-                GAP, i, t, end, seen[i, 0], seen[i, 1], gap, rate, size, change, floor, h, machine
+                GAP, i, t, end, seen[i, 0], seen[i, 1], gap, rate, size, change, floor, h, mem
             )
             if time <= end:
                 found, end, number = time, time, i
-    index_q, index_v, sign, bound = limits
+    index_q, index_v, sign, bound = (
+        i1(mem, at.INDEX_Q),
+        i1(mem, at.INDEX_V),
+        d1(mem, at.SIGN),
+        d1(mem, at.BOUND),
+    )
     for k in range(len(sign)):
         a, b, s = index_q[k], index_v[k], sign[k]
         gap, rate = s * (q0[a] - bound[k]), s * v0[b]
         size, change = SAFETY * peak[1, b], SAFETY * peak[3, b]
         if shut[k] or clear(max(gap, 0.0), rate, s * (q1[a] - bound[k]), s * v1[b], size, h, floor):
             continue
-        end_gap, end_rate = sample(LIMIT, k, end, t, h, machine)
-        time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, machine)
+        end_gap, end_rate = sample(LIMIT, k, end, t, h, mem)
+        time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, mem)
         if time <= end:
             found, end, number = time, time, len(mode) + k
-    sliding = tree[14]
+    sliding = d1(mem, at.SLIDING)
     for j in range(len(v0)):
         if sliding[j] * v1[j] < -1e-12 * abs(sliding[j]) and sliding[j] * v0[j] > 0.0:
-            time = root(RATE, j, t, t + h, v0[j], v1[j], t, h, machine)
+            time = root(RATE, j, t, t + h, v0[j], v1[j], t, h, mem)
             if time < end:
-                found, end, number = time, time, MODE_CHANGE
-    if len(closed[0]) + len(closed[4]) == 0:
+                found, end, number = time, time, int(MODE_CHANGE)
+    if len(i1(mem, at.WHICH)) + len(i1(mem, at.SCALARS)) == 0:
         return found, number
-    time = first_change_of_mode(t, h, end, tolerated, velocity, machine)
+    time = first_change_of_mode(t, h, end, tolerated, velocity, mem)
     if time <= end:
         return time, MODE_CHANGE
     return found, number
 
 
 @inner
-def first_change_of_mode(t, h, end, tolerated, velocity, machine):
+def first_change_of_mode(t, h, end, tolerated, velocity, mem):
     """Return when a slip ends, or a force leaves what its mode allows, until `end`; else infinity."""
-    state, closed = machine[4], machine[3]
-    modes, mu, reference, slip = closed[1], closed[2], closed[3], closed[9]
+    state = d1(mem, at.STATE)
+    modes, mu, reference, slip = (
+        i1(mem, at.MODES),
+        d1(mem, at.MU),
+        d2(mem, at.REFERENCE),
+        d2(mem, at.VELOCITY),
+    )
     still = state[STILL]
     least = state[LEAST_MARGIN]
     found = math.inf
@@ -211,27 +278,27 @@ def first_change_of_mode(t, h, end, tolerated, velocity, machine):
         ahead = reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
         if ahead >= -1e-3 * still:
             continue
-        first = sample(ALONG, k, t, t, h, machine)[0]
+        first = sample(ALONG, k, t, t, h, mem)[0]
         if first <= 0.0:
             continue
-        time = root(ALONG, k, t, t + h, first, ahead, t, h, machine)
+        time = root(ALONG, k, t, t + h, first, ahead, t, h, mem)
         if time < end:
-            sample(ALONG, k, time, t, h, machine)
+            sample(ALONG, k, time, t, h, mem)
             if math.hypot(slip[k, 0], slip[k, 1]) > still:
                 return -math.inf
             found, end = time, time
     if least < 0.0 and not tolerated:
         before = t
-        m_before = sample(FORCE, MODE_CHANGE, t, t, h, machine)[0]
+        slack_before = sample(FORCE, MODE_CHANGE, t, t, h, mem)[0]
         start = t
         for part in range(1, LOOKS + 1):
             time = end if part == LOOKS else start + (end - start) * part / LOOKS
-            m = sample(FORCE, MODE_CHANGE, time, t, h, machine)[0]
-            if m < 0.0:
+            slack = sample(FORCE, MODE_CHANGE, time, t, h, mem)[0]
+            if slack < 0.0:
                 return (
-                    root(FORCE, MODE_CHANGE, before, time, m_before, m, t, h, machine)
-                    if m_before > 0.0
+                    root(FORCE, MODE_CHANGE, before, time, slack_before, slack, t, h, mem)
+                    if slack_before > 0.0
                     else time
                 )
-            before, m_before = time, m
+            before, slack_before = time, slack
     return found

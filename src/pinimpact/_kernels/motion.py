@@ -1,37 +1,23 @@
 """v̇ of a robot with the contacts that are closed, evaluated from compiled code.
 
-Everything stands in arrays that Python made once, handed over in tuples:
-
-`tree` — calls (10,) the addresses of functions and their arguments (`ABA` and its neighbours; 0 where there
-is no control); q, v, tau the buffers that these read;
-given (nv,) and clock (1,) what the control returns and at what time it is asked; acceleration, minverse,
-placement (nj, 12), local (nj, 6), spatial (nj, 6), gained (nj, 6), columns (6, nv) where Pinocchio leaves v̇,
-M⁻¹, oMi, v, ov, oa_gf and J; damping and sliding (nv,) of the joints.
-
-`points` — constants (n, 22) of all contacts, see `touch`; ends (n, 2) the joints of tip and plane; weights
-(n, nv), see `touch.contact_motion`; group (nv,) the joint that each velocity belongs to.
-
-`closed` — of what is closed: which (nc,) contact, modes (nc,), mu (nc,), reference (nc, 2), scalars (ns,)
-velocity indices, lower and upper (ns,), rest (nc,) the gap that the contact keeps; and what an evaluation
-leaves: rows (nc, 3, nv), velocity, acceleration, surface (nc, 3), gap (nc,), directions (nc, 2), equations
-and response (m, nv), system (m, m), target and solution (m,), force (nc, 3), scalar_force (ns,).
-
-`state` (10,) — see `STILL` and its neighbours.
+Everything stands in arrays that Python made once; `memory` tells which.
 """
 
 from __future__ import annotations
 
 import math
 
+from . import memory as at
 from . import sustained, touch
 from .foreign import call
-from .jit import inner, jit
+from .jit import inner
+from .memory import d1, d2, d3, f2, i1, i2
 
-ABA, MINVERSE, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
-"""Where `calls` has the function; its arguments follow."""
+ABA, INVERT, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
+"""Where `CALLS` has the function; its arguments follow."""
 
 STILL, ALLOWANCE, MARGIN, LEAST_MARGIN, UNIQUE, FAILED, EVALUATIONS, STIFFNESS, LENGTH, ERROR = range(10)
-"""In `state`: the speed [m/s] below which the direction of slip is the one remembered; the force [N] by which
+"""In `STATE`: the speed [m/s] below which the direction of slip is the one remembered; the force [N] by which
 Coulomb's law may seem violated through rounding; by how much the forces keep to it, negative where the modes
 do not hold, and the least of it since it was last set to infinity; whether the motion determines the forces,
 else they are those of least norm; whether a call raised; how often v̇ was evaluated; the stiffness of
@@ -42,35 +28,41 @@ LEAST_EFFECTIVE = 1e-9
 
 
 @inner
-def look(tree, points, i):
+def look(mem, i):
     """Return gap and gap rate of a contact at the kinematics last computed."""
-    placement, local = tree[8], tree[9]
-    constants, ends = points[0], points[1]
+    placement, local = d2(mem, at.PLACEMENT), d2(mem, at.LOCAL)
+    constants, ends = d2(mem, at.CONSTANTS), i2(mem, at.ENDS)
     tip, base = ends[i, 0], ends[i, 1]
     return touch.gap_and_rate(placement[tip], local[tip], placement[base], local[base], constants[i])
 
 
-@jit
-def kinematics(tree, state):
+@inner
+def kinematics(mem):
     """Compute placements and velocities at the state in the buffers."""
-    calls = tree[0]
+    state = d1(mem, at.STATE)
+    calls = i1(mem, at.CALLS)
     if not call(calls[KINEMATICS], calls[KINEMATICS + 1]):
         state[FAILED] = 1.0
 
 
-@jit
-def gaps(tree, points, state, found):
+@inner
+def gaps(mem, found):
     """Fill gap and gap rate (n, 2) of all contacts at the state in the buffers."""
-    kinematics(tree, state)
+    kinematics(mem)
     for i in range(len(found)):
-        found[i, 0], found[i, 1] = look(tree, points, i)
+        found[i, 0], found[i, 1] = look(mem, i)
 
 
 @inner
-def look_closely(tree, points, i, rows, velocity, acceleration, surface):
+def look_closely(mem, i, rows, velocity, acceleration, surface):
     """Fill what a closed contact needs, see `touch.contact_motion`; return the gap [m]."""
-    placement, spatial, gained, columns = tree[8], tree[10], tree[11], tree[12]
-    constants, ends, weights = points[0], points[1], points[2]
+    placement, spatial, gained, columns = (
+        d2(mem, at.PLACEMENT),
+        d2(mem, at.SPATIAL),
+        d2(mem, at.GAINED),
+        f2(mem, at.COLUMNS),
+    )
+    constants, ends, weights = d2(mem, at.CONSTANTS), i2(mem, at.ENDS), d2(mem, at.WEIGHTS)
     tip, base = ends[i, 0], ends[i, 1]
     return touch.contact_motion(
         placement[tip],
@@ -89,11 +81,18 @@ def look_closely(tree, points, i, rows, velocity, acceleration, surface):
     )
 
 
-@jit
-def release(t, tree, state, powers):
+@inner
+def release(t, mem, powers):
     """Evaluate without contact forces: leave v̇ and the kinematics; fill the powers of control and joints."""
-    calls, _, v, tau, given, clock = tree[:6]
-    damping, sliding = tree[13], tree[14]
+    state = d1(mem, at.STATE)
+    calls, v, tau, given, clock = (
+        i1(mem, at.CALLS),
+        d1(mem, at.V),
+        d1(mem, at.TAU),
+        d1(mem, at.GIVEN),
+        d1(mem, at.CLOCK),
+    )
+    damping, sliding = d1(mem, at.DAMPING), d1(mem, at.SLIDING)
     if calls[CONTROL] != 0:
         clock[0] = t
         if not call(calls[CONTROL], calls[CONTROL + 1]) or state[FAILED] != 0.0:
@@ -105,32 +104,61 @@ def release(t, tree, state, powers):
         state[FAILED] = 1.0
 
 
-@jit
-def measure(tree, points, closed):
+@inner
+def measure(mem):
     """Take the numbers of what is closed, at the state last evaluated without contact forces."""
-    which = closed[0]
-    rows, velocity, acceleration, surface, gap = closed[8:13]
+    which = i1(mem, at.WHICH)
+    rows, velocity, acceleration, surface, gap = (
+        d3(mem, at.ROWS),
+        d2(mem, at.VELOCITY),
+        d2(mem, at.FREE_ACCELERATION),
+        d2(mem, at.SURFACE),
+        d1(mem, at.GAP),
+    )
     for k in range(len(which)):
-        gap[k] = look_closely(tree, points, which[k], rows[k], velocity[k], acceleration[k], surface[k])
+        gap[k] = look_closely(mem, which[k], rows[k], velocity[k], acceleration[k], surface[k])
 
 
-@jit
-def evaluate(t, tree, points, closed, state, out):
+@inner
+def evaluate(t, mem, out):
     """Fill `out` (nv + 4) with v̇ and the powers of control, joints, sliding friction and surfaces."""
-    calls, acceleration, minverse = tree[0], tree[6], tree[7]
+    state = d1(mem, at.STATE)
+    calls, acceleration, minverse = i1(mem, at.CALLS), d1(mem, at.ACCELERATION), d2(mem, at.MINVERSE)
     n = len(acceleration)
-    release(t, tree, state, out[n:])
+    release(t, mem, out[n:])
     for j in range(n):
         out[j] = acceleration[j]
-    which, modes, mu, reference, scalars, lower, upper = closed[:7]
+    which, modes, mu, reference, scalars, lower, upper = (
+        i1(mem, at.WHICH),
+        i1(mem, at.MODES),
+        d1(mem, at.MU),
+        d2(mem, at.REFERENCE),
+        i1(mem, at.SCALARS),
+        d1(mem, at.LOWER),
+        d1(mem, at.UPPER),
+    )
     if len(which) + len(scalars) == 0 or state[FAILED] != 0.0:
         return
-    if not call(calls[MINVERSE], calls[MINVERSE + 1]):
+    if not call(calls[INVERT], calls[INVERT + 1]):
         state[FAILED] = 1.0
         return
-    measure(tree, points, closed)
-    rows, velocity, free, surface = closed[8:12]
-    directions, equations, response, system, target, solution, force, scalar_force = closed[13:]
+    measure(mem)
+    rows, velocity, free, surface = (
+        d3(mem, at.ROWS),
+        d2(mem, at.VELOCITY),
+        d2(mem, at.FREE_ACCELERATION),
+        d2(mem, at.SURFACE),
+    )
+    directions, equations, response, system, target, solution, force, scalar_force = (
+        d2(mem, at.DIRECTIONS),
+        d2(mem, at.EQUATIONS),
+        d2(mem, at.RESPONSE),
+        d2(mem, at.SYSTEM),
+        d1(mem, at.TARGET),
+        d1(mem, at.SOLUTION),
+        d2(mem, at.FORCE),
+        d1(mem, at.SCALAR_FORCE),
+    )
     effective = sustained.assemble(
         minverse,
         out[:n],

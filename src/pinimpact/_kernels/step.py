@@ -1,26 +1,34 @@
-"""One step of the Dormand-Prince method in a chart about its start, with its dense output.
-
-`run` — joints (k, 4) the table of `charts`; q0, v0 the state at the start of the step; q1, v1 that at the
-end of the step last attempted; rates (16, 2 nv + 4) at the stages; xi and sizes (nv,) scratch; peak (4, nv)
-see `stages.largest`; coefficients (7, 2 nv + 4) see `stages.interpolate`.
-"""
+"""One step of the Dormand-Prince method in a chart about its start, with its dense output."""
 
 from __future__ import annotations
 
 import math
 
+from . import memory as at
 from . import stages
 from .charts import magnitudes, turned_too_far
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
-from .jit import inner
-from .motion import FAILED, evaluate
+from .jit import inner, jit
+from .memory import d1, d2, i2
+from .motion import FAILED, LEAST_MARGIN, evaluate
 
 
-@inner
-def attempt(t, h, rtol, atol, run, tree, points, closed, state):
+@jit
+def attempt(t, h, rtol, atol, mem):
     """Compute a step of length h; return its error over the tolerance, infinite if it turns too far."""
-    joints, q0, v0, q1, v1, rates, xi, sizes = run[:8]
-    q, v = tree[1], tree[2]
+    state = d1(mem, at.STATE)
+    joints, q0, v0, q1, v1, rates, xi, sizes = (
+        i2(mem, at.JOINTS),
+        d1(mem, at.Q0),
+        d1(mem, at.V0),
+        d1(mem, at.Q1),
+        d1(mem, at.V1),
+        d2(mem, at.RATES),
+        d1(mem, at.XI),
+        d1(mem, at.SIZES),
+    )
+    q, v = d1(mem, at.Q), d1(mem, at.V)
+    state[LEAST_MARGIN] = math.inf
     n = len(v0)
     for i in range(1, STAGES + 1):
         stages.stage(i, h, STEP, rates, v0, joints, q0, xi, q, v)
@@ -29,7 +37,7 @@ def attempt(t, h, rtol, atol, run, tree, points, closed, state):
                 return math.inf
             q1[:] = q
             v1[:] = v
-        evaluate(t + NODES[i] * h, tree, points, closed, state, rates[i, n:])
+        evaluate(t + NODES[i] * h, mem, rates[i, n:])
         if state[FAILED] != 0.0:
             return math.inf
     magnitudes(joints, q0, sizes)
@@ -38,21 +46,29 @@ def attempt(t, h, rtol, atol, run, tree, points, closed, state):
 
 
 @inner
-def complete(t, h, run, tree, points, closed, state):
+def complete(t, h, mem):
     """Fill the dense output of the step last attempted, and `peak`."""
-    joints, q0, v0, _, _, rates, xi, _, peak, coefficients = run
+    joints, q0, v0, rates, xi, peak, coefficients = (
+        i2(mem, at.JOINTS),
+        d1(mem, at.Q0),
+        d1(mem, at.V0),
+        d2(mem, at.RATES),
+        d1(mem, at.XI),
+        d2(mem, at.PEAK),
+        d2(mem, at.COEFFICIENTS),
+    )
     n = len(v0)
     stages.largest(rates, STAGES + 1, n, peak)
     for i in range(STAGES + 1, DENSE_STAGES):
-        stages.stage(i, h, STEP, rates, v0, joints, q0, xi, tree[1], tree[2])
-        evaluate(t + NODES[i] * h, tree, points, closed, state, rates[i, n:])
+        stages.stage(i, h, STEP, rates, v0, joints, q0, xi, d1(mem, at.Q), d1(mem, at.V))
+        evaluate(t + NODES[i] * h, mem, rates[i, n:])
     stages.dense(h, STEP, DENSE, rates, coefficients)
 
 
 @inner
-def go_on(run):
+def go_on(mem):
     """Take the end of the step last attempted as the start of the next one."""
-    _, q0, v0, q1, v1, rates = run[:6]
+    q0, v0, q1, v1, rates = d1(mem, at.Q0), d1(mem, at.V0), d1(mem, at.Q1), d1(mem, at.V1), d2(mem, at.RATES)
     q0[:] = q1
     v0[:] = v1
     rates[0] = rates[STAGES]
