@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ._kernels import closing, march, motion, sustained
+from ._kernels import closing, march, memory, motion, sustained
 from ._kernels.motion import EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STIFFNESS, STILL, UNIQUE
 from ._kernels.sustained import FREE, HELD, SLIP
 from .contacts import Contact
@@ -78,10 +78,10 @@ class Closed:
         self,
         nv: int,
         which: Sequence[int] = (),
-        modes: Sequence[int] = (),
-        mu: Sequence[float] = (),
-        scalars: Sequence[int] = (),
-        bounds: Any = (),
+        modes: Any = (),
+        mu: Any = (),
+        scalars: Any = (),
+        bounds: Any = ((), ()),
         rest: Sequence[float] = (),
     ) -> None:
         count = len(which)
@@ -90,7 +90,7 @@ class Closed:
         self.mu = np.array(mu, dtype=float)
         self.reference = np.ones((count, 2))
         self.scalars = np.array(scalars, dtype=np.int64)
-        limits = np.array(bounds, dtype=float).reshape(-1, 2).T.copy()
+        limits = np.array(bounds, dtype=float).reshape(2, -1)
         self.rows = np.zeros((count, 3, nv))
         self.velocity = np.zeros((count, 3))
         self.acceleration = np.zeros((count, 3))
@@ -199,7 +199,11 @@ class Flow:
         self.state[[MARGIN, LEAST_MARGIN]] = math.inf
         self.state[UNIQUE] = 1.0
         self.step = Step(joint_table(model), model.nq, nv)
+        arrays = (*self.step.arrays, *self.tree, *self.points, *Closed(nv).arrays, self.state, *self.limits)
+        self._rows = _addresses(arrays)
         self.held_gap = [0.0] * len(held)
+        self._held = np.arange(len(self.contacts)) >= len(contacts)
+        self._mu = np.array([contact.friction for contact in self.contacts])
         self.mode = np.full(len(self.contacts), FREE)
         self.mode[len(contacts) :] = HELD
         self._known: dict[Any, tuple[Closed, NDArray[np.int64]]] = {}
@@ -219,8 +223,8 @@ class Flow:
             closed = Closed(
                 self.nv,
                 which,
-                mode[which].tolist(),
-                [self.contacts[i].friction for i in which],
+                mode[which],
+                self._mu[which],
                 scalars,
                 bounds,
                 [self.held_gap[i - free] if i >= free else 0.0 for i in which],
@@ -230,25 +234,24 @@ class Flow:
         self.machine: NDArray[np.int64] = known[1]
         for k, i in enumerate(self.closed.which.tolist()):
             self.closed.reference[k] = reference.get(i, (1.0, 0.0))
+        self.slipping = bool((self.closed.modes == SLIP).any())
         self.constrained = len(self.closed.which) + len(self.closed.scalars) > 0
         self.state[UNIQUE] = 1.0
 
     def _table(self, closed: Closed) -> NDArray[np.int64]:
         """Return the table that `pinimpact._kernels.memory` reads; the arrays live as long as this does."""
-        parts = (*self.step.arrays, *self.tree, *self.points, *closed.arrays, self.state, *self.limits)
-        table = np.ones((len(parts), 4), dtype=np.int64)
-        for row, array in zip(table, parts, strict=True):
-            assert array.flags.forc
-            assert array.itemsize == 8
-            row[0] = array.ctypes.data
-            row[1 : 1 + array.ndim] = array.shape
+        table = self._rows.copy()
+        table[memory.WHICH : memory.STATE] = _addresses(closed.arrays)
         return table
 
-    def _scalar_rows(self, limits: list[int], stuck: list[int]) -> tuple[list[int], Array]:
-        """Return (ns,) velocity indices of limits and stuck joints, and (ns, 2) bounds of their forces."""
-        bounds = [(0.0, math.inf) if self.limits[2][k] > 0.0 else (-math.inf, 0.0) for k in limits]
-        bounds += [(-self.dry[j], self.dry[j]) for j in stuck]
-        return self.limits[1][limits].tolist() + stuck, np.array(bounds).reshape(-1, 2)
+    def _scalar_rows(self, limits: list[int], stuck: list[int]) -> tuple[NDArray[np.int64], Array]:
+        """Return (ns,) velocity indices of limits and stuck joints, and (2, ns) bounds of their forces."""
+        bounds = np.zeros((2, len(limits) + len(stuck)))
+        for m, k in enumerate(limits):
+            bounds[int(self.limits[2][k] > 0.0), m] = math.copysign(math.inf, self.limits[2][k])
+        for m, j in enumerate(stuck, start=len(limits)):
+            bounds[:, m] = -self.dry[j], self.dry[j]
+        return np.concatenate([self.limits[1][limits], np.array(stuck, dtype=np.int64)]), bounds
 
     def choose(
         self, t: float, q: Array, v: Array, contacts: list[int], limits: list[int], stuck: list[int]
@@ -265,22 +268,13 @@ class Flow:
         """
         scalars, bounds = self._scalar_rows(limits, stuck)
         velocity = v.copy()
-        mode, reference = np.full(len(contacts), FREE), np.zeros((len(contacts), 2))
-        fate, strength = np.full(len(scalars), closing.OPEN), np.zeros(len(scalars))
-        held = self.mode[contacts] == HELD
-        mu = np.array([self.contacts[i].friction for i in contacts])
+        count, rows = len(contacts), len(scalars)
+        mode, reference = np.zeros(count, dtype=np.int64), np.zeros((count, 2))
+        fate, strength = np.zeros(rows, dtype=np.int64), np.zeros(rows)
+        which = np.array(contacts, dtype=np.int64)
         jamming, converged, work = closing.choose(
-            *(
-                t,
-                q,
-                velocity,
-                np.array(contacts, dtype=np.int64),
-                held,
-                mu,
-                np.array(scalars, dtype=np.int64),
-            ),
-            *(self.limits[2][limits], bounds[:, 0].copy(), bounds[:, 1].copy()),
-            *(mode, reference, fate, strength, self.machine),
+            *(t, q, velocity, which, self._held[which], self._mu[which], scalars, self.limits[2][limits]),
+            *(bounds[0], bounds[1], mode, reference, fate, strength, self.machine),
         )
         self.check()
         if jamming >= 0:
@@ -369,9 +363,11 @@ class Flow:
         self.check()
         return float(guess)
 
-    def look(self, q: Array, v: Array, found: Array) -> None:
-        """Fill (n, 2) gap and gap rate of all contacts."""
+    def look(self, q: Array, v: Array) -> Array:
+        """Return (n + m, 2) gap and rate of all contacts, then of the joint limits."""
+        found = np.empty((len(self.contacts) + len(self.limits[0]), 2))
         march.look(q, v, found, self.machine)
+        return found
 
     def probe(self, t: float, q: Array, v: Array, closed: Closed) -> Array:
         """Take the motion of some contacts at a state without contact forces; return v̇ there."""
@@ -407,6 +403,14 @@ def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArra
         trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=sustained.RANK)[0]
         if np.abs(system @ trial - target).max() > 1e-9 * np.abs(target).max():
             return solution
+
+
+def _addresses(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+    """Return (k, 4) addresses and shapes."""
+    return np.array(
+        [(array.__array_interface__["data"][0], *array.shape, *(1,) * (3 - array.ndim)) for array in arrays],
+        dtype=np.int64,
+    )
 
 
 def _rows_of(parts: list[tuple[Any, ...]], width: int) -> Array:

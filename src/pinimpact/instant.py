@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,13 @@ from .errors import InputError, SimulationError
 from .flow import Closed, Flow
 from .lookup import free_velocities
 from .problem import ImpactProblem
-from .reset import impact
+from .reset import Hit, impact
 from .scene import STANDARD_GRAVITY, Scene
 from .solvers import solve_impact
 from .trajectory import ImpactRecord, ModeInterval, Note
 
 Array = NDArray[np.float64]
+ContactSpace = Callable[[], tuple[ImpactProblem, Array]]
 
 MODES = {SLIP: "slip", STICK: "stick", HELD: "held"}
 """Names of the modes of a contact that is closed."""
@@ -75,17 +78,19 @@ class Instant:
         self.limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
         self.record = scene.record and "recorded path" not in without
         self.sustained = "sustained contact" not in without
-        self.rest = scene.rest if self.sustained else 0.0
-        self.quiet = 1e-9 * scene.rest  # an approach slower than this is rounding
+        resting_speed = scene.rest
+        self.rest = resting_speed if self.sustained else 0.0
+        self.quiet = 1e-9 * resting_speed  # an approach slower than this is rounding
         self.names = [contact.label for contact in self.contacts] + [limit.name for limit in self.limits]
 
         self.flow = Flow(scene, model, self.contacts, self.held)
-        self.flow.state[motion.STILL] = STILL_FRACTION * scene.rest
+        self.flow.state[motion.STILL] = STILL_FRACTION * resting_speed
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         self.flow.state[motion.ALLOWANCE] = 1e-10 * pin.computeTotalMass(model) * gravity
         self.floor = GAP_FLOOR * scene.extent + 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
         self.touch = 4.0 * self.floor
-        self._seen = np.empty((len(self.contacts) + len(self.held), 2))
+        self._bilateral = slice(len(self.contacts), len(self.contacts) + len(self.held))
+        self._yielding = free_velocities(model, self.locked)
 
         self.shut = np.zeros(len(self.limits), dtype=np.bool_)
         self.tolerated = False
@@ -102,14 +107,8 @@ class Instant:
 
     def gaps_and_rates(self) -> Array:
         """Return (n + m, 2) gaps and their rates of contacts and limits at the present state."""
-        flow, count = self.flow, len(self.contacts)
-        flow.look(self.q, self.v, self._seen)
-        index_q, index_v, sign, bound = flow.limits
-        found = np.empty((count + len(sign), 2))
-        found[:count] = self._seen[:count]
-        found[count:, 0] = sign * (self.q[index_q] - bound)
-        found[count:, 1] = sign * self.v[index_v]
-        return found
+        found = self.flow.look(self.q, self.v)
+        return np.delete(found, self._bilateral, axis=0) if self.held else found
 
     # ---- impacts
 
@@ -135,21 +134,27 @@ class Instant:
         touching = np.flatnonzero(near).tolist()
         pending: list[dict[str, Any]] = []
         while True:
-            rates = {i: float(found[i, 1]) for i in touching}
+            rates = found[touching, 1].tolist()
             approaching = [
-                i for i in touching if rates[i] < -self.rest or (i in hit and rates[i] < -self.quiet)
+                (rate, i)
+                for i, rate in zip(touching, rates, strict=True)
+                if rate < -self.rest or (i in hit and rate < -self.quiet)
             ]
             if approaching and len(pending) < MAX_ROUNDS:
-                i = min(approaching, key=rates.__getitem__)
+                rate, i = min(approaching)
                 hit.discard(i)
-                pending.append(self._collide(i, -rates[i]))
+                pending.append(self._collide(i, -rate))
                 found = self.gaps_and_rates()
                 continue
             if approaching:
                 self.note(
                     f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
                 )
-            slow = [i for i in touching if self.sustained and abs(rates[i]) <= self.rest]
+            slow = [
+                i
+                for i, rate in zip(touching, rates, strict=True)
+                if self.sustained and abs(rate) <= self.rest
+            ]
             jamming = self._close(slow)
             if jamming is None:
                 break
@@ -172,11 +177,10 @@ class Instant:
             if not slow:
                 hit = self._impact(contact, v)
                 if self.sustained and not plastic:
-                    self.flow.look(q, hit.v, self._seen)
-                    resting = bool(self._seen[i, 1] < self.rest)
+                    resting = bool(self.flow.look(q, hit.v)[i, 1] < self.rest)
             if hit is None or resting:
                 hit = self._impact(self.plastic[i], v)
-            after, problem, impulse = hit.v.copy(), hit.problem, hit.impulse_world
+            after, contact_space = hit.v, partial(_of_hit, hit)
         else:
             limit = self.limits[i - len(self.contacts)]
             e = self.limit_restitution
@@ -192,13 +196,12 @@ class Instant:
                     field="locked",
                     value=limit.name,
                 )
-            problem = ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e)
-            after, impulse = v - response * ((1.0 + e) * rate / c), np.zeros(3)
+            after, contact_space = v - response * ((1.0 + e) * rate / c), partial(_of_limit, c, rate, e)
         if resting:
             self.note(
                 f"{self.names[i]} is taken as resting: it would bounce slower than {self.rest:.3g} m/s."
             )
-        return self._record(i, after, problem, impulse, resting)
+        return self._record(i, after, contact_space, resting)
 
     def _jam(self, i: int) -> dict[str, Any]:
         """Resolve the impact without collision of a contact that slips; return the fields of its record."""
@@ -212,11 +215,10 @@ class Instant:
         )
         solution = solve_impact(problem)
         after = self.v + matrices.response @ solution.impulse
-        return self._record(i, after, problem, solution.impulse @ matrices.axes, False)
+        impulse = solution.impulse @ matrices.axes
+        return self._record(i, after, lambda: (problem, impulse), False)
 
-    def _record(
-        self, i: int, after: Array, problem: ImpactProblem, impulse: Array, resting: bool
-    ) -> dict[str, Any]:
+    def _record(self, i: int, after: Array, contact_space: ContactSpace, resting: bool) -> dict[str, Any]:
         """Take over the velocity after an impact; return the fields of its record."""
         before = self.v
         self.work += self._kinetic(after) - self._kinetic(before)
@@ -227,13 +229,12 @@ class Instant:
             "q": self.q.copy(),
             "v_before": before.copy(),
             "v_after": after.copy(),
-            "problem": problem,
-            "impulse_world": impulse,
+            "contact_space": contact_space,
             "resting": resting,
             "record": self.record and i < len(self.contacts),
         }
 
-    def _impact(self, contact: Contact, v: Array) -> Any:
+    def _impact(self, contact: Contact, v: Array) -> Hit:
         if not self.held:
             return impact(self.model, self.data, self.q, v, contact, locked=self.locked)
         with warnings.catch_warnings(record=True) as caught:
@@ -250,14 +251,15 @@ class Instant:
         """Return M⁻¹ with what is held and locked projected out, at the present state."""
         nv = self.model.nv
         inverse = np.array(pin.computeMinverse(self.model, self.data, self.q)).reshape(nv, nv)
-        rows = np.eye(nv)[~free_velocities(self.model, self.locked)]
+        if self._yielding.all() and not self.held:
+            return inverse
+        rows = np.eye(nv)[~self._yielding]
         if self.held:
             anchors = Closed(nv, range(len(self.contacts), len(self.flow.contacts)))
             self.flow.probe(self.t, self.q, self.v, anchors)
             rows = np.vstack([rows, anchors.rows.reshape(-1, nv)])
-        if len(rows):
-            response = inverse @ rows.T
-            inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
+        response = inverse @ rows.T
+        inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
         return inverse
 
     # ---- contacts that stay closed
@@ -351,6 +353,14 @@ class Instant:
                     field="v0",
                     value=speed,
                 )
+
+
+def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:
+    return hit.problem, hit.impulse_world
+
+
+def _of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
+    return ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e), np.zeros(3)
 
 
 def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:

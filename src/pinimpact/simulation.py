@@ -220,6 +220,8 @@ class _Run:
 
     def _turn_references(self) -> None:
         """Let the remembered directions of slip follow those at the state last evaluated."""
+        if not self.flow.slipping:
+            return
         closed = self.flow.closed
         for k in np.flatnonzero(closed.modes == SLIP).tolist():
             speed = math.hypot(closed.velocity[k, 0], closed.velocity[k, 1])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,11 +33,10 @@ class ImpactRecord:
         source: Name of the contact, or of the joint limit.
         q: (nq,) configuration.
         v_before, v_after: (nv,) velocities.
-        problem: The contact-space problem that was solved; of a joint limit only the normal row counts.
-        impulse_world: (3,) impulse on the robot in world axes [N s]; zero for a joint limit.
         resting: The bounce would have been slower than the resting speed, so restitution was left out.
         simultaneous: Other impacts took place at the same instant.
         record: Whether the solution has a path.
+        contact_space: Makes `problem` and `impulse_world`, which few ask for.
     """
 
     time: float
@@ -45,11 +44,24 @@ class ImpactRecord:
     q: Array
     v_before: Array
     v_after: Array
-    problem: ImpactProblem
-    impulse_world: Array
     resting: bool
     simultaneous: bool
-    record: bool = False
+    record: bool
+    contact_space: Callable[[], tuple[ImpactProblem, Array]]
+
+    @cached_property
+    def _contact_space(self) -> tuple[ImpactProblem, Array]:
+        return self.contact_space()
+
+    @property
+    def problem(self) -> ImpactProblem:
+        """The contact-space problem that was solved; of a joint limit only the normal row counts."""
+        return self._contact_space[0]
+
+    @property
+    def impulse_world(self) -> Array:
+        """(3,) impulse on the robot in world axes [N s]; zero for a joint limit."""
+        return self._contact_space[1]
 
     @cached_property
     def solution(self) -> Solution:
@@ -298,18 +310,12 @@ class Trajectory:
                 arrays["impact_q"][i],
                 arrays["impact_v"][i, 0],
                 arrays["impact_v"][i, 1],
-                ImpactProblem(
-                    arrays["impact_delassus"][i],
-                    arrays["impact_vectors"][i, 0],
-                    mu,
-                    e,
-                    law,
-                    arrays["impact_vectors"][i, 1],
-                ),
-                arrays["impact_vectors"][i, 2],
                 resting,
                 simultaneous,
                 record,
+                partial(
+                    _contact_space, arrays["impact_delassus"][i], arrays["impact_vectors"][i], (mu, e, law)
+                ),
             )
             for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
         ]
@@ -329,3 +335,10 @@ class Trajectory:
 
     def __repr__(self) -> str:
         return f"Trajectory({self.duration:.6g} s, {len(self.impacts)} impacts; {self.termination})"
+
+
+def _contact_space(
+    delassus: Array, vectors: Array, law: tuple[float, float, str]
+) -> tuple[ImpactProblem, Array]:
+    velocity, surface, impulse = vectors
+    return ImpactProblem(delassus, velocity, *law, surface), impulse

@@ -80,10 +80,21 @@ def begin(t, q, v, near, mode, seen, mem):
 
 @jit
 def look(q, v, seen, mem):
-    """Fill (n, 2) gaps and rates of all contacts at a state."""
+    """Fill (n + m, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
     d1(mem, at.Q)[:] = q
     d1(mem, at.V)[:] = v
-    gaps(mem, seen)
+    index_q, index_v, sign, bound = (
+        i1(mem, at.INDEX_Q),
+        i1(mem, at.INDEX_V),
+        d1(mem, at.SIGN),
+        d1(mem, at.BOUND),
+    )
+    count = len(seen) - len(sign)
+    if count > 0:
+        gaps(mem, seen[:count])
+    for k in range(len(sign)):
+        seen[count + k, 0] = sign[k] * (q[index_q[k]] - bound[k])
+        seen[count + k, 1] = sign[k] * v[index_v[k]]
 
 
 @jit
