@@ -55,6 +55,7 @@ class Instant:
         floor: Gaps above its negative count as none [m].
         tolerated: The forces leave what their modes allow, but no other modes do better.
         shut: (m,) which limits are closed.
+        stuck: Velocity indices of the joints that their dry friction holds.
         work: Change of kinetic energy in impacts so far [J].
         impacts, notes, intervals: What there is to tell of the run so far.
         standing: Mode now, and its start, of each contact, limit or joint that is not free.
@@ -93,6 +94,7 @@ class Instant:
         self._yielding = free_velocities(model, self.locked)
 
         self.shut = np.zeros(len(self.limits), dtype=np.bool_)
+        self.stuck: list[int] = []
         self.tolerated = False
         self.work = 0.0
         self.impacts: list[ImpactRecord] = []
@@ -304,6 +306,7 @@ class Instant:
         self.tolerated = constrained and flow.closed is before
         self.shut[:] = False
         self.shut[limits] = True
+        self.stuck = stuck
         now = {flow.contacts[i].label: MODES[m] for i, m in enumerate(mode.tolist()) if m != FREE}
         now |= {self.limits[k].name: "closed" for k in limits}
         now |= {self.model.names[_joint_of(self.model, j)]: "stuck" for j in stuck}
@@ -314,6 +317,15 @@ class Instant:
                 del self.standing[source]
         for source, name in now.items():
             self.standing.setdefault(source, (name, self.t))
+
+    def holds(self, t: float, q: Array, v: Array) -> bool:
+        """Whether any forces exist at a state for the modes that hold now; the kernels look at one choice."""
+        flow = self.flow
+        limits = np.flatnonzero(self.shut).tolist()
+        which = flow.closed.which.tolist()
+        chosen = flow.choose(t, q, v, which, limits, self.stuck)
+        modes = {i: int(flow.mode[i]) for i in which if i < len(self.contacts)}
+        return (chosen.modes, chosen.limits, chosen.stuck) == (modes, limits, self.stuck)
 
     def correct(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""

@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
 
+LOOKS = 10
+"""Parts of a step at which to ask whether modes still hold, where their forces are not unique."""
+
 MAX_STALLED = 200
 """Events without progress in time, after which a simulation gives up."""
 
@@ -263,6 +266,8 @@ class _Run:
         self.steps += 1
         segment = flow.step.segment(t, trial, now.q, now.v, self.w)
         self.segments.append(segment)
+        if now.tolerated:
+            time, number = self._end_of_modes(segment, min(time, segment.end), (time, number))
         if time <= segment.end:
             self._cut(segment, time, number)
             return natural
@@ -284,6 +289,26 @@ class _Run:
             self._turn_references()
         self._sample()
         return trial * growth
+
+    def _end_of_modes(self, segment: Segment, end: float, event: tuple[float, int]) -> tuple[float, int]:
+        """Return when no forces exist any more for the modes that hold, if before `end`; else the event.
+
+        Where forces are not unique, those of least norm may leave their bounds while others do not.
+        """
+        holds = self.now.holds
+        earlier = segment.start
+        for part in range(1, LOOKS + 1):
+            later = end if part == LOOKS else segment.start + (end - segment.start) * part / LOOKS
+            if holds(later, *segment.at(later)):
+                earlier = later
+                continue
+            while earlier < (middle := 0.5 * (earlier + later)) < later:
+                if holds(middle, *segment.at(middle)):
+                    earlier = middle
+                else:
+                    later = middle
+            return later, int(march.MODE_CHANGE)
+        return event
 
     def _cut(self, segment: Segment, t: float, number: int) -> None:
         """End the step at an event and deal with it."""

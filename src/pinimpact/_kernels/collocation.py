@@ -105,9 +105,10 @@ def attempt(t, h, rtol, atol, mem):
     remembered, still = reference.copy(), state[STILL]
     state[STILL] = math.inf  # so that friction takes the direction that it is given
     error = collocate(t, h, rtol, atol, mem)
-    reference[:] = remembered
     state[STILL] = still
-    if error < math.inf and state[FAILED] == 0.0:
+    if not error <= 1.0 or state[FAILED] != 0.0:
+        reference[:] = remembered
+    else:  # where slip is slow, friction goes on in the direction that was found
         d1(mem, at.Q)[:] = d1(mem, at.Q1)
         d1(mem, at.V)[:] = d1(mem, at.V1)
         evaluate(t + h, mem, d2(mem, at.RATES)[LAST, len(d1(mem, at.V1)) :])
@@ -237,6 +238,8 @@ def collocate(t, h, rtol, atol, mem):
         xi[m] = h * a
         v1[m] = v0[m] + h * b
     advance(joints, q0, xi, q1)
+    for c in range(count):
+        reference[slips[c]] = directions[s - 1, c]
     return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
 
 

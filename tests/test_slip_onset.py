@@ -1,0 +1,110 @@
+"""Slip that begins from rest, where its direction settles infinitely fast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import solve_ivp
+
+from pinimpact import Contact, Plane, Scene
+from pinimpact._kernels import collocation
+
+from .scene_models import G, free_body, run, slider, unbounded
+
+FLOOR = Plane()
+MASS, MU, SWELL, TURN = 2.0, 0.4, 3.0, 5.0
+START = MU * MASS * G / SWELL
+
+
+def turning(t, q=None, v=None):
+    """A horizontal force that swells and turns."""
+    return SWELL * t * np.array([np.cos(TURN * t), np.sin(TURN * t), 0.0])
+
+
+def reference(end):
+    """Return position and velocity of a point mass under `turning`, by an implicit method of SciPy's."""
+
+    def rates(t, y):
+        return np.concatenate([y[2:], turning(t)[:2] / MASS - MU * G * y[2:] / np.linalg.norm(y[2:])])
+
+    begun = 1e-4  # later than this the first moments are forgotten
+    v = 0.5 * SWELL / MASS * begun**2 * turning(START + 0.5 * begun)[:2] / np.linalg.norm(turning(START))
+    solution = solve_ivp(rates, (START + begun, end), [0.0, 0.0, *v], method="Radau", rtol=1e-11, atol=1e-14)
+    return solution.y[:2, -1], solution.y[2:, -1]
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-9])
+def test_slip_begins_under_a_force_that_turns(rtol):
+    end = START + 0.3
+    scene = Scene(slider(MASS), [Contact("point", FLOOR, friction=MU)], control=turning)
+    trajectory = run(scene, np.zeros(3), np.zeros(3), end, rtol=rtol, atol=1e-2 * rtol)
+    assert [m.mode for m in trajectory.modes] == ["stick", "slip"]
+    assert trajectory.modes[0].end == pytest.approx(START, rel=1e-8)
+    q, v = reference(end)
+    assert trajectory.q[-1, :2] == pytest.approx(q, abs=20 * rtol)
+    assert trajectory.v[-1, :2] == pytest.approx(v, abs=20 * rtol)
+
+
+def test_the_onset_of_slip_takes_few_steps():
+    scene = Scene(slider(MASS), [Contact("point", FLOOR, friction=MU)], control=turning)
+    trajectory = run(scene, np.zeros(3), np.zeros(3), START + 0.3, rtol=1e-6)
+    assert trajectory.statistics["steps"] < 50  # an explicit method needs hundreds at the onset
+
+
+def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
+    """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""
+    model, parent = pin.Model(), 0
+    kinds = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
+    for k, kind in enumerate((*kinds, pin.JointModelRZ, pin.JointModelPX, pin.JointModelPZ)):
+        parent = model.addJoint(parent, kind(), pin.SE3.Identity(), f"joint{k}")
+        if k in (2, 5):
+            inertia = pin.Inertia(1.0 / (k - 1), np.zeros(3), 1e-3 * np.eye(3))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    contacts = [Contact(f"point{k}", FLOOR, friction=0.3) for k in (2, 5)]
+
+    def pull(t, q, v):
+        return np.array([1.5 * t, 2.5 * t, 0.0, 0.4 * t, -0.3 * t * t, 0.0])
+
+    def end():
+        scene = Scene(model, contacts, control=pull)
+        trajectory = run(scene, [0, 0, 0, 0.3, 1.0, 0], np.zeros(6), 2.0, rtol=1e-9, atol=1e-11)
+        assert [m.mode for m in trajectory.modes].count("slip") == 2
+        return np.concatenate([trajectory.q[-1], trajectory.v[-1]]), trajectory.statistics["steps"]
+
+    implicit, steps = end()
+    monkeypatch.setattr(collocation, "STIFF", np.inf)
+    explicit, more_steps = end()
+    assert implicit == pytest.approx(explicit, abs=1e-5)
+    assert 5 * steps < more_steps
+
+
+def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
+    """The forces along the rod are not unique: it holds as long as some of them obey Coulomb's law."""
+    rod = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 0.1, 0.1])), [(-0.5, 0, 0), (0.5, 0, 0)])
+
+    def pull(t, q, v):
+        return 2.5 * t * np.array([0.3, 1.0, 0.0, 0.0, 0.0, 0.1])
+
+    contacts = [Contact(f"tip{k}", FLOOR, friction=0.4) for k in range(2)]
+    q0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    start = 0.4 * 0.5 * G / (2.5 * (0.5 + 0.1))  # one tip holds the pull and the torque with all its friction
+    ends = []
+    for longest in (np.inf, 0.05):
+        trajectory = run(Scene(rod, contacts, control=pull), q0, np.zeros(6), 2.0, max_step=longest)
+        assert [m.mode for m in trajectory.modes] == ["stick", "stick", "slip", "slip"]
+        assert trajectory.modes[0].end == pytest.approx(start, rel=2e-3)
+        assert np.abs(trajectory.at(start)[1]).max() < 1e-6
+        ends.append(np.concatenate([trajectory.q[-1], trajectory.v[-1]]))
+    assert ends[0] == pytest.approx(ends[1], abs=1e-5)
+
+
+def test_the_coefficients_are_those_of_radau_iia():
+    nodes, matrix, s = collocation.NODES, collocation.MATRIX, collocation.NODES_COUNT
+    for k in range(2 * s - 1):
+        assert matrix[-1] @ nodes**k == pytest.approx(1 / (k + 1), abs=1e-14)
+    for k in range(s):
+        assert matrix @ nodes**k == pytest.approx(nodes ** (k + 1) / (k + 1), abs=1e-14)
+    assert nodes[-1] == 1.0
