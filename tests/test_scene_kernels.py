@@ -9,14 +9,14 @@ import pytest
 
 from pinimpact import Contact, Plane, Scene, contact_matrices
 from pinimpact._kernels import charts, touch
-from pinimpact.flow import Closed, Flow
+from pinimpact.flow import Flow
 from pinimpact.manifold import joint_table
 
 
 @numba.njit
 def curvature(columns, points, placement, peak, h):
     """Return the bound for the first contact; `touch.curvature` is called from kernels only."""
-    constants, ends, signs, group = points
+    constants, ends, signs, group = points[:4]
     return touch.curvature(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
 
 
@@ -75,16 +75,17 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     plane = Plane((0.1, 0.2, -0.3), tuple(normal), tuple(belt), tuple(1.3 * normal), body)
     contact = Contact("frame5", plane, offset=(0.1, -0.2, 0.3), radius=radius)
     q, v, tau = random_state(model, 2)
-    flow = Flow(Scene(model, [contact], control=lambda *_: tau), model, [contact], [])
-    closed = Closed(model.nv, [0])
+    scene = Scene(model, [contact], control=lambda *_: tau)
+    flow = Flow(scene, model, model.createData(), [contact], [], [])
 
     def evaluate(q, v):
-        a = flow.probe(0.0, q, v, closed)
-        return a, closed.velocity[0].copy(), closed.acceleration[0].copy()
+        found = flow.probe(0.0, q, v, [0])
+        return found.joints, found.velocity[0], found.acceleration[0]
 
     def gap_and_rate(q, v):
         return flow.look(q, v)[0]
 
+    closed = flow.probe(0.0, q, v, [0])
     a, velocity, acceleration = evaluate(q, v)
     matrices = contact_matrices(model, other, q, contact)
     assert closed.gap[0] == pytest.approx(contact.gap(model, other, q), abs=1e-13)
@@ -112,9 +113,10 @@ def test_the_bound_of_the_curvature_holds():
     contact = Contact("frame5", Plane(), offset=(0.1, 0, 0.2))
     for seed in range(20):
         q, v, tau = random_state(model, seed)
-        flow = Flow(Scene(model, [contact], control=lambda *_, tau=tau: tau), model, [contact], [])
-        closed = Closed(model.nv, [0])
-        a = flow.probe(0.0, q, v, closed)
+        scene = Scene(model, [contact], control=lambda *_, tau=tau: tau)
+        flow = Flow(scene, model, model.createData(), [contact], [], [])
+        closed = flow.probe(0.0, q, v, [0])
+        a = closed.joints
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
         size, _ = curvature(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
         assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it

@@ -5,22 +5,21 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from ._kernels import closing, march, memory, motion, sustained
-from ._kernels.motion import EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STIFFNESS, STILL, UNIQUE
-from ._kernels.sustained import FREE, HELD, SLIP
+from ._kernels.motion import ALLOWANCE, EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STIFFNESS, UNIQUE
+from ._kernels.sustained import HELD, SLIP
 from .contacts import Contact
 from .errors import SimulationError
-from .integrator import Step
+from .integrator import Segment, Step
 from .lookup import frame_id
 from .manifold import joint_table
-from .scene import Scene
+from .scene import JointLimit, Scene
 from .surfaces import contact_axes
 
 Array = NDArray[np.float64]
@@ -60,80 +59,22 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
     return tip, base, constants, signs
 
 
-class Closed:
-    """Some contacts and scalar rows, with what an evaluation leaves of them.
-
-    A scalar row is a joint at its limit or held by its dry friction.
+class Probe(NamedTuple):
+    """The motion of some contacts without contact forces.
 
     Attributes:
-        which: (nc,) numbers of the contacts; modes, mu: (nc,) theirs; reference: (nc, 2) directions of slip.
-        scalars: (ns,) velocity index of each scalar row.
-        rows: (nc, 3, nv); velocity, acceleration, surface, force: (nc, 3); gap: (nc,); rest: (nc,) the gap
-            that each keeps.
-        scalar_force: (ns,) forces at limits and in stuck joints.
-        arrays: All, as `pinimpact._kernels.motion` takes them.
+        joints: (nv,) v̇.
+        rows: (k, 3, nv) contact Jacobians.
+        velocity, acceleration, surface: (k, 3) of the contacts, and of the surfaces.
+        gap: (k,) gaps [m].
     """
 
-    def __init__(
-        self,
-        nv: int,
-        which: Sequence[int] = (),
-        modes: Any = (),
-        mu: Any = (),
-        scalars: Any = (),
-        bounds: Any = ((), ()),
-        rest: Sequence[float] = (),
-    ) -> None:
-        count = len(which)
-        self.which = np.array(which, dtype=np.int64)
-        self.modes = np.array(modes, dtype=np.int64)
-        self.mu = np.array(mu, dtype=float)
-        self.reference = np.ones((count, 2))
-        self.scalars = np.array(scalars, dtype=np.int64)
-        limits = np.array(bounds, dtype=float).reshape(2, -1)
-        self.rows = np.zeros((count, 3, nv))
-        self.velocity = np.zeros((count, 3))
-        self.acceleration = np.zeros((count, 3))
-        self.surface = np.zeros((count, 3))
-        self.gap = np.zeros(count)
-        self.rest = np.array(rest, dtype=float)
-        self.force = np.zeros((count, 3))
-        self.scalar_force = np.zeros(len(scalars))
-        size = sum(1 if mode == SLIP else 3 for mode in modes) + len(scalars)
-        self.system, self.target, self.solution = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-        self.arrays = (
-            *(self.which, self.modes, self.mu, self.reference, self.scalars, limits[0], limits[1]),
-            *(self.rest, self.rows, self.velocity, self.acceleration, self.surface),
-            *(self.gap, np.zeros((count, 2)), np.zeros((size, nv)), np.zeros((size, nv)), self.system),
-            *(self.target, self.solution, self.force, self.scalar_force),
-        )
-
-
-@dataclass(slots=True)
-class Closing:
-    """What stays closed at an instant.
-
-    Attributes:
-        velocity: (nv,) the velocity, without what closed contacts take away of it.
-        work: Kinetic energy gained by that [J].
-        modes: Mode of each contact that stays closed.
-        reference: Directions of slip.
-        limits: Joint limits that stay closed.
-        stuck: Joints that their dry friction holds.
-        breaking: The force on each joint that it holds no longer.
-        jamming: A contact where slip drives the surface in and no force exists.
-        converged: Whether the forces were found to the usual accuracy.
-    """
-
+    joints: Array
+    rows: Array
     velocity: Array
-    work: float
-    modes: dict[int, int] = field(default_factory=dict)
-    reference: dict[int, Array] = field(default_factory=dict)
-    limits: list[int] = field(default_factory=list)
-    stuck: list[int] = field(default_factory=list)
-    breaking: dict[int, float] = field(default_factory=dict)
-    jamming: int | None = None
-    converged: bool = True
+    acceleration: Array
+    surface: Array
+    gap: Array
 
 
 class Flow:
@@ -141,29 +82,34 @@ class Flow:
 
     Attributes:
         contacts: All contacts of the scene, held ones last.
-        mode: (n,) the mode of each.
-        closed: The closed contacts, limits and stuck joints.
-        dry: (nv,) dry friction of the joints; sliding: with its sign where a joint slides, else zero.
+        limits: The joint limits.
+        standing: (n + nl + nv,) the mode of each contact, then 1 for each closed limit, then 1 for each joint
+            that its dry friction holds.
         step: The numbers of the step that the flow is integrated in.
         machine: All that the kernels need, see `pinimpact._kernels.memory`.
     """
 
-    def __init__(self, scene: Scene, model: pin.Model, contacts: list[Contact], held: list[Contact]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        model: pin.Model,
+        data: pin.Data,
+        contacts: Sequence[Contact],
+        held: Sequence[Contact],
+        limits: Sequence[JointLimit],
+    ) -> None:
         without = scene.without
         nv = model.nv
-        self.model = model
         self.nv = nv
-        self.data = data = model.createData()
-        self.contacts = [*contacts, *held]
+        self.contacts = (*contacts, *held)
+        self.limits = tuple(limits)
         self.control = None if "control" in without else scene.control
         self.failure: BaseException | None = None
-        self.dry = scene.joint_friction * ("joint friction" not in without)
-        self.sliding = np.zeros(nv)
         self._q, self._v, self._tau = pin.neutral(model), np.zeros(nv), np.zeros(nv)
         self._given, self._clock = np.zeros(nv), np.zeros(1)
         pin.aba(model, data, self._q, self._v, self._tau, _WORLD)
         pin.computeMinverse(model, data)
-        # by address from the kernels, so they must live as long as this
+        # by address from the kernels, so these and all arrays must live as long as this
         self._calls = (
             *(pin.aba, (model, data, self._q, self._v, self._tau, _WORLD)),
             *(pin.computeMinverse, (model, data)),
@@ -174,22 +120,28 @@ class Flow:
         calls = np.array([id(item) for item in self._calls])
         if self.control is None:
             calls[motion.CONTROL] = 0
+        dry = scene.joint_friction * ("joint friction" not in without)
         self.tree = (
             *(calls, self._q, self._v, self._tau, self._given, self._clock),
             *(data.ddq, data.Minv.reshape(nv, nv)),
             _rows_of([(m.rotation, m.translation) for m in data.oMi], 12),
             *(_rows_of([(m.vector,) for m in motions], 6) for motions in (data.v, data.ov, data.oa_gf)),
-            *(data.J.reshape(6, nv), scene.joint_damping * ("joint damping" not in without), self.sliding),
+            *(data.J.reshape(6, nv), scene.joint_damping * ("joint damping" not in without)),
+            *(dry, np.zeros(nv)),
         )
+        count = len(self.contacts)
         parts = [contact_constants(model, contact) for contact in self.contacts]
+        self._kept = np.zeros(count)
         self.points = (
             np.array([constants for _, _, constants, _ in parts]).reshape(-1, 22),
             np.array([(tip, base) for tip, base, _, _ in parts], dtype=np.int64).reshape(-1, 2),
             np.array([signs for _, _, _, signs in parts]).reshape(-1, nv),
             np.repeat(np.arange(model.njoints), np.array(model.nvs)),
+            np.array([contact.friction for contact in self.contacts], dtype=float),
+            self._kept,
+            np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
         )
-        limits = () if "joint limits" in without else scene.limits()
-        self.limits = (
+        bounds = (
             np.array([limit.index_q for limit in limits], dtype=np.int64),
             np.array([limit.index_v for limit in limits], dtype=np.int64),
             np.array([limit.sign for limit in limits], dtype=float),
@@ -197,104 +149,45 @@ class Flow:
         )
         self.state = np.zeros(10)
         self.state[[MARGIN, LEAST_MARGIN]] = math.inf
-        self.state[UNIQUE] = 1.0
+        self.standing = np.zeros(count + len(limits) + nv, dtype=np.int64)
         self.step = Step(joint_table(model), model.nq, nv)
-        arrays = (*self.step.arrays, *self.tree, *self.points, *Closed(nv).arrays, self.state, *self.limits)
-        self._rows = _addresses(arrays)
-        self.held_gap = [0.0] * len(held)
-        self._held = np.arange(len(self.contacts)) >= len(contacts)
-        self._mu = np.array([contact.friction for contact in self.contacts])
-        self.mode = np.full(len(self.contacts), FREE)
-        self.mode[len(contacts) :] = HELD
-        self._known: dict[Any, tuple[Closed, NDArray[np.int64]]] = {}
-        self.close(self.mode, {}, [], [])
+        most = len(limits) + int(np.count_nonzero(dry))
+        self._closed = _room(count, most, nv)
+        self._arrays = (
+            *(*self.step.arrays, *self.tree, *self.points, *bounds),
+            *(self.state, self.standing, *self._closed),
+        )
+        self.machine = _addresses(self._arrays)
+        closing.hold(self.machine)
 
-    def close(
-        self, mode: NDArray[np.int64], reference: dict[int, Array], limits: list[int], stuck: list[int]
-    ) -> None:
-        """Close the contacts whose mode is not `FREE`, joint limits, and joints that dry friction holds."""
-        self.mode = mode
-        key = (mode.tobytes(), tuple(limits), tuple(stuck))
-        known = self._known.get(key)
-        if known is None:
-            which = np.flatnonzero(mode).tolist()
-            scalars, bounds = self._scalar_rows(limits, stuck)
-            free = len(self.contacts) - len(self.held_gap)
-            closed = Closed(
-                self.nv,
-                which,
-                mode[which],
-                self._mu[which],
-                scalars,
-                bounds,
-                [self.held_gap[i - free] if i >= free else 0.0 for i in which],
-            )
-            known = self._known[key] = (closed, self._table(closed))
-        self.closed: Closed = known[0]
-        self.machine: NDArray[np.int64] = known[1]
-        for k, i in enumerate(self.closed.which.tolist()):
-            self.closed.reference[k] = reference.get(i, (1.0, 0.0))
-        self.slipping = bool((self.closed.modes == SLIP).any())
-        self.constrained = len(self.closed.which) + len(self.closed.scalars) > 0
-        self.state[UNIQUE] = 1.0
-
-    def _table(self, closed: Closed) -> NDArray[np.int64]:
-        """Return the table that `pinimpact._kernels.memory` reads; the arrays live as long as this does."""
-        table = self._rows.copy()
-        table[memory.WHICH : memory.STATE] = _addresses(closed.arrays)
-        return table
-
-    def _scalar_rows(self, limits: list[int], stuck: list[int]) -> tuple[NDArray[np.int64], Array]:
-        """Return (ns,) velocity indices of limits and stuck joints, and (2, ns) bounds of their forces."""
-        bounds = np.zeros((2, len(limits) + len(stuck)))
-        for m, k in enumerate(limits):
-            bounds[int(self.limits[2][k] > 0.0), m] = math.copysign(math.inf, self.limits[2][k])
-        for m, j in enumerate(stuck, start=len(limits)):
-            bounds[:, m] = -self.dry[j], self.dry[j]
-        return np.concatenate([self.limits[1][limits], np.array(stuck, dtype=np.int64)]), bounds
-
-    def choose(
-        self, t: float, q: Array, v: Array, contacts: list[int], limits: list[int], stuck: list[int]
-    ) -> Closing:
-        """Find what stays closed of the contacts, limits and joints that are at rest against each other.
+    def settle(self, t: float, q: Array, v: Array, slow: NDArray[np.int64]) -> tuple[int, bool, float]:
+        """Set the modes of what touches without bouncing; v loses what closed contacts take away of it.
 
         Args:
             t: Time [s].
             q: (nq,) configuration.
             v: (nv,) velocity.
-            contacts: Those that touch; held ones among them.
-            limits: Joint limits that touch.
-            stuck: Velocity indices of joints with dry friction that are at rest.
+            slow: (n + nl,) 1 for each contact and limit that touches.
+
+        Returns:
+            A contact where slip drives the surface in and no force exists, or −1; whether the forces were
+            found to the usual accuracy; the kinetic energy gained.
         """
-        scalars, bounds = self._scalar_rows(limits, stuck)
-        velocity = v.copy()
-        count, rows = len(contacts), len(scalars)
-        mode, reference = np.zeros(count, dtype=np.int64), np.zeros((count, 2))
-        fate, strength = np.zeros(rows, dtype=np.int64), np.zeros(rows)
-        which = np.array(contacts, dtype=np.int64)
-        jamming, converged, work = closing.choose(
-            *(t, q, velocity, which, self._held[which], self._mu[which], scalars, self.limits[2][limits]),
-            *(bounds[0], bounds[1], mode, reference, fate, strength, self.machine),
+        jamming, converged, work = closing.settle(t, q, v, slow, self.machine)
+        self.check()
+        return jamming, converged, work
+
+    def end_of_modes(self, segment: Segment, end: float) -> float:
+        """Return when no forces exist any more for the modes that hold, within a step until `end`."""
+        time = closing.end_of_modes(
+            *(segment.start, segment.h, end, segment.q, segment.v, segment.coefficients, self.machine)
         )
         self.check()
-        if jamming >= 0:
-            return Closing(velocity, work, jamming=contacts[jamming])
-        ends = fate.tolist()
-        joints = list(zip(stuck, ends[len(limits) :], strength[len(limits) :].tolist(), strict=True))
-        return Closing(
-            velocity,
-            work,
-            {i: m for i, m in zip(contacts, mode.tolist(), strict=True) if m != FREE},
-            dict(zip(contacts, reference, strict=True)),
-            [k for k, end in zip(limits, ends, strict=False) if end == closing.CLOSED],
-            [j for j, end, _ in joints if end == closing.CLOSED],
-            {j: force for j, end, force in joints if end == closing.BREAKING},
-            converged=converged,
-        )
+        return float(time)
 
-    def correct(self, t: float, q: Array, v: Array, shut: NDArray[np.bool_]) -> float:
+    def correct(self, t: float, q: Array, v: Array) -> float:
         """Bring what is closed back, changing q and v; return the kinetic energy gained."""
-        work = closing.correct(t, q, v, shut, self.machine)
+        work = closing.correct(t, q, v, self.machine)
         self.check()
         return float(work)
 
@@ -324,8 +217,13 @@ class Flow:
     def _take_least_norm(self) -> None:
         """Solve for the forces of least norm, without forces that pull where none need to."""
         try:
-            closed = self.closed
-            closed.solution[:] = least_norm(closed.system, closed.target, closed.modes)
+            count, size = self.machine[memory.MODES, 1], self.machine[memory.TARGET, 1]
+            modes, system, target, solution = (
+                self._closed[k - memory.WHICH]
+                for k in (memory.MODES, memory.SYSTEM, memory.TARGET, memory.SOLUTION)
+            )
+            system = system.ravel()[: size * size].reshape(size, size)
+            solution[:size] = least_norm(system, target[:size], modes[:count])
         except BaseException as error:
             self.failure = error
             self.state[FAILED] = 1.0
@@ -343,43 +241,66 @@ class Flow:
         return int(self.state[EVALUATIONS])
 
     @property
-    def still(self) -> float:
-        """Speed [m/s] below which slip is none."""
-        return float(self.state[STILL])
-
-    @property
     def stiffness(self) -> float:
         """How fast the direction of slip settles at the start of the step, about [1/s]."""
         return float(self.state[STIFFNESS])
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the forces last computed do not clearly keep to what their modes allow."""
+        return bool(self.state[MARGIN] <= 2.0 * self.state[ALLOWANCE])
 
     @property
     def unique(self) -> bool:
         """Whether the motion determined the forces last computed; otherwise they are those of least norm."""
         return bool(self.state[UNIQUE])
 
+    @property
+    def constrained(self) -> bool:
+        """Whether anything is closed."""
+        return bool(self.machine[memory.WHICH, 1] + self.machine[memory.SCALARS, 1])
+
     def begin(self, t: float, q: Array, v: Array, near: float, seen: Array) -> float:
         """Begin a stretch: evaluate at its start and fill the gaps and rates; see `march.begin`."""
-        guess = march.begin(t, q, v, near, self.mode, seen, self.machine)
+        guess = march.begin(t, q, v, near, seen, self.machine)
         self.check()
         return float(guess)
 
     def look(self, q: Array, v: Array) -> Array:
-        """Return (n + m, 2) gap and rate of all contacts, then of the joint limits."""
-        found = np.empty((len(self.contacts) + len(self.limits[0]), 2))
+        """Return (n + nl, 2) gap and rate of all contacts, then of the joint limits."""
+        found = np.empty((len(self.contacts) + len(self.limits), 2))
         march.look(q, v, found, self.machine)
         return found
 
-    def probe(self, t: float, q: Array, v: Array, closed: Closed) -> Array:
-        """Take the motion of some contacts at a state without contact forces; return v̇ there."""
-        march.probe(t, q, v, self._table(closed))
+    def probe(self, t: float, q: Array, v: Array, which: Sequence[int]) -> Probe:
+        """Take the motion of some contacts at a state without contact forces."""
+        k, nv = len(which), self.nv
+        velocity, acceleration, surface = np.empty((3, k, 3))
+        found = Probe(np.empty(nv), np.empty((k, 3, nv)), velocity, acceleration, surface, np.empty(k))
+        march.probe(t, q, v, np.array(which, dtype=np.int64), *found, self.machine)
         self.check()
-        return self.tree[6].copy()
+        return found
 
-    def anchor(self, q: Array, v: Array) -> None:
-        """Let the held contacts keep the gaps that they have at this state."""
-        self.probe(0.0, q, v, self.closed)
-        self.held_gap = self.closed.gap.tolist()
-        self.closed.rest[:] = self.closed.gap
+    def anchor(self, gaps: Array) -> None:
+        """Let the contacts keep these gaps (n,) where they are closed."""
+        self._kept[:] = gaps
+        closing.hold(self.machine)
+
+
+def _room(contacts: int, scalars: int, nv: int) -> tuple[NDArray[Any], ...]:
+    """Return the arrays of what is closed, from `WHICH` on, for as many contacts and scalar rows."""
+    size = 3 * contacts + scalars
+    shapes = (
+        *((contacts,), (contacts,), (contacts,), (contacts, 2), (contacts,)),
+        *((scalars,), (scalars,), (scalars,)),
+        *((contacts, 3, nv), (contacts, 3), (contacts, 3), (contacts, 3), (contacts,), (contacts, 2)),
+        *((size, nv), (size, nv), (size, size), (size,), (size,), (contacts, 3), (scalars,)),
+    )
+    integers = {memory.WHICH, memory.MODES, memory.SCALARS}
+    return tuple(
+        np.zeros(shape, dtype=np.int64 if k in integers else float)
+        for k, shape in enumerate(shapes, start=int(memory.WHICH))
+    )
 
 
 def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:

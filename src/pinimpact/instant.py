@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ._kernels import motion
-from ._kernels.sustained import FREE, HELD, SLIP, STICK
+from ._kernels import closing, motion
+from ._kernels.sustained import HELD, SLIP, STICK
 from .contacts import Contact, contact_matrices
 from .errors import InputError, SimulationError
-from .flow import Closed, Flow
+from .flow import Flow
 from .lookup import free_velocities
 from .problem import ImpactProblem
 from .reset import Hit, impact
@@ -44,57 +43,51 @@ MAX_ROUNDS = 1000
 class Instant:
     """The state of a simulation, and what changes it at one instant.
 
-    Contacts are numbered first, then joint limits.
+    Contacts are numbered first, held ones last of them, then joint limits.
 
     Attributes:
         t, q, v: Time [s] and state.
-        contacts: The contacts that are watched.
-        limits: The joint limits.
         flow: The smooth flow, with the modes that hold now.
+        names: Of the contacts that are watched, and of the joint limits.
         touch: Gap [m] at which a contact counts as touching.
         floor: Gaps above its negative count as none [m].
         tolerated: The forces leave what their modes allow, but no other modes do better.
-        shut: (m,) which limits are closed.
-        stuck: Velocity indices of the joints that their dry friction holds.
         work: Change of kinetic energy in impacts so far [J].
         impacts, notes, intervals: What there is to tell of the run so far.
         standing: Mode now, and its start, of each contact, limit or joint that is not free.
     """
 
-    def __init__(self, scene: Scene, model: pin.Model, q: Array, v: Array) -> None:
+    def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
         without = scene.without
         self.model = model
-        self.data = model.createData()
+        self.data = data
         self.t, self.q, self.v = 0.0, q, v
         unreachable = scene.unreachable()
-        self.contacts = [
-            _altered(contact, without)
-            for contact in scene.contacts
-            if contact.label not in unreachable and "contact guards" not in without
-        ]
-        self.plastic = [replace(contact, restitution=0.0) for contact in self.contacts]
+        watched = () if "contact guards" in without else scene.contacts
+        contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
         self.held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
         self.locked = scene.locked if "locked joints" not in without else ()
-        self.limits = scene.limits() if "joint limits" not in without else ()
+        limits = scene.limits() if "joint limits" not in without else ()
         self.limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
         self.record = scene.record and "recorded path" not in without
         self.sustained = "sustained contact" not in without
+        extent = scene.extent
         resting_speed = scene.rest
         self.rest = resting_speed if self.sustained else 0.0
         self.quiet = 1e-9 * resting_speed  # an approach slower than this is rounding
-        self.names = [contact.label for contact in self.contacts] + [limit.name for limit in self.limits]
 
-        self.flow = Flow(scene, model, self.contacts, self.held)
+        self.flow = Flow(scene, model, data, contacts, self.held, limits)
+        self.names = [contact.label for contact in self.flow.contacts] + [limit.name for limit in limits]
         self.flow.state[motion.STILL] = STILL_FRACTION * resting_speed
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         self.flow.state[motion.ALLOWANCE] = 1e-10 * pin.computeTotalMass(model) * gravity
-        self.floor = GAP_FLOOR * scene.extent + 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
+        self.floor = GAP_FLOOR * extent + 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
         self.touch = 4.0 * self.floor
-        self._bilateral = slice(len(self.contacts), len(self.contacts) + len(self.held))
         self._yielding = free_velocities(model, self.locked)
+        self._plastic: dict[int, Contact] = {}
+        self._watched = np.zeros(len(self.names), dtype=np.int64)
+        self._slow = np.zeros(len(self.names), dtype=np.int64)
 
-        self.shut = np.zeros(len(self.limits), dtype=np.bool_)
-        self.stuck: list[int] = []
         self.tolerated = False
         self.work = 0.0
         self.impacts: list[ImpactRecord] = []
@@ -107,84 +100,67 @@ class Instant:
         """Tell of something, at the present time."""
         self.notes.append(Note(self.t, text))
 
-    def gaps_and_rates(self) -> Array:
-        """Return (n + m, 2) gaps and their rates of contacts and limits at the present state."""
-        found = self.flow.look(self.q, self.v)
-        return np.delete(found, self._bilateral, axis=0) if self.held else found
-
     # ---- impacts
 
-    def settle(self, hit: set[int]) -> None:
+    def settle(self, hit: int | None = None, starting: bool = False) -> None:
         """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
 
         Of contacts that approach together the fastest is resolved first, and again, until none approaches
         faster than the resting speed.
 
         Args:
-            hit: Contacts and limits whose gap is known to close now.
+            hit: A contact or limit whose gap is known to close now.
+            starting: Whether the motion starts now, so that all that touches has just closed its gap.
         """
-        flow, count = self.flow, len(self.contacts)
-        hit = set(hit)
+        flow, watched, slow = self.flow, self._watched, self._slow
         if flow.constrained:
             self.correct()
-        found = self.gaps_and_rates()
-        near = found[:, 0] <= self.touch
-        near[:count] |= flow.mode[:count] != FREE
-        near[count:] |= self.shut
-        if self.t > 0.0:
-            near[list(hit)] = True
-        touching = np.flatnonzero(near).tolist()
+        watched[:] = closing.FAR
+        if hit is not None:
+            watched[hit] = closing.HIT
         pending: list[dict[str, Any]] = []
         while True:
-            rates = found[touching, 1].tolist()
-            approaching = [
-                (rate, i)
-                for i, rate in zip(touching, rates, strict=True)
-                if rate < -self.rest or (i in hit and rate < -self.quiet)
-            ]
-            if approaching and len(pending) < MAX_ROUNDS:
-                rate, i = min(approaching)
-                hit.discard(i)
+            i, rate = closing.approach(
+                *(self.q, self.v, self.touch, starting, self.rest, self.quiet, watched, slow, flow.machine)
+            )
+            if i >= 0 and len(pending) < MAX_ROUNDS:
+                watched[i] = closing.NEAR
                 pending.append(self._collide(i, -rate))
-                found = self.gaps_and_rates()
                 continue
-            if approaching:
+            if i >= 0:
                 self.note(
                     f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
                 )
-            slow = [
-                i
-                for i, rate in zip(touching, rates, strict=True)
-                if self.sustained and abs(rate) <= self.rest
-            ]
             jamming = self._close(slow)
-            if jamming is None:
+            if jamming < 0:
                 break
             self.note(
                 f"Slip at {self.names[jamming]} drives the surface in and no force holds it: "
                 "an impact without collision."
             )
             pending.append(self._jam(jamming))
-            found = self.gaps_and_rates()
         self.impacts += [ImpactRecord(**fields, simultaneous=len(pending) > 1) for fields in pending]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""
-        q, v = self.q, self.v
+        v = self.v
         slow = self.sustained and approach <= self.rest
-        if i < len(self.contacts):
-            contact = self.contacts[i]
+        count = len(self.flow.contacts)
+        if i < count:
+            contact = self.flow.contacts[i]
             plastic = not callable(contact.restitution) and contact.restitution == 0.0
             hit, resting = None, slow and not plastic
             if not slow:
                 hit = self._impact(contact, v)
                 if self.sustained and not plastic:
-                    resting = bool(self.flow.look(q, hit.v)[i, 1] < self.rest)
+                    resting = bool(self.flow.look(self.q, hit.v)[i, 1] < self.rest)
             if hit is None or resting:
-                hit = self._impact(self.plastic[i], v)
+                if i not in self._plastic:
+                    self._plastic[i] = replace(contact, restitution=0.0)
+                hit = self._impact(self._plastic[i], v)
             after, contact_space = hit.v, partial(_of_hit, hit)
         else:
-            limit = self.limits[i - len(self.contacts)]
+            limit = self.flow.limits[i - count]
             e = self.limit_restitution
             resting = e > 0.0 and self.sustained and (slow or e * approach < self.rest)
             e = 0.0 if resting else e
@@ -207,7 +183,7 @@ class Instant:
 
     def _jam(self, i: int) -> dict[str, Any]:
         """Resolve the impact without collision of a contact that slips; return the fields of its record."""
-        contact = self.contacts[i]
+        contact = self.flow.contacts[i]
         matrices = contact_matrices(self.model, self.data, self.q, contact, self.held, self.locked)
         velocity = matrices.velocity(self.v)
         velocity[2] = 0.0
@@ -233,7 +209,7 @@ class Instant:
             "v_after": after.copy(),
             "contact_space": contact_space,
             "resting": resting,
-            "record": self.record and i < len(self.contacts),
+            "record": self.record and i < len(self.flow.contacts),
         }
 
     def _impact(self, contact: Contact, v: Array) -> Hit:
@@ -257,59 +233,43 @@ class Instant:
             return inverse
         rows = np.eye(nv)[~self._yielding]
         if self.held:
-            anchors = Closed(nv, range(len(self.contacts), len(self.flow.contacts)))
-            self.flow.probe(self.t, self.q, self.v, anchors)
-            rows = np.vstack([rows, anchors.rows.reshape(-1, nv)])
+            held = range(len(self.flow.contacts) - len(self.held), len(self.flow.contacts))
+            rows = np.vstack([rows, self.flow.probe(self.t, self.q, self.v, held).rows.reshape(-1, nv)])
         response = inverse @ rows.T
         inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
         return inverse
 
     # ---- contacts that stay closed
 
-    def _close(self, slow: list[int]) -> int | None:
-        """Set the modes of what touches without bouncing; return a contact where no force exists, if any."""
-        flow, count = self.flow, len(self.contacts)
-        contacts = [i for i in slow if i < count] + list(range(count, len(flow.contacts)))
-        limits = [i - count for i in slow if i >= count]
-        stuck: list[int] = []
-        if flow.dry.any():
-            stuck = np.flatnonzero((flow.dry > 0.0) & (np.abs(self.v) <= flow.still)).tolist()
-            flow.sliding[:] = flow.dry * np.sign(self.v)
-            flow.sliding[stuck] = 0.0
-        if not contacts and not limits and not stuck:
-            self._set_modes({}, {}, [], [])
-            return None
-        chosen = flow.choose(self.t, self.q, self.v, contacts, limits, stuck)
-        self.work += chosen.work
-        self.v = chosen.velocity
-        if chosen.jamming is not None:
-            return chosen.jamming
-        if not chosen.converged:
-            self.note("The forces of the closed contacts were not found to the usual accuracy.")
-        for j, force in chosen.breaking.items():
-            flow.sliding[j] = -math.copysign(flow.dry[j], force)
-        self._set_modes(chosen.modes, chosen.reference, chosen.limits, chosen.stuck)
-        return None
-
-    def _set_modes(
-        self, modes: dict[int, int], reference: dict[int, Array], limits: list[int], stuck: list[int]
-    ) -> None:
-        """Give each contact, limit and stuck joint its mode, and keep the intervals that end with it."""
-        flow, count = self.flow, len(self.contacts)
-        mode = np.full(len(flow.contacts), FREE)
-        mode[count:] = HELD
-        for i, m in modes.items():
-            mode[i] = m
-        before = flow.closed
+    def _close(self, slow: NDArray[np.int64]) -> int:
+        """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
+        flow = self.flow
+        before = flow.standing.copy()
         constrained = flow.constrained
-        flow.close(mode, reference, limits, stuck)
-        self.tolerated = constrained and flow.closed is before
-        self.shut[:] = False
-        self.shut[limits] = True
-        self.stuck = stuck
-        now = {flow.contacts[i].label: MODES[m] for i, m in enumerate(mode.tolist()) if m != FREE}
-        now |= {self.limits[k].name: "closed" for k in limits}
-        now |= {self.model.names[_joint_of(self.model, j)]: "stuck" for j in stuck}
+        self.v = self.v.copy()
+        jamming, converged, work = flow.settle(self.t, self.q, self.v, slow)
+        self.work += work
+        if jamming >= 0:
+            return jamming
+        if not converged:
+            self.note("The forces of the closed contacts were not found to the usual accuracy.")
+        same = bool((flow.standing == before).all())
+        self.tolerated = constrained and same
+        if not same:
+            self._keep_intervals()
+        return -1
+
+    def _keep_intervals(self) -> None:
+        """Keep the intervals of the modes that end now, and begin those of the new ones."""
+        count, limits = len(self.flow.contacts), len(self.flow.limits)
+        now = {}
+        for i in np.flatnonzero(self.flow.standing).tolist():
+            if i < count:
+                now[self.names[i]] = MODES[int(self.flow.standing[i])]
+            elif i < count + limits:
+                now[self.names[i]] = "closed"
+            else:
+                now[self.model.names[_joint_of(self.model, i - count - limits)]] = "stuck"
         for source, (name, start) in list(self.standing.items()):
             if now.get(source) != name:
                 if self.t > start:
@@ -318,30 +278,23 @@ class Instant:
         for source, name in now.items():
             self.standing.setdefault(source, (name, self.t))
 
-    def holds(self, t: float, q: Array, v: Array) -> bool:
-        """Whether any forces exist at a state for the modes that hold now; the kernels look at one choice."""
-        flow = self.flow
-        limits = np.flatnonzero(self.shut).tolist()
-        which = flow.closed.which.tolist()
-        chosen = flow.choose(t, q, v, which, limits, self.stuck)
-        modes = {i: int(flow.mode[i]) for i in which if i < len(self.contacts)}
-        return (chosen.modes, chosen.limits, chosen.stuck) == (modes, limits, self.stuck)
-
     def correct(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""
         self.q, self.v = self.q.copy(), self.v.copy()
-        self.work += self.flow.correct(self.t, self.q, self.v, self.shut)
+        self.work += self.flow.correct(self.t, self.q, self.v)
 
     # ---- the start
 
     def _check_start(self) -> None:
-        flow, count = self.flow, len(self.contacts)
-        gaps = self.gaps_and_rates()[:, 0].tolist()
-        for i, gap in enumerate(gaps):
-            if gap >= -self.touch:
+        flow = self.flow
+        count = len(flow.contacts)
+        free = count - len(self.held)
+        gaps = flow.look(self.q, self.v)[:, 0]
+        for i, gap in enumerate(gaps.tolist()):
+            if gap >= -self.touch or free <= i < count:
                 continue
             if i < count:
-                contact = self.contacts[i]
+                contact = flow.contacts[i]
                 raise InputError(
                     f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m "
                     "below its surface; start with every contact on or above its surface",
@@ -350,14 +303,19 @@ class Instant:
                 )
             raise InputError(
                 f"q0: the joint starts {-gap:.6g} beyond its limit {self.names[i]!r} "
-                f"({self.limits[i - count].bound:.6g}); start within the limits, or leave "
+                f"({flow.limits[i - count].bound:.6g}); start within the limits, or leave "
                 'them out with without=("joint limits",)',
                 field="q0",
                 value=gap,
             )
-        flow.anchor(self.q, self.v)
-        for k, i in enumerate(flow.closed.which.tolist()):
-            speed = float(np.linalg.norm(flow.closed.velocity[k]))
+        if not self.held:
+            return
+        kept = np.zeros(count)
+        kept[free:] = gaps[free:count]
+        flow.anchor(kept)
+        held = range(free, count)
+        for i, velocity in zip(held, flow.probe(self.t, self.q, self.v, held).velocity, strict=True):
+            speed = float(np.linalg.norm(velocity))
             if speed > 1e-6 * (1.0 + float(np.abs(self.v).max(initial=0.0))):
                 raise InputError(
                     f"v0: the held contact {flow.contacts[i].label!r} moves at {speed:.6g} m/s against its "

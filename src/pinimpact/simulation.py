@@ -11,7 +11,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ._kernels import collocation, march, step
-from ._kernels.sustained import SLIP
 from .errors import InputError, PinimpactError, SimulationError
 from .instant import Instant
 from .integrator import QUADRATURES, Segment
@@ -23,9 +22,6 @@ from .trajectory import Energy, ModeInterval, Trajectory
 Array = NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
-
-LOOKS = 10
-"""Parts of a step at which to ask whether modes still hold, where their forces are not unique."""
 
 MAX_STALLED = 200
 """Events without progress in time, after which a simulation gives up."""
@@ -111,7 +107,7 @@ class _Run:
         except InputError as error:
             raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
         v = finite_array("v0", v0, (model.nv,)).copy()
-        self.now = Instant(scene, model, q, v)
+        self.now = Instant(scene, model, self.data, q, v)
         self.flow = self.now.flow
         self.rtol, self.atol = rtol, atol
         self.drift = max(self.now.touch, atol)
@@ -134,7 +130,7 @@ class _Run:
         try:
             self._sample()
             kept = self._kept()
-            now.settle(set(range(len(now.names))))
+            now.settle(starting=True)
             self._restart()
             h = self.flow.step.first_length(self.rtol, self.atol)
             while now.t < self.duration:
@@ -216,20 +212,10 @@ class _Run:
         self.seen = np.empty_like(self._later)
         # no step is taken far beyond the end of a bounce
         self.horizon = 1.3 * flow.begin(now.t, now.q, now.v, now.touch, self.seen)
+        now.tolerated &= flow.doubtful
         if not flow.unique and not self.told:
             now.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.told = not flow.unique
-        self._turn_references()
-
-    def _turn_references(self) -> None:
-        """Let the remembered directions of slip follow those at the state last evaluated."""
-        if not self.flow.slipping:
-            return
-        closed = self.flow.closed
-        for k in np.flatnonzero(closed.modes == SLIP).tolist():
-            speed = math.hypot(closed.velocity[k, 0], closed.velocity[k, 1])
-            if speed > self.flow.still:
-                closed.reference[k] = closed.velocity[k, :2] / speed
 
     def _step(self, h: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
@@ -255,8 +241,7 @@ class _Run:
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
             time, number, margin, drift, growth = march.finish(
-                *(t, trial, error, explicit, now.floor, flow.mode, now.shut, now.tolerated),
-                *(self.seen, self._later, flow.machine),
+                *(t, trial, error, explicit, now.floor, now.tolerated, self.seen, self._later, flow.machine)
             )
             flow.check()
             if time >= t:
@@ -267,7 +252,9 @@ class _Run:
         segment = flow.step.segment(t, trial, now.q, now.v, self.w)
         self.segments.append(segment)
         if now.tolerated:
-            time, number = self._end_of_modes(segment, min(time, segment.end), (time, number))
+            ended = flow.end_of_modes(segment, min(time, segment.end))
+            if ended <= segment.end:
+                time, number = ended, march.MODE_CHANGE
         if time <= segment.end:
             self._cut(segment, time, number)
             return natural
@@ -279,36 +266,15 @@ class _Run:
             now.tolerated = False
         if flow.constrained and (drift > self.drift or now.tolerated):
             if now.tolerated:
-                self._settle(set())
+                self._settle()
             else:
                 now.correct()
             self._restart()
         else:
             self.seen, self._later = self._later, self.seen
             self.horizon = math.inf
-            self._turn_references()
         self._sample()
         return trial * growth
-
-    def _end_of_modes(self, segment: Segment, end: float, event: tuple[float, int]) -> tuple[float, int]:
-        """Return when no forces exist any more for the modes that hold, if before `end`; else the event.
-
-        Where forces are not unique, those of least norm may leave their bounds while others do not.
-        """
-        holds = self.now.holds
-        earlier = segment.start
-        for part in range(1, LOOKS + 1):
-            later = end if part == LOOKS else segment.start + (end - segment.start) * part / LOOKS
-            if holds(later, *segment.at(later)):
-                earlier = later
-                continue
-            while earlier < (middle := 0.5 * (earlier + later)) < later:
-                if holds(middle, *segment.at(middle)):
-                    earlier = middle
-                else:
-                    later = middle
-            return later, int(march.MODE_CHANGE)
-        return event
 
     def _cut(self, segment: Segment, t: float, number: int) -> None:
         """End the step at an event and deal with it."""
@@ -324,11 +290,11 @@ class _Run:
         now.q, now.v = segment.at(t)
         self.w = segment.works(t)
         self._sample()
-        self._settle(set() if number == march.MODE_CHANGE else {number})
+        self._settle(None if number == march.MODE_CHANGE else number)
         self._restart()
         self._sample()
 
-    def _settle(self, hit: set[int]) -> None:
+    def _settle(self, hit: int | None = None) -> None:
         """Let the instant settle, within the number of impacts allowed."""
         impacts = self.now.impacts
         count = len(impacts)

@@ -1,7 +1,6 @@
 """Which contacts stay closed at an instant, and what brings those that do back onto their surfaces.
 
-Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one; tuples
-are those of `motion`.
+Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
 
 from __future__ import annotations
@@ -10,96 +9,23 @@ import math
 
 import numpy as np
 
-from . import charts
+from . import charts, stages
 from . import memory as at
 from .foreign import call
 from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2
-from .motion import ALLOWANCE, FAILED, INVERT, STILL, evaluate, look_closely, release
-from .sustained import RANK, SLIP, STICK, decide
+from .motion import ALLOWANCE, FAILED, INVERT, STILL, UNIQUE, all_gaps, evaluate, look_closely, release
+from .semidefinite import factor, impulses
+from .sustained import FREE, HELD, SLIP, STICK, decide
 
-OPEN, CLOSED, BREAKING = range(3)
-"""What becomes of a scalar row: its limit opens, it holds, its dry friction gives way."""
+FAR, NEAR, HIT = range(3)
+"""Where a contact or limit is at an instant."""
 
 SWEEPS = 20_000
+LOOKS = 10
+"""Parts of a step at which to ask whether modes still hold."""
+
 STANDARD_GRAVITY = 9.80665
-
-
-@inner
-def factor(matrix, order, lower):
-    """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank."""
-    size = len(matrix)
-    rest = np.empty(size)
-    largest = 0.0
-    for a in range(size):
-        order[a] = a
-        rest[a] = matrix[a, a]
-        largest = max(largest, rest[a])
-    for k in range(size):
-        best = k
-        for a in range(k + 1, size):
-            if rest[order[a]] > rest[order[best]]:
-                best = a
-        order[k], order[best] = order[best], order[k]
-        p = order[k]
-        if not rest[p] > RANK * largest:
-            return k
-        pivot = math.sqrt(rest[p])
-        lower[p, k] = pivot
-        for a in range(k + 1, size):
-            i = order[a]
-            total = matrix[i, p]
-            for j in range(k):
-                total -= lower[i, j] * lower[p, j]
-            lower[i, k] = total / pivot
-            rest[i] -= lower[i, k] ** 2
-    return size
-
-
-@inner
-def impulses(matrix, target, x):
-    """Fill an x that solves matrix x = target, in least squares where the semidefinite matrix is singular."""
-    size = len(target)
-    order, lower, y = np.empty(size, dtype=np.int64), np.zeros((size, size)), np.empty(size)
-    rank = factor(matrix, order, lower)
-    x[:] = 0.0
-    if rank == size:
-        for a in range(size):
-            i = order[a]
-            total = target[i]
-            for j in range(a):
-                total -= lower[i, j] * y[j]
-            y[a] = total / lower[i, a]
-    elif rank > 0:  # lower y = target, by its normal equations
-        normal, inner_order, inner_lower = np.empty((rank, rank)), order.copy(), np.zeros((rank, rank))
-        for a in range(rank):
-            y[a] = 0.0
-            for i in range(size):
-                y[a] += lower[i, a] * target[i]
-            for b in range(rank):
-                total = 0.0
-                for i in range(size):
-                    total += lower[i, a] * lower[i, b]
-                normal[a, b] = total
-        factor(normal, inner_order[:rank], inner_lower)
-        z = np.empty(rank)
-        for a in range(rank):
-            i = inner_order[a]
-            total = y[i]
-            for j in range(a):
-                total -= inner_lower[i, j] * z[j]
-            z[a] = total / inner_lower[i, a]
-        for a in range(rank - 1, -1, -1):
-            total = z[a]
-            for b in range(a + 1, rank):
-                total -= inner_lower[inner_order[b], a] * y[inner_order[b]]
-            y[inner_order[a]] = total / inner_lower[inner_order[a], a]
-    for a in range(rank - 1, -1, -1):
-        total = y[a]
-        for b in range(a + 1, rank):
-            total -= lower[order[b], a] * x[order[b]]
-        x[order[a]] = total / lower[order[a], a]
-    return rank
 
 
 @inner
@@ -140,75 +66,67 @@ def take_away(rows, velocity, minverse, v):
     return work
 
 
-@jit
-def choose(
-    t,
-    q,
-    v,
-    contacts,
-    held,
-    mu,
-    scalars,
-    sign,
-    lower,
-    upper,
-    mode,
-    reference,
-    fate,
-    strength,
-    mem,
-):
-    """Find what stays closed of the contacts and scalar rows that touch.
+@inner
+def choose(t, q, v, candidates, standing, reference, breaking, mem):
+    """Find what stays closed of the contacts, limits and joints that are at rest against each other.
 
     Args:
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
-        contacts: (nc,) the contacts that touch.
-        held: (nc,) whether they are bilateral.
-        mu: (nc,) their friction.
-        scalars: (ns,) velocity indices of the scalar rows.
-        sign: (nl,) of the joint limits among them, which come first: 1 for a lower one.
-        lower, upper: (ns,) bounds of the scalar forces.
-        mode: (nc,) takes the modes, `FREE` for a contact that opens.
-        reference: (nc, 2) takes the directions of slip where they are known.
-        fate: (ns,) takes what becomes of the scalar rows.
-        strength: (ns,) takes their forces.
+        candidates: Not zero for what touches, in the order of `STANDING`.
+        standing: Takes the modes, like `STANDING`.
+        reference: (n, 2) takes the directions of slip where they are known.
+        breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
         mem: The table of `memory`.
 
     Returns:
-        The position in `contacts` where slip drives the surface in and no force exists, or −1; whether the
-        forces were found to the usual accuracy; the kinetic energy gained.
+        The contact where slip drives the surface in and no force exists, or −1; whether the forces were
+        found to the usual accuracy; the kinetic energy gained.
     """
     state = d1(mem, at.STATE)
     calls, acceleration, minverse = i1(mem, at.CALLS), d1(mem, at.ACCELERATION), d2(mem, at.MINVERSE)
+    friction, bilateral, sign, dry = (
+        d1(mem, at.FRICTION),
+        i1(mem, at.BILATERAL),
+        d1(mem, at.SIGN),
+        d1(mem, at.DRY),
+    )
+    standing[:] = FREE
+    reference[:] = 0.0
+    breaking[:] = 0.0
+    count, limits, n = len(friction), len(sign), len(v)
+    contacts = np.flatnonzero(candidates[:count])
+    joints = np.flatnonzero(candidates[count:])  # scalar rows: limits, then stuck joints
+    nc, ns = len(contacts), len(joints)
+    size = 3 * nc + ns
     d1(mem, at.Q)[:] = q
     d1(mem, at.V)[:] = v
-    nc, ns, nl, n = len(contacts), len(scalars), len(sign), len(v)
-    size = 3 * nc + ns
     release(t, mem, np.empty(2))
     if state[FAILED] != 0.0 or not call(calls[INVERT], calls[INVERT + 1]):
         state[FAILED] = 1.0
         return -1, True, 0.0
     rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
     velocity, free = np.empty((nc, 3)), np.empty(size)
-    surface = np.empty(3)
+    surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
     for k in range(nc):
         b = 3 * k
         look_closely(mem, contacts[k], rows[b : b + 3], velocity[k], free[b : b + 3], surface)
+        mu[k], held[k] = friction[contacts[k]], bilateral[contacts[k]] != 0
+    scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
     for m in range(ns):
+        scalars[m], lower[m], upper[m] = scalar_row(joints[m], mem)
         rows[3 * nc + m, scalars[m]] = 1.0
         free[3 * nc + m] = acceleration[scalars[m]]
     answer(rows, minverse, response, delassus)
-    force = np.zeros((nc, 3))
-    strength[:] = 0.0
+    force, strength = np.zeros((nc, 3)), np.zeros(ns)
     still = state[STILL]
     sweeps, jamming = decide(
         delassus, free, velocity[:, :2], mu, held, still, lower, upper, force, strength, SWEEPS, 1e-12
     )
     if jamming >= 0:
         b = 3 * jamming + 2
-        return jamming, True, take_away(rows[b : b + 1], velocity[jamming, 2:], minverse, v)
+        return contacts[jamming], True, take_away(rows[b : b + 1], velocity[jamming, 2:], minverse, v)
     result = free.copy()
     largest = 0.0
     for a in range(size):
@@ -218,15 +136,16 @@ def choose(
                 result[a] += delassus[a, 3 * k + d] * force[k, d]
         for m in range(ns):
             result[a] += delassus[a, 3 * nc + m] * strength[m]
-    pace = 1e-9 * (largest + 1e-3 * STANDARD_GRAVITY)
     unique = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
+    pace = (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)  # slower than this is none
 
     kept = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
     for k in range(nc):
-        b = 3 * k
+        b, i = 3 * k, contacts[k]
         normal, tangent = force[k, 2], math.hypot(force[k, 0], force[k, 1])
         speed = math.hypot(velocity[k, 0], velocity[k, 1])
         if held[k]:
+            standing[i] = HELD
             kept[b : b + 3] = True
             continue
         if normal <= state[ALLOWANCE] and result[b + 2] > pace:
@@ -237,44 +156,200 @@ def choose(
         held_back = tangent <= mu[k] * normal * (1.0 - 1e-9)
         held_back |= not unique and math.hypot(result[b], result[b + 1]) <= pace
         if mu[k] > 0.0 and speed <= still and held_back:
-            mode[k] = STICK
+            standing[i] = STICK
             kept[b : b + 2] = True
             continue
-        mode[k] = SLIP
-        reference[k, 0], reference[k, 1] = 1.0, 0.0
+        standing[i] = SLIP
+        reference[i, 0] = 1.0
         if speed > still:
-            reference[k, 0], reference[k, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
+            reference[i, 0], reference[i, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
         elif tangent > 0.0:
-            reference[k, 0], reference[k, 1] = -force[k, 0] / tangent, -force[k, 1] / tangent
+            reference[i, 0], reference[i, 1] = -force[k, 0] / tangent, -force[k, 1] / tangent
     for m in range(ns):
-        a = 3 * nc + m
-        fate[m] = CLOSED
-        if m < nl:
-            if abs(strength[m]) <= state[ALLOWANCE] and sign[m] * result[a] > pace:
-                fate[m] = OPEN
-        elif abs(strength[m]) >= upper[m] * (1.0 - 1e-9):
-            fate[m] = BREAKING
+        a, j = 3 * nc + m, joints[m]
+        kept[a] = True
+        if j < limits:
+            kept[a] = abs(strength[m]) > state[ALLOWANCE] or sign[j] * result[a] <= pace
+        elif abs(strength[m]) >= dry[scalars[m]] * (1.0 - 1e-9):
+            kept[a] = False
+            breaking[scalars[m]] = strength[m]
             v[scalars[m]] = 0.0
-        kept[a] = fate[m] == CLOSED
-    count = 0
+        standing[count + j] = 1 if kept[a] else 0
+    taken = 0
     speeds = np.empty(size)
     for a in range(size):
         if kept[a]:
-            speeds[count] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
-            rows[count] = rows[a]
-            count += 1
-    return -1, sweeps >= 0, take_away(rows[:count], speeds[:count], minverse, v)
+            speeds[taken] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
+            rows[taken] = rows[a]
+            taken += 1
+    return -1, sweeps >= 0, take_away(rows[:taken], speeds[:taken], minverse, v)
+
+
+@inner
+def scalar_row(j, mem):
+    """Return velocity index and bounds of the force of a joint limit, past those of a stuck joint."""
+    index, sign, dry = i1(mem, at.INDEX_V), d1(mem, at.SIGN), d1(mem, at.DRY)
+    if j >= len(sign):
+        j -= len(sign)
+        return j, -dry[j], dry[j]
+    return index[j], -math.inf if sign[j] < 0.0 else 0.0, math.inf if sign[j] > 0.0 else 0.0
+
+
+@inner
+def lay_out(reference, mem):
+    """Lay out the arrays of what is closed, for the modes in `STANDING` and the directions of slip (n, 2)."""
+    standing, friction, kept = i1(mem, at.STANDING), d1(mem, at.FRICTION), d1(mem, at.KEPT)
+    count = len(friction)
+    contacts, joints = np.flatnonzero(standing[:count]), np.flatnonzero(standing[count:])
+    nc, ns, size = len(contacts), len(joints), len(joints)
+    for i in contacts:
+        size += 1 if standing[i] == SLIP else 3
+    for row in range(at.WHICH, at.REST + 1):
+        mem[row, 1] = nc
+    for row in range(at.SCALARS, at.UPPER + 1):
+        mem[row, 1] = ns
+    for row in range(at.ROWS, at.DIRECTIONS + 1):
+        mem[row, 1] = nc
+    for row in range(at.EQUATIONS, at.SOLUTION + 1):
+        mem[row, 1] = size
+    mem[at.SYSTEM, 2] = size
+    mem[at.FORCE, 1], mem[at.SCALAR_FORCE, 1] = nc, ns
+    which, modes, mu, directions, rest = (
+        i1(mem, at.WHICH),
+        i1(mem, at.MODES),
+        d1(mem, at.MU),
+        d2(mem, at.REFERENCE),
+        d1(mem, at.REST),
+    )
+    for k in range(nc):
+        i = contacts[k]
+        which[k], modes[k], mu[k], rest[k] = i, standing[i], friction[i], kept[i]
+        directions[k] = reference[i]
+    scalars, lower, upper = i1(mem, at.SCALARS), d1(mem, at.LOWER), d1(mem, at.UPPER)
+    for m in range(ns):
+        scalars[m], lower[m], upper[m] = scalar_row(joints[m], mem)
+    d1(mem, at.STATE)[UNIQUE] = 1.0
 
 
 @jit
-def correct(t, q, v, shut, mem):
+def hold(mem):
+    """Close what the scene holds, and nothing else."""
+    standing, bilateral = i1(mem, at.STANDING), i1(mem, at.BILATERAL)
+    standing[:] = FREE
+    for i in range(len(bilateral)):
+        if bilateral[i] != 0:
+            standing[i] = HELD
+    lay_out(np.zeros((len(bilateral), 2)), mem)
+
+
+@jit
+def approach(q, v, near, starting, rest, quiet, watched, slow, mem):
+    """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].
+
+    Args:
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        near: Gap [m] at which a contact counts as touching.
+        starting: Whether the motion starts now, so that what touches has just closed its gap.
+        rest: The resting speed [m/s], zero if no contact is to stay closed.
+        quiet: Approach [m/s] below which there is none, for what has just closed its gap.
+        watched: (n + nl,) `FAR`, `NEAR` or `HIT` (its gap closes now); what is near is added.
+        slow: (n + nl,) takes what touches and approaches or parts no faster than the resting speed.
+        mem: The table of `memory`.
+    """
+    bilateral, standing = i1(mem, at.BILATERAL), i1(mem, at.STANDING)
+    count = len(bilateral)
+    found = np.empty((len(watched), 2))
+    all_gaps(q, v, found, mem)
+    fastest, hit = 0.0, -1
+    for i in range(len(watched)):
+        gap, rate = found[i, 0], found[i, 1]
+        slow[i] = 0
+        if i < count and bilateral[i] != 0:
+            slow[i] = 1
+            continue
+        if watched[i] == FAR and (gap <= near or standing[i] != FREE):
+            watched[i] = HIT if starting and gap <= near else NEAR
+        if watched[i] == FAR:
+            continue
+        if (rate < -rest or (watched[i] == HIT and rate < -quiet)) and rate < fastest:
+            fastest, hit = rate, i
+        if rest > 0.0 and abs(rate) <= rest:
+            slow[i] = 1
+    return hit, fastest
+
+
+@jit
+def settle(t, q, v, slow, mem):
+    """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `choose`."""
+    standing, dry, sliding = i1(mem, at.STANDING), d1(mem, at.DRY), d1(mem, at.SLIDING)
+    still = d1(mem, at.STATE)[STILL]
+    n, touching = len(v), len(slow)
+    candidates, chosen = np.zeros(touching + n, dtype=np.int64), np.empty(touching + n, dtype=np.int64)
+    candidates[:touching] = slow
+    for j in range(n):
+        if dry[j] > 0.0:
+            candidates[touching + j] = abs(v[j]) <= still
+            sliding[j] = 0.0 if abs(v[j]) <= still else math.copysign(dry[j], v[j])
+    reference, breaking = np.zeros((len(d1(mem, at.FRICTION)), 2)), np.zeros(n)
+    jamming, converged, work = -1, True, 0.0
+    chosen[:] = FREE
+    if candidates.any():
+        jamming, converged, work = choose(t, q, v, candidates, chosen, reference, breaking, mem)
+        if jamming >= 0 or d1(mem, at.STATE)[FAILED] != 0.0:
+            return jamming, converged, work
+    for j in range(n):
+        if breaking[j] != 0.0:
+            sliding[j] = -math.copysign(dry[j], breaking[j])
+    standing[:] = chosen
+    lay_out(reference, mem)
+    return jamming, converged, work
+
+
+@jit
+def end_of_modes(t, h, end, q0, v0, coefficients, mem):
+    """Return the first time in a step from which no forces exist for the modes that hold; infinite if none.
+
+    Where forces are not unique, those of least norm may leave their bounds while others do not.
+
+    Args:
+        t: Its start [s].
+        h: Its length [s].
+        end: The time up to which to look.
+        q0, v0: The state at its start.
+        coefficients: Its dense output, see `stages.interpolate`.
+        mem: The table of `memory`.
+    """
+    standing = i1(mem, at.STANDING)
+    chosen, reference = np.empty_like(standing), np.empty((len(d1(mem, at.FRICTION)), 2))
+    q, v, breaking = np.empty(len(q0)), np.empty(len(v0)), np.empty(len(v0))
+    earlier, later, part = t, math.inf, 1
+    while d1(mem, at.STATE)[FAILED] == 0.0:
+        if later == math.inf:
+            time = end if part == LOOKS else t + (end - t) * part / LOOKS
+        else:
+            time = 0.5 * (earlier + later)
+            if not earlier < time < later:
+                break
+        stages.state(coefficients, (time - t) / h, i2(mem, at.JOINTS), q0, v0, q, v)
+        choose(time, q, v, standing, chosen, reference, breaking, mem)
+        if not np.array_equal(chosen, standing):
+            later = time
+        elif time == end:
+            break
+        else:
+            earlier, part = time, part + 1
+    return later
+
+
+@jit
+def correct(t, q, v, mem):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
 
     Args:
         t: Time [s].
         q: (nq,) the configuration, which is changed.
         v: (nv,) the velocity, which is changed.
-        shut: (mem,) whether each joint limit is closed.
         mem: The table of `memory`.
     """
     state = d1(mem, at.STATE)
@@ -284,6 +359,7 @@ def correct(t, q, v, shut, mem):
     jacobians, velocity, gap = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d1(mem, at.GAP)
     index_q, index_v, bound = i1(mem, at.INDEX_Q), i1(mem, at.INDEX_V), d1(mem, at.BOUND)
     n, nc, ns = len(v), len(which), len(scalars)
+    shut = i1(mem, at.STANDING)[len(d1(mem, at.FRICTION)) :][: len(bound)]
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + len(shut), n))
     off = np.empty(len(rows))
@@ -296,7 +372,7 @@ def correct(t, q, v, shut, mem):
         off[count] = gap[k] - rest[k]
         count += 1
     for m in range(len(shut)):
-        if shut[m]:
+        if shut[m] != 0:
             rows[count, index_v[m]] = 1.0
             off[count] = q[index_q[m]] - bound[m]
             count += 1
@@ -305,7 +381,7 @@ def correct(t, q, v, shut, mem):
         take_away(rows[:count], off[:count], minverse, xi)
         charts.advance(joints, start, xi, q)
         for m in range(len(shut)):
-            if shut[m]:
+            if shut[m] != 0:
                 q[index_q[m]] = bound[m]
         d1(mem, at.Q)[:] = q
         evaluate(t, mem, rates)

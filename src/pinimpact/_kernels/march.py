@@ -19,10 +19,10 @@ from .motion import (
     MARGIN,
     STIFFNESS,
     STILL,
+    all_gaps,
     evaluate,
     gaps,
     look_closely,
-    measure,
     release,
 )
 from .sustained import FREE, SLIP
@@ -38,7 +38,7 @@ LOOKS = 10
 
 
 @jit
-def begin(t, q, v, near, mode, seen, mem):
+def begin(t, q, v, near, seen, mem):
     """Begin a stretch: evaluate at its start, look at the gaps, and take the stiffness of slip.
 
     Args:
@@ -46,8 +46,7 @@ def begin(t, q, v, near, mode, seen, mem):
         q: (nq,) configuration.
         v: (nv,) velocity.
         near: Gap [m] at which a contact counts as touching.
-        mode: (n,) modes of all contacts.
-        seen: (n, 2) takes their gaps and rates.
+        seen: (n, 2) takes the gaps and rates of all contacts.
         mem: The table of `memory`.
 
     Returns:
@@ -63,14 +62,16 @@ def begin(t, q, v, near, mode, seen, mem):
     rates[:, 2 * n :] = 0.0
     rates[0, :n] = v
     evaluate(t, mem, rates[0, n:])
+    turn_references(d2(mem, at.VELOCITY), mem)
     state[STIFFNESS] = fastest_turn(mem)
     state[LENGTH] = 0.0
     guess = math.inf
-    if len(mode) == 0:
+    if len(seen) == 0:
         return guess
+    mode = i1(mem, at.STANDING)
     gaps(mem, seen)
     rows, three = np.empty((3, n)), np.empty((3, 3))
-    for i in range(len(mode)):
+    for i in range(len(seen)):
         if mode[i] == FREE and abs(seen[i, 0]) <= near and seen[i, 1] > 0.0:
             look_closely(mem, i, rows, three[0], three[1], three[2])
             if three[1, 2] < 0.0:
@@ -80,34 +81,34 @@ def begin(t, q, v, near, mode, seen, mem):
 
 @jit
 def look(q, v, seen, mem):
-    """Fill (n + m, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
-    index_q, index_v, sign, bound = (
-        i1(mem, at.INDEX_Q),
-        i1(mem, at.INDEX_V),
-        d1(mem, at.SIGN),
-        d1(mem, at.BOUND),
-    )
-    count = len(seen) - len(sign)
-    if count > 0:
-        gaps(mem, seen[:count])
-    for k in range(len(sign)):
-        seen[count + k, 0] = sign[k] * (q[index_q[k]] - bound[k])
-        seen[count + k, 1] = sign[k] * v[index_v[k]]
+    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
+    all_gaps(q, v, seen, mem)
 
 
 @jit
-def probe(t, q, v, mem):
-    """Evaluate at a state without contact forces; the motion of what is closed is left in its arrays."""
+def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, mem):
+    """Fill v̇ and the motion of some contacts without contact forces, see `motion.look_closely`."""
     d1(mem, at.Q)[:] = q
     d1(mem, at.V)[:] = v
     release(t, mem, np.empty(2))
-    measure(mem)
+    joints[:] = d1(mem, at.ACCELERATION)
+    for k in range(len(which)):
+        gap[k] = look_closely(mem, which[k], rows[k], velocity[k], acceleration[k], surface[k])
+
+
+@inner
+def turn_references(velocity, mem):
+    """Let the remembered directions of slip follow those of the contact velocities (nc, 3)."""
+    modes, reference, still = i1(mem, at.MODES), d2(mem, at.REFERENCE), d1(mem, at.STATE)[STILL]
+    for k in range(len(modes)):
+        if modes[k] == SLIP:
+            speed = math.hypot(velocity[k, 0], velocity[k, 1])
+            if speed > still:
+                reference[k, 0], reference[k, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
 
 
 @jit
-def finish(t, h, error, explicit, floor, mode, shut, tolerated, seen, later, mem):
+def finish(t, h, error, explicit, floor, tolerated, seen, later, mem):
     """Finish a step whose error is small enough: look for the first event in it.
 
     Args:
@@ -116,8 +117,6 @@ def finish(t, h, error, explicit, floor, mode, shut, tolerated, seen, later, mem
         error: Its error over the tolerance.
         explicit: Whether it was an explicit one.
         floor: Gaps above −floor count as none.
-        mode: (n,) modes of all contacts.
-        shut: (m,) whether each joint limit is closed.
         tolerated: Whether forces beyond their bounds are no event, for no other mode is held either.
         seen: (n, 2) gaps and rates at t.
         later: (n, 2) takes them at the end of the step.
@@ -134,14 +133,15 @@ def finish(t, h, error, explicit, floor, mode, shut, tolerated, seen, later, mem
     drift = drifted(mem)
     velocity = d2(mem, at.VELOCITY).copy()
     stiffness = fastest_turn(mem)
-    if len(mode):
+    if len(later):
         gaps(mem, later)
     if explicit:
         step.complete(t, h, mem)
-    time, number = first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem)
+    time, number = first_event(t, h, floor, tolerated, seen, later, velocity, mem)
     if time > t + h:
         step.go_on(mem)
         state[STIFFNESS] = stiffness
+        turn_references(velocity, mem)
         return time, number, margin, drift, growth(h, error, state)
     return time, number, margin, drift, 1.0
 
@@ -205,7 +205,7 @@ def drifted(mem):
 
 
 @inner
-def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem):
+def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
     """Return time and number of the first event in the step last completed.
 
     The time is infinite where there is none, and minus infinity to ask for a shorter step.
@@ -213,8 +213,10 @@ def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem):
     q0, v0, q1, v1, peak = d1(mem, at.Q0), d1(mem, at.V0), d1(mem, at.Q1), d1(mem, at.V1), d2(mem, at.PEAK)
     end = t + h
     found, number = math.inf, int(MODE_CHANGE)
-    bounds = np.empty((len(mode), 2))
-    for i in range(len(mode)):  # before a sample moves the kinematics
+    count = len(seen)
+    mode, shut = i1(mem, at.STANDING), i1(mem, at.STANDING)[count:]
+    bounds = np.empty((count, 2))
+    for i in range(count):  # before a sample moves the kinematics
         if mode[i] == FREE:
             tip = i2(mem, at.ENDS)[i, 0]
             bounds[i, 0], bounds[i, 1] = touch.curvature(
@@ -226,7 +228,7 @@ def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem):
                 peak,
                 h,
             )
-    for i in range(len(mode)):
+    for i in range(count):
         if mode[i] != FREE:
             continue
         size, change = SAFETY * bounds[i, 0], SAFETY * bounds[i, 1]
@@ -250,12 +252,12 @@ def first_event(t, h, floor, mode, shut, tolerated, seen, later, velocity, mem):
         a, b, s = index_q[k], index_v[k], sign[k]
         gap, rate = s * (q0[a] - bound[k]), s * v0[b]
         size, change = SAFETY * peak[1, b], SAFETY * peak[3, b]
-        if shut[k] or clear(max(gap, 0.0), rate, s * (q1[a] - bound[k]), s * v1[b], size, h, floor):
+        if shut[k] != 0 or clear(max(gap, 0.0), rate, s * (q1[a] - bound[k]), s * v1[b], size, h, floor):
             continue
         end_gap, end_rate = sample(LIMIT, k, end, t, h, mem)
         time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, mem)
         if time <= end:
-            found, end, number = time, time, len(mode) + k
+            found, end, number = time, time, count + k
     sliding = d1(mem, at.SLIDING)
     for j in range(len(v0)):
         if sliding[j] * v1[j] < -1e-12 * abs(sliding[j]) and sliding[j] * v0[j] > 0.0:

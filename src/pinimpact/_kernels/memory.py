@@ -11,18 +11,22 @@ The step under way (see `step`): `JOINTS` (k, 4) the table of `charts`; `Q0`, `V
 Pinocchio's side (see `motion`): `CALLS` (10,) addresses of functions and their arguments; `Q`, `V`, `TAU`
 the buffers that these read; `GIVEN` (nv,) and `CLOCK` (1,) what the control returns and when it is asked;
 `ACCELERATION`, `MINVERSE`, `PLACEMENT` (nj, 12), `LOCAL`, `SPATIAL`, `GAINED` (nj, 6), `COLUMNS` (6, nv)
-where Pinocchio leaves v̇, M⁻¹, oMi, v, ov, oa_gf and J. `DAMPING`, `SLIDING` (nv,) of the joints.
+where Pinocchio leaves v̇, M⁻¹, oMi, v, ov, oa_gf and J. `DAMPING`, `DRY` (nv,) friction of the joints, and
+`SLIDING` (nv,) the dry one with its sign where a joint slides.
 
 All contacts (see `touch`): `CONSTANTS` (n, 22); `ENDS` (n, 2) the joints of tip and plane; `WEIGHTS` (n, nv);
-`GROUP` (nv,) the joint that each velocity belongs to.
+`GROUP` (nv,) the joint that each velocity belongs to; `FRICTION` (n,); `KEPT` (n,) the gap that each keeps
+when closed; `BILATERAL` (n,) 1 for a held one. Joint limits: `INDEX_Q`, `INDEX_V`, `SIGN`, `BOUND` (nl,).
 
-What is closed (see `sustained`): `WHICH` (nc,) contact, `MODES`, `MU` (nc,), `REFERENCE` (nc, 2), `SCALARS`
-(ns,) velocity indices, `LOWER`, `UPPER` (ns,), `REST` (nc,) the gap that a contact keeps; and what an
-evaluation leaves: `ROWS` (nc, 3, nv), `VELOCITY`, `FREE_ACCELERATION`, `SURFACE` (nc, 3), `GAP` (nc,),
-`DIRECTIONS` (nc, 2), `EQUATIONS`, `RESPONSE` (m, nv), `SYSTEM` (m, m), `TARGET`, `SOLUTION` (m,), `FORCE`
-(nc, 3), `SCALAR_FORCE` (ns,).
+`STANDING` (n + nl + nv,) the mode of each contact, then 1 for each limit that is closed, then 1 for each
+joint that its dry friction holds. From it `closing.lay_out` takes what is closed (see `sustained`): `WHICH`
+(nc,) contact, `MODES`, `MU`, `REST` (nc,), `REFERENCE` (nc, 2), `SCALARS` (ns,) velocity indices, `LOWER`,
+`UPPER` (ns,); and room for what an evaluation leaves: `ROWS` (nc, 3, nv), `VELOCITY`, `FREE_ACCELERATION`,
+`SURFACE` (nc, 3), `GAP` (nc,), `DIRECTIONS` (nc, 2), `EQUATIONS`, `RESPONSE` (m, nv), `SYSTEM` (m, m),
+`TARGET`, `SOLUTION` (m,), `FORCE` (nc, 3), `SCALAR_FORCE` (ns,). These have the size of everything that could
+be closed; the table says how much of it counts.
 
-`STATE` (10,) see `motion.STILL` and its neighbours. Joint limits: `INDEX_Q`, `INDEX_V`, `SIGN`, `BOUND`.
+`STATE` (10,) see `motion.STILL` and its neighbours.
 """
 
 from __future__ import annotations
@@ -36,12 +40,12 @@ from .jit import inner
 # as NumPy's integers, for literals would be compiled one by one
 JOINTS, Q0, V0, Q1, V1, RATES, XI, SIZES, PEAK, COEFFICIENTS = np.arange(0, 10)
 CALLS, Q, V, TAU, GIVEN, CLOCK, ACCELERATION, MINVERSE = np.arange(10, 18)
-PLACEMENT, LOCAL, SPATIAL, GAINED, COLUMNS, DAMPING, SLIDING = np.arange(18, 25)
-CONSTANTS, ENDS, WEIGHTS, GROUP = np.arange(25, 29)
-WHICH, MODES, MU, REFERENCE, SCALARS, LOWER, UPPER, REST = np.arange(29, 37)
-ROWS, VELOCITY, FREE_ACCELERATION, SURFACE, GAP, DIRECTIONS = np.arange(37, 43)
-EQUATIONS, RESPONSE, SYSTEM, TARGET, SOLUTION, FORCE, SCALAR_FORCE = np.arange(43, 50)
-STATE, INDEX_Q, INDEX_V, SIGN, BOUND = np.arange(50, 55)
+PLACEMENT, LOCAL, SPATIAL, GAINED, COLUMNS, DAMPING, DRY, SLIDING = np.arange(18, 26)
+CONSTANTS, ENDS, WEIGHTS, GROUP, FRICTION, KEPT, BILATERAL = np.arange(26, 33)
+INDEX_Q, INDEX_V, SIGN, BOUND, STATE, STANDING = np.arange(33, 39)
+WHICH, MODES, MU, REFERENCE, REST, SCALARS, LOWER, UPPER = np.arange(39, 47)
+ROWS, VELOCITY, FREE_ACCELERATION, SURFACE, GAP, DIRECTIONS = np.arange(47, 53)
+EQUATIONS, RESPONSE, SYSTEM, TARGET, SOLUTION, FORCE, SCALAR_FORCE = np.arange(53, 60)
 
 
 def _pointer_to(element):

@@ -54,6 +54,25 @@ def gaps(mem, found):
 
 
 @inner
+def all_gaps(q, v, found, mem):
+    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    index_q, index_v, sign, bound = (
+        i1(mem, at.INDEX_Q),
+        i1(mem, at.INDEX_V),
+        d1(mem, at.SIGN),
+        d1(mem, at.BOUND),
+    )
+    count = len(found) - len(sign)
+    if count > 0:
+        gaps(mem, found[:count])
+    for k in range(len(sign)):
+        found[count + k, 0] = sign[k] * (q[index_q[k]] - bound[k])
+        found[count + k, 1] = sign[k] * v[index_v[k]]
+
+
+@inner
 def look_closely(mem, i, rows, velocity, acceleration, surface):
     """Fill what a closed contact needs, see `touch.contact_motion`; return the gap [m]."""
     placement, spatial, gained, columns = (
