@@ -124,8 +124,7 @@ class Flow:
         self.tree = (
             *(calls, self._q, self._v, self._tau, self._given, self._clock),
             *(data.ddq, data.Minv.reshape(nv, nv)),
-            _rows_of([(m.rotation, m.translation) for m in data.oMi], 12),
-            *(_rows_of([(m.vector,) for m in motions], 6) for motions in (data.v, data.ov, data.oa_gf)),
+            *(_rows_of(items) for items in (data.oMi, data.v, data.ov, data.oa_gf)),
             *(data.J.reshape(6, nv), scene.joint_damping * ("joint damping" not in without)),
             *(dry, np.zeros(nv)),
         )
@@ -190,6 +189,12 @@ class Flow:
         work = closing.correct(t, q, v, self.machine)
         self.check()
         return float(work)
+
+    def jam(self, t: float, q: Array, v: Array) -> bool:
+        """Stop contacts whose forces grow without bound, changing v; return whether there are any."""
+        jammed = closing.jam(t, q, v, self.machine)
+        self.check()
+        return bool(jammed)
 
     def _ask_control(self) -> None:
         """Take the control's forces; an error is kept, for a kernel cannot pass it on."""
@@ -334,14 +339,21 @@ def _addresses(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     )
 
 
-def _rows_of(parts: list[tuple[Any, ...]], width: int) -> Array:
-    """Return (n, width) rows as one view of what Pinocchio keeps in a vector, one row an element."""
-    address = parts[0][0].__array_interface__["data"][0]
-    numbers = (ctypes.c_double * (len(parts) * width)).from_address(address)
-    rows = np.ctypeslib.as_array(numbers).reshape(-1, width)
-    for row, part in zip(rows, parts, strict=True):
-        laid_out = [item.T.ravel() if item.ndim == 2 else item for item in part]
-        if not np.array_equal(row, np.concatenate(laid_out)):
+def _rows_of(items: Sequence[Any]) -> Array:
+    """Return (n, 12) or (n, 6) rows: a view of the placements or motions that Pinocchio keeps in a vector."""
+
+    def numbers(item: Any) -> tuple[Array, Array]:
+        if isinstance(item, pin.SE3):
+            return item.rotation, np.concatenate([item.rotation.T.ravel(), item.translation])
+        return item.vector, item.vector
+
+    first, row = numbers(items[0])
+    shape = len(items), len(row)
+    address = first.__array_interface__["data"][0]
+    rows = np.ctypeslib.as_array((ctypes.c_double * (shape[0] * shape[1])).from_address(address))
+    rows = rows.reshape(shape)
+    for k in (0, -1):
+        if not np.array_equal(rows[k], numbers(items[k])[1]):
             raise SimulationError(
                 "model: this Pinocchio lays out its data in another way than the kernels read it",
                 field="model",

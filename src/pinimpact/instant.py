@@ -43,7 +43,8 @@ MAX_ROUNDS = 1000
 class Instant:
     """The state of a simulation, and what changes it at one instant.
 
-    Contacts are numbered first, held ones last of them, then joint limits.
+    Contacts are numbered first, held ones last of them, then joint limits. The arrays q and v are replaced,
+    never changed, so that records may share them.
 
     Attributes:
         t, q, v: Time [s] and state.
@@ -113,8 +114,6 @@ class Instant:
             starting: Whether the motion starts now, so that all that touches has just closed its gap.
         """
         flow, watched, slow = self.flow, self._watched, self._slow
-        if flow.constrained:
-            self.correct()
         watched[:] = closing.FAR
         if hit is not None:
             watched[hit] = closing.HIT
@@ -164,17 +163,18 @@ class Instant:
             e = self.limit_restitution
             resting = e > 0.0 and self.sustained and (slow or e * approach < self.rest)
             e = 0.0 if resting else e
-            response = limit.sign * self._yielding_inverse()[:, limit.index_v]
-            c = limit.sign * float(response[limit.index_v])
-            rate = limit.sign * float(v[limit.index_v])
-            if c <= 1e-12 * float(np.abs(response).max(initial=0.0)) or c <= 0.0:
+            column = self._yielding_inverse()[:, limit.index_v]
+            c = float(column[limit.index_v])
+            speed = float(v[limit.index_v])
+            if (self.held or self.locked) and c <= 1e-12 * float(np.abs(column).max(initial=0.0)):
                 raise SimulationError(
-                    f"locked: the joint limit {limit.name!r} is hit at {-rate:.6g}, but what is held or "
+                    f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but what is held or "
                     "locked keeps the joint from yielding; leave it out there",
                     field="locked",
                     value=limit.name,
                 )
-            after, contact_space = v - response * ((1.0 + e) * rate / c), partial(_of_limit, c, rate, e)
+            after = v - column * ((1.0 + e) * speed / c)
+            contact_space = partial(_of_limit, c, -approach, e)
         if resting:
             self.note(
                 f"{self.names[i]} is taken as resting: it would bounce slower than {self.rest:.3g} m/s."
@@ -196,6 +196,18 @@ class Instant:
         impulse = solution.impulse @ matrices.axes
         return self._record(i, after, lambda: (problem, impulse), False)
 
+    def jam(self) -> bool:
+        """Stop contacts that jam each other, an impact without collision; return whether there are any."""
+        v = self.v.copy()
+        if not self.flow.jam(self.t, self.q, v):
+            return False
+        closed = zip(self.names, self.flow.standing.tolist(), strict=False)
+        slipping = ", ".join(name for name, mode in closed if mode == SLIP)
+        self.note(f"Slip at {slipping} makes the forces grow without bound; the contacts jam and stick.")
+        self.work += self._kinetic(v) - self._kinetic(self.v)
+        self.v = v
+        return True
+
     def _record(self, i: int, after: Array, contact_space: ContactSpace, resting: bool) -> dict[str, Any]:
         """Take over the velocity after an impact; return the fields of its record."""
         before = self.v
@@ -204,9 +216,9 @@ class Instant:
         return {
             "time": self.t,
             "source": self.names[i],
-            "q": self.q.copy(),
-            "v_before": before.copy(),
-            "v_after": after.copy(),
+            "q": self.q,
+            "v_before": before,
+            "v_after": after,
             "contact_space": contact_space,
             "resting": resting,
             "record": self.record and i < len(self.flow.contacts),

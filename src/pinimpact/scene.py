@@ -136,9 +136,9 @@ class Scene:
     @property
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
-        lengths = [span(self.model, contact) for contact in (*self.contacts, *self.held)]
-        lengths += [float(np.linalg.norm(M.translation)) for M in list(self.model.jointPlacements)[2:]]
-        return max([length for length in lengths if length > 0.0], default=1.0)
+        links = link_lengths(self.model)
+        chains = [span(self.model, links, contact) for contact in (*self.contacts, *self.held)]
+        return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
 
     def limits(self) -> tuple[JointLimit, ...]:
         """Return the finite bounds of the coordinates that are plain numbers."""
@@ -161,8 +161,7 @@ class Scene:
 
     def unreachable(self) -> tuple[str, ...]:
         """Return the names of the contacts that can never reach their plane, whatever the joints do."""
-        model = self.model
-        names = []
+        model, links, names = self.model, link_lengths(self.model), []
         for contact in self.contacts:
             if contact.plane.body is not None:
                 continue
@@ -176,18 +175,25 @@ class Scene:
                 height += float(normal @ frame.act(np.array(contact.offset))) - contact.radius
                 if height > 0.0:
                     names.append(contact.label)
-            elif height - span(model, contact) - travel(model, contact) > 0.0:
+            elif height - span(model, links, contact) - travel(model, contact) > 0.0:
                 names.append(contact.label)
         return tuple(names)
 
 
-def span(model: pin.Model, contact: Contact) -> float:
+def link_lengths(model: pin.Model) -> list[float]:
+    """Return each joint's distance from the joint before it [m], zero where that is the world."""
+    parents = list(model.parents)
+    return [
+        math.hypot(*placement.translation.tolist()) if parent > 0 else 0.0
+        for parent, placement in zip(parents, model.jointPlacements, strict=True)
+    ]
+
+
+def span(model: pin.Model, links: list[float], contact: Contact) -> float:
     """Return the length of the chain from a contact's first joint to its point, joints at zero travel [m]."""
     frame = model.frames[frame_id(model, contact.frame)]
-    length = float(np.linalg.norm(frame.placement.act(np.array(contact.offset)))) + contact.radius
-    for joint in list(model.supports[frame.parentJoint])[2:]:
-        length += float(np.linalg.norm(model.jointPlacements[joint].translation))
-    return length
+    tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
+    return tip + contact.radius + sum(links[joint] for joint in list(model.supports[frame.parentJoint])[2:])
 
 
 def travel(model: pin.Model, contact: Contact) -> float:

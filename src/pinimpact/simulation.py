@@ -204,7 +204,7 @@ class _Run:
 
     def _sample(self) -> None:
         now = self.now
-        self.samples.append((now.t, now.q.copy(), now.v.copy(), self.w.copy(), now.work))
+        self.samples.append((now.t, now.q, now.v, self.w, now.work))
 
     def _restart(self) -> None:
         """Begin a smooth stretch at the present state."""
@@ -225,6 +225,11 @@ class _Run:
         h = min(h, self.max_step, self.horizon)
         while True:
             trial = left if h > 0.9 * left else h
+            if t + trial <= t and now.jam():
+                self._settle()
+                self._restart()
+                self._sample()
+                return flow.step.first_length(self.rtol, self.atol)
             if t + trial <= t:
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
@@ -256,7 +261,7 @@ class _Run:
             if ended <= segment.end:
                 time, number = ended, march.MODE_CHANGE
         if time <= segment.end:
-            self._cut(segment, time, number)
+            self._cut(segment, time, number, drift)
             return natural
         self.stalled = 0
         self.w = self.w + segment.coefficients[0, 2 * flow.nv :]
@@ -276,7 +281,7 @@ class _Run:
         self._sample()
         return trial * growth
 
-    def _cut(self, segment: Segment, t: float, number: int) -> None:
+    def _cut(self, segment: Segment, t: float, number: int, drift: float) -> None:
         """End the step at an event and deal with it."""
         now = self.now
         self.stalled = self.stalled + 1 if t - now.t <= 1e-13 * max(1.0, t) else 0
@@ -290,6 +295,10 @@ class _Run:
         now.q, now.v = segment.at(t)
         self.w = segment.works(t)
         self._sample()
+        if drift > self.drift:
+            now.correct()
+        if number == march.MODE_CHANGE:
+            now.jam()
         self._settle(None if number == march.MODE_CHANGE else number)
         self._restart()
         self._sample()

@@ -22,6 +22,9 @@ FAR, NEAR, HIT = range(3)
 """Where a contact or limit is at an instant."""
 
 SWEEPS = 20_000
+SINGULAR = 1e-5
+"""Equations whose two sides cancel to this part have a null vector."""
+
 LOOKS = 10
 """Parts of a step at which to ask whether modes still hold."""
 
@@ -340,6 +343,45 @@ def end_of_modes(t, h, end, q0, v0, coefficients, mem):
         else:
             earlier, part = time, part + 1
     return later
+
+
+@jit
+def jam(t, q, v, mem):
+    """Stop all slip where contacts that slip drive each other in until their forces have no bound.
+
+    Args:
+        t: Time [s].
+        q: (nq,) configuration.
+        v: (nv,) the velocity, which loses what the closed contacts take away of it.
+        mem: The table of `memory`.
+
+    Returns:
+        Whether that is what happens here; else v is as it was.
+    """
+    d1(mem, at.Q)[:] = q
+    d1(mem, at.V)[:] = v
+    evaluate(t, mem, np.empty(len(v) + 4))
+    system, forces = d2(mem, at.SYSTEM), d1(mem, at.SOLUTION)
+    sides = whole = 0.0  # next to the singularity the forces are its null vector
+    for a in range(len(forces)):
+        total = 0.0
+        for b in range(len(forces)):
+            total += system[a, b] * forces[b]
+            whole = max(whole, abs(system[a, b] * forces[b]))
+        sides = max(sides, abs(total))
+    if not sides < SINGULAR * whole or d1(mem, at.STATE)[FAILED] != 0.0:
+        return False
+    jacobians, velocity, scalars = d3(mem, at.ROWS), d2(mem, at.VELOCITY), i1(mem, at.SCALARS)
+    closed = 3 * len(jacobians)
+    rows, speeds = np.zeros((closed + len(scalars), len(v))), np.empty(closed + len(scalars))
+    for k in range(len(jacobians)):
+        rows[3 * k : 3 * k + 3] = jacobians[k]
+        speeds[3 * k : 3 * k + 3] = velocity[k]
+    for m in range(len(scalars)):
+        rows[closed + m, scalars[m]] = 1.0
+        speeds[closed + m] = v[scalars[m]]
+    take_away(rows, speeds, d2(mem, at.MINVERSE), v)
+    return True
 
 
 @jit

@@ -90,7 +90,7 @@ def turn(k, s1, s2, mem, across, effect):
         for j in range(n):
             total -= equations[m, j] * effect[j]
         change[m] = total
-    if solve(system, change, answer):
+    if solve(system, change, answer) != 0:
         for m in range(size):
             for j in range(n):
                 effect[j] += response[m, j] * answer[m]
@@ -194,7 +194,7 @@ def collocate(t, h, rtol, atol, mem):
                             total += across[i, c, m] * effect[j, d, m]
                         matrix[row, j * count + d] = h * MATRIX[i, j] * total
                 matrix[row, row] -= speeds[i, c]
-        if not solve(matrix, right, angle):
+        if solve(matrix, right, angle) == 0:
             return math.inf
         norm = 0.0
         for i in range(s):
@@ -258,7 +258,7 @@ def filtered(h, across, effect, speeds, error):
                 total += across[c, m] * effect[d, m]
             matrix[c, d] = -GAMMA * h * total
         matrix[c, c] += speeds[c]
-    if solve(matrix, right, answer):
+    if solve(matrix, right, answer) != 0:
         for c in range(count):
             for m in range(n):
                 error[m] += GAMMA * h * effect[c, m] * answer[c]

@@ -72,16 +72,19 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
         kind, i: Which gap.
         a: Start of the step [s].
         b: The time up to which to look.
-        gap, rate: The gap and its rate at a; a gap at or a rounding below zero is taken as zero.
+        gap, rate: The gap and its rate at a; a gap below zero is where all gaps of the step are counted from,
+            for a correction of others may have left it there.
         end_gap, end_rate: The same at b.
         size, change: Bounds of the second derivative's size, and of its variation.
         floor: A gap above −floor counts as none (rounding).
-        h: Length of the step; then as in `sample`.
+        h: Length of the step.
+        mem: The table of `memory`.
     """
     depth = 0
     later, later_gap, later_rate = np.empty(80), np.empty(80), np.empty(80)
-    later[0], later_gap[0], later_rate[0] = b, end_gap, end_rate
-    time, gap = a, max(gap, 0.0)
+    base = min(gap, 0.0)
+    later[0], later_gap[0], later_rate[0] = b, end_gap - base, end_rate
+    time, gap = a, gap - base
     while depth >= 0:
         width = later[depth] - time
         fall, bend = curvatures(rate, later_rate[depth], width, size, change)
@@ -101,6 +104,7 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
                     break
                 t = guess
                 value, slope = sample(kind, i, t, a, h, mem)
+                value -= base
                 if abs(value) <= 1e-3 * floor:
                     break
                 if value > 0.0:
@@ -118,6 +122,7 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
         depth += 1
         later[depth] = middle
         later_gap[depth], later_rate[depth] = sample(kind, i, middle, a, h, mem)
+        later_gap[depth] -= base
     return math.nan
 
 

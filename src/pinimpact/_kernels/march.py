@@ -71,11 +71,15 @@ def begin(t, q, v, near, seen, mem):
     mode = i1(mem, at.STANDING)
     gaps(mem, seen)
     rows, three = np.empty((3, n)), np.empty((3, 3))
+    free = d1(mem, at.ACCELERATION)
     for i in range(len(seen)):
-        if mode[i] == FREE and abs(seen[i, 0]) <= near and seen[i, 1] > 0.0:
+        if mode[i] == FREE and abs(seen[i, 0]) <= near and seen[i, 1] > state[STILL]:
             look_closely(mem, i, rows, three[0], three[1], three[2])
-            if three[1, 2] < 0.0:
-                guess = min(guess, -2.0 * seen[i, 1] / three[1, 2])
+            fall = -three[1, 2]
+            for j in range(n):  # what is closed pushes
+                fall -= rows[2, j] * (rates[0, n + j] - free[j])
+            if fall > 0.0:
+                guess = min(guess, 2.0 * seen[i, 1] / fall)
     return guess
 
 
@@ -234,7 +238,8 @@ def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
         size, change = SAFETY * bounds[i, 0], SAFETY * bounds[i, 1]
         gap, rate = later[i, 0], later[i, 1]
         fall, _ = curvatures(seen[i, 1], rate, h, size, change)
-        if not clear(max(seen[i, 0], 0.0), seen[i, 1], gap, rate, fall, h, floor):
+        base = min(seen[i, 0], 0.0)
+        if not clear(seen[i, 0] - base, seen[i, 1], gap - base, rate, fall, h, floor):
             if found < math.inf:
                 gap, rate = sample(GAP, i, end, t, h, mem)
             time = first_crossing(
@@ -252,7 +257,8 @@ def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
         a, b, s = index_q[k], index_v[k], sign[k]
         gap, rate = s * (q0[a] - bound[k]), s * v0[b]
         size, change = SAFETY * peak[1, b], SAFETY * peak[3, b]
-        if shut[k] != 0 or clear(max(gap, 0.0), rate, s * (q1[a] - bound[k]), s * v1[b], size, h, floor):
+        base = min(gap, 0.0)
+        if shut[k] != 0 or clear(gap - base, rate, s * (q1[a] - bound[k]) - base, s * v1[b], size, h, floor):
             continue
         end_gap, end_rate = sample(LIMIT, k, end, t, h, mem)
         time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, mem)

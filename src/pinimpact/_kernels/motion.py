@@ -195,13 +195,11 @@ def evaluate(t, mem, out):
         system,
         target,
     )
-    if sustained.solve(system, target, solution):
-        state[UNIQUE] = 1.0
-    else:
-        state[UNIQUE] = 0.0
-        if not call(calls[LEAST_NORM], calls[LEAST_NORM + 1]):
-            state[FAILED] = 1.0
-            return
+    orientation = sustained.solve(system, target, solution)
+    state[UNIQUE] = abs(orientation)
+    if orientation == 0 and not call(calls[LEAST_NORM], calls[LEAST_NORM + 1]):
+        state[FAILED] = 1.0
+        return
     margin = sustained.finish(
         solution,
         response,
@@ -217,5 +215,7 @@ def evaluate(t, mem, out):
         scalar_force,
         out[n + 2 :],
     )
-    state[MARGIN] = -math.inf if effective <= LEAST_EFFECTIVE else state[ALLOWANCE] + margin
+    # without friction the determinant is positive, so where it is not, slip has passed a singularity
+    lost = effective <= LEAST_EFFECTIVE or orientation < 0
+    state[MARGIN] = -math.inf if lost else state[ALLOWANCE] + margin
     state[LEAST_MARGIN] = min(state[LEAST_MARGIN], state[MARGIN])

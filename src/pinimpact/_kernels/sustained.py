@@ -133,12 +133,17 @@ def assemble(
 
 @inner
 def solve(system, target, solution):
-    """Solve by elimination with complete pivoting; return False where the system is singular to `RANK`."""
+    """Solve by elimination with complete pivoting.
+
+    Returns:
+        The sign of the determinant, zero where the system is singular to `RANK`.
+    """
     size = len(target)
     matrix = system.copy()
     right = target.copy()
     order = np.arange(size)
     largest = 0.0
+    sign = 1
     for k in range(size):
         pivot, row, col = 0.0, k, k
         for a in range(k, size):
@@ -147,7 +152,9 @@ def solve(system, target, solution):
                     pivot, row, col = abs(matrix[a, b]), a, b
         largest = max(largest, pivot)
         if not pivot > RANK * largest:
-            return False
+            return 0
+        if (matrix[row, col] < 0.0) != ((row != k) != (col != k)):
+            sign = -sign
         for b in range(size):
             matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
         right[k], right[row] = right[row], right[k]
@@ -164,7 +171,7 @@ def solve(system, target, solution):
         for b in range(k + 1, size):
             total -= matrix[k, b] * solution[order[b]]
         solution[order[k]] = total / matrix[k, k]
-    return True
+    return sign
 
 
 @inner
