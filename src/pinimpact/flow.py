@@ -190,9 +190,9 @@ class Flow:
         self.check()
         return float(work)
 
-    def jam(self, t: float, q: Array, v: Array) -> bool:
+    def jam(self, t: float, q: Array, v: Array, certain: bool) -> bool:
         """Stop contacts whose forces grow without bound, changing v; return whether there are any."""
-        jammed = closing.jam(t, q, v, self.machine)
+        jammed = closing.jam(t, q, v, certain, self.machine)
         self.check()
         return bool(jammed)
 

@@ -196,10 +196,14 @@ class Instant:
         impulse = solution.impulse @ matrices.axes
         return self._record(i, after, lambda: (problem, impulse), False)
 
-    def jam(self) -> bool:
-        """Stop contacts that jam each other, an impact without collision; return whether there are any."""
+    def jam(self, certain: bool) -> bool:
+        """Stop contacts that jam, an impact without collision; return whether there are any.
+
+        Args:
+            certain: Whether the motion is known to end here, so that any slip is stopped.
+        """
         v = self.v.copy()
-        if not self.flow.jam(self.t, self.q, v):
+        if not self.flow.jam(self.t, self.q, v, certain):
             return False
         closed = zip(self.names, self.flow.standing.tolist(), strict=False)
         slipping = ", ".join(name for name, mode in closed if mode == SLIP)

@@ -225,7 +225,8 @@ class _Run:
         h = min(h, self.max_step, self.horizon)
         while True:
             trial = left if h > 0.9 * left else h
-            if t + trial <= t and now.jam():
+            if t + trial <= t and self.stalled < MAX_STALLED and now.jam(certain=True):
+                self.stalled += 1
                 self._settle()
                 self._restart()
                 self._sample()
@@ -298,7 +299,7 @@ class _Run:
         if drift > self.drift:
             now.correct()
         if number == march.MODE_CHANGE:
-            now.jam()
+            now.jam(certain=False)
         self._settle(None if number == march.MODE_CHANGE else number)
         self._restart()
         self._sample()

@@ -16,14 +16,14 @@ from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2
 from .motion import ALLOWANCE, FAILED, INVERT, STILL, UNIQUE, all_gaps, evaluate, look_closely, release
 from .semidefinite import factor, impulses
-from .sustained import FREE, HELD, SLIP, STICK, decide
+from .sustained import FREE, HELD, RIGID, SLIP, STICK, decide
 
 FAR, NEAR, HIT = range(3)
 """Where a contact or limit is at an instant."""
 
 SWEEPS = 20_000
 SINGULAR = 1e-5
-"""Equations whose two sides cancel to this part have a null vector."""
+"""Forces whose effects cancel to this part are those of a singularity."""
 
 LOOKS = 10
 """Parts of a step at which to ask whether modes still hold."""
@@ -139,7 +139,8 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
                 result[a] += delassus[a, 3 * k + d] * force[k, d]
         for m in range(ns):
             result[a] += delassus[a, 3 * nc + m] * strength[m]
-    unique = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
+    rank = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size)))
+    unique = rank == np.count_nonzero(np.diag(delassus) > RIGID * np.diag(delassus).max())
     pace = (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)  # slower than this is none
 
     kept = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
@@ -346,41 +347,50 @@ def end_of_modes(t, h, end, q0, v0, coefficients, mem):
 
 
 @jit
-def jam(t, q, v, mem):
-    """Stop all slip where contacts that slip drive each other in until their forces have no bound.
+def jam(t, q, v, certain, mem):
+    """Stop all slip where contacts that slip drive the surface in until their forces have no bound.
 
     Args:
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what the closed contacts take away of it.
+        certain: Whether this is known to be such a place, so that any slip is stopped.
         mem: The table of `memory`.
 
     Returns:
-        Whether that is what happens here; else v is as it was.
+        Whether slip was stopped; else v is as it was.
     """
     d1(mem, at.Q)[:] = q
     d1(mem, at.V)[:] = v
     evaluate(t, mem, np.empty(len(v) + 4))
-    system, forces = d2(mem, at.SYSTEM), d1(mem, at.SOLUTION)
-    sides = whole = 0.0  # next to the singularity the forces are its null vector
-    for a in range(len(forces)):
-        total = 0.0
-        for b in range(len(forces)):
-            total += system[a, b] * forces[b]
-            whole = max(whole, abs(system[a, b] * forces[b]))
-        sides = max(sides, abs(total))
-    if not sides < SINGULAR * whole or d1(mem, at.STATE)[FAILED] != 0.0:
+    if not (i1(mem, at.MODES) == SLIP).any() or d1(mem, at.STATE)[FAILED] != 0.0:
         return False
-    jacobians, velocity, scalars = d3(mem, at.ROWS), d2(mem, at.VELOCITY), i1(mem, at.SCALARS)
-    closed = 3 * len(jacobians)
-    rows, speeds = np.zeros((closed + len(scalars), len(v))), np.empty(closed + len(scalars))
+    jacobians, velocity, force = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d2(mem, at.FORCE)
+    scalars, minverse = i1(mem, at.SCALARS), d2(mem, at.MINVERSE)
+    closed, n = 3 * len(jacobians), len(v)
+    rows, speeds = np.zeros((closed + len(scalars), n)), np.empty(closed + len(scalars))
+    pushes = np.empty((closed, n))
     for k in range(len(jacobians)):
-        rows[3 * k : 3 * k + 3] = jacobians[k]
-        speeds[3 * k : 3 * k + 3] = velocity[k]
+        for d in range(3):
+            rows[3 * k + d] = jacobians[k, d]
+            speeds[3 * k + d] = velocity[k, d]
+            pushes[3 * k + d] = minverse @ jacobians[k, d] * force[k, d]
     for m in range(len(scalars)):
         rows[closed + m, scalars[m]] = 1.0
         speeds[closed + m] = v[scalars[m]]
-    take_away(rows, speeds, d2(mem, at.MINVERSE), v)
+    left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
+    for k in range(len(jacobians)):
+        total = 0.0
+        for a in range(closed):
+            part = 0.0
+            for j in range(n):
+                part += jacobians[k, 2, j] * pushes[a, j]
+            total += part
+            whole = max(whole, abs(part))
+        left = max(left, abs(total))
+    if not certain and not left < SINGULAR * whole:
+        return False
+    take_away(rows, speeds, minverse, v)
     return True
 
 

@@ -196,6 +196,9 @@ def evaluate(t, mem, out):
         target,
     )
     orientation = sustained.solve(system, target, solution)
+    if not math.isfinite(system.sum() + target.sum()):  # a stage far off; the step will be refused
+        out[:] = math.nan
+        return
     state[UNIQUE] = abs(orientation)
     if orientation == 0 and not call(calls[LEAST_NORM], calls[LEAST_NORM + 1]):
         state[FAILED] = 1.0

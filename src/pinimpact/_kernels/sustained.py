@@ -16,6 +16,9 @@ FREE, SLIP, STICK, HELD = range(4)
 RANK = 1e-10
 """Singular values below this part of the largest count as zero."""
 
+RIGID = 1e-14
+"""Rows whose effective inverse inertia is below this part of the largest do not move."""
+
 
 @inner
 def slip_direction(velocity, reference, still):
@@ -128,6 +131,15 @@ def assemble(
             for j in range(n):
                 total += rows[a, j] * response[b, j]
             system[a, b] = total
+    largest = 0.0
+    for a in range(size):
+        largest = max(largest, abs(system[a, a]))
+    for a in range(size):
+        if abs(system[a, a]) <= RIGID * largest:  # nothing moves this way (across a planar robot): no force
+            system[a, :] = 0.0
+            system[:, a] = 0.0
+            system[a, a] = largest
+            target[a] = 0.0
     return least
 
 
