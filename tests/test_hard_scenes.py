@@ -1,0 +1,116 @@
+"""Scenes in which forces grow without bound, corrections interfere, or a robot lies on all its feet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import solve_ivp
+
+from pinimpact import Contact, Plane, Scene, load_robot
+
+from .scene_models import G, run, unbounded
+
+MU = 2.0
+INERTIA = 1.0 / 3.0
+
+
+def planar_rod():
+    """A rod of mass 1 and half length 1 in the plane; zero is level, ``tip`` sinks as it turns."""
+    model, parent = pin.Model(), 0
+    for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
+        parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, INERTIA, INERTIA]))
+    model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", parent, 0, tip, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    return model
+
+
+def pushed_rod(angle, rate, speed=6.0):
+    """A rod whose tip slides on the floor ahead of it."""
+    q = [0.0, np.sin(angle), angle]
+    return q, [speed + rate * np.sin(angle), rate * np.cos(angle), rate]
+
+
+def effective(angle):
+    """Change of the tip's vertical acceleration with the normal force, as it slides ahead of the rod."""
+    return 1.0 + np.cos(angle) * (np.cos(angle) - MU * np.sin(angle)) / INERTIA
+
+
+def until_it_jams(q, v):
+    """Return time, configuration and velocity where the rod's normal force grows without bound."""
+
+    def rates(t, y):
+        s, c = np.sin(y[2]), np.cos(y[2])
+        force = (G - y[5] ** 2 * s) / effective(y[2])
+        return [*y[3:], -MU * force, force - G, (MU * s - c) * force / INERTIA]
+
+    def nearly(t, y):
+        return effective(y[2]) - 1e-7
+
+    nearly.terminal = True
+    end = solve_ivp(rates, (0.0, 1.0), [*q, *v], method="DOP853", rtol=1e-12, atol=1e-13, events=nearly)
+    assert end.status == 1
+    return end.t[-1], end.y[:3, -1], end.y[3:, -1]
+
+
+@pytest.mark.parametrize("angle, rate", [(0.3, 3.0), (0.5, 2.5), (0.6, 1.5)])
+@pytest.mark.parametrize("rtol", [1e-6, 1e-9])
+def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
+    """The singularity of Painlevé's rod: an impact without collision stops the tip, and it lifts off."""
+    q, v = pushed_rod(angle, rate)
+    scene = Scene(planar_rod(), [Contact("tip", Plane(), friction=MU)])
+    trajectory = run(scene, q, v, 0.3, rtol=rtol, atol=1e-2 * rtol)
+    (jam,) = (note for note in trajectory.notes if "jam" in note.text)
+    time, q, v = until_it_jams(q, v)
+    assert jam.time == pytest.approx(time, abs=1e-5)
+    s, c = np.sin(q[2]), np.cos(q[2])
+    rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
+    response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
+    after = v - response @ np.linalg.solve(rows @ response, rows @ v)
+    assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
+    assert [m.mode for m in trajectory.modes] == ["slip"]
+
+
+def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique():
+    """Nothing can move it out of its plane, so no force acts there."""
+    angle = -0.5 * np.pi + 0.1
+    scene = Scene(planar_rod(), [Contact("tip", Plane(point=(0, 0, 1), normal=(0, 0, 1)), friction=MU)])
+    trajectory = run(scene, [0.0, 1.0 + np.sin(angle), angle], np.zeros(3), 0.2)
+    assert trajectory.notes == ()
+    assert [m.mode for m in trajectory.modes] == ["stick"]
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5])
+def test_a_panda_that_falls_against_its_stops_gets_through_at_loose_tolerances(rtol):
+    """What brings closed stops back may leave open ones below zero; that is no event."""
+    robot = load_robot("panda")
+    hand = Contact("panda_hand_tcp", Plane(point=(0, 0, 0.2)), friction=0.4, restitution=0.5)
+    q0 = [0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02]
+    trajectory = run(Scene(robot, [hand]), q0, np.zeros(9), 1.0, audit=1e-2, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.complete
+    assert trajectory.statistics["steps"] < 1000
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("friction", [0.2, 0.8])
+def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction):
+    rng = np.random.default_rng(seed)
+    model = load_robot("solo12").model
+    feet = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+    q0 = pin.integrate(model, pin.neutral(model), 0.3 * rng.normal(size=model.nv))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q0)
+    lowest = min(data.oMf[model.getFrameId(foot)].translation[2] for foot in feet)
+    floor = Plane(point=(0, 0, lowest - 0.05))
+    contacts = [Contact(foot, floor, friction=friction, restitution=0.3) for foot in feet]
+    scene = Scene(model, contacts, without=["joint limits"])
+    trajectory = run(scene, q0, 0.5 * rng.normal(size=model.nv), 0.6, audit=1e-4, rtol=1e-7)
+    assert trajectory.complete
+    # no foot sinks in, at samples and between them
+    for t in np.linspace(0.0, 0.6, 200):
+        pin.framesForwardKinematics(model, data, trajectory.at(t)[0])
+        heights = [data.oMf[model.getFrameId(foot)].translation[2] for foot in feet]
+        assert min(heights) - lowest + 0.05 > -1e-7
