@@ -179,10 +179,12 @@ class _Run:
         q = np.array([row[1] for row in rows])
         v = np.array([row[2] for row in rows])
         w = np.array([row[3] for row in rows])
-        kinetic = np.array(
-            [pin.computeKineticEnergy(self.model, self.data, a, b) for a, b in zip(q, v, strict=True)]
-        )
-        potential = np.array([pin.computePotentialEnergy(self.model, self.data, a) for a in q])
+        kinetic, potential = np.empty((2, len(rows)))
+        for k, (_, at, moving, *_) in enumerate(rows):
+            kinetic[k] = pin.computeKineticEnergy(self.model, self.data, at, moving)
+            potential[k] = pin.computePotentialEnergy(
+                self.model, self.data
+            )  # where the line before has put it
         impacts_work = np.array([row[4] for row in rows])
         energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
         modes = self.now.intervals[:intervals] + [

@@ -13,8 +13,8 @@ from . import charts, stages
 from . import memory as at
 from .foreign import call
 from .jit import inner, jit
-from .memory import d1, d2, d3, i1, i2
-from .motion import ALLOWANCE, FAILED, INVERT, STILL, UNIQUE, all_gaps, evaluate, look_closely, release
+from .memory import d1, d2, d3, i1, i2, positions, put
+from .motion import ALLOWANCE, FAILED, INVERT, STILL, UNIQUE, all_gaps, evaluate, look_closely, release, take
 from .semidefinite import factor, impulses
 from .sustained import FREE, HELD, RIGID, SLIP, STICK, decide
 
@@ -95,16 +95,18 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
         d1(mem, at.SIGN),
         d1(mem, at.DRY),
     )
-    standing[:] = FREE
-    reference[:] = 0.0
-    breaking[:] = 0.0
     count, limits, n = len(friction), len(sign), len(v)
-    contacts = np.flatnonzero(candidates[:count])
-    joints = np.flatnonzero(candidates[count:])  # scalar rows: limits, then stuck joints
+    for i in range(len(standing)):
+        standing[i] = FREE
+    for i in range(count):
+        reference[i, 0] = reference[i, 1] = 0.0
+    for j in range(n):
+        breaking[j] = 0.0
+    contacts = positions(candidates[:count])
+    joints = positions(candidates[count:])  # scalar rows: limits, then stuck joints
     nc, ns = len(contacts), len(joints)
     size = 3 * nc + ns
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
+    take(q, v, mem)
     release(t, mem, np.empty(2))
     if state[FAILED] != 0.0 or not call(calls[INVERT], calls[INVERT + 1]):
         state[FAILED] = 1.0
@@ -140,7 +142,12 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
         for m in range(ns):
             result[a] += delassus[a, 3 * nc + m] * strength[m]
     rank = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size)))
-    unique = rank == np.count_nonzero(np.diag(delassus) > RIGID * np.diag(delassus).max())
+    stiffest = 0.0
+    for a in range(size):
+        stiffest = max(stiffest, delassus[a, a])
+    for a in range(size):
+        rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
+    unique = rank == size
     pace = (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)  # slower than this is none
 
     kept = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
@@ -184,7 +191,7 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
     for a in range(size):
         if kept[a]:
             speeds[taken] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
-            rows[taken] = rows[a]
+            put(rows[taken], rows[a])
             taken += 1
     return -1, sweeps >= 0, take_away(rows[:taken], speeds[:taken], minverse, v)
 
@@ -204,7 +211,7 @@ def lay_out(reference, mem):
     """Lay out the arrays of what is closed, for the modes in `STANDING` and the directions of slip (n, 2)."""
     standing, friction, kept = i1(mem, at.STANDING), d1(mem, at.FRICTION), d1(mem, at.KEPT)
     count = len(friction)
-    contacts, joints = np.flatnonzero(standing[:count]), np.flatnonzero(standing[count:])
+    contacts, joints = positions(standing[:count]), positions(standing[count:])
     nc, ns, size = len(contacts), len(joints), len(joints)
     for i in contacts:
         size += 1 if standing[i] == SLIP else 3
@@ -228,7 +235,7 @@ def lay_out(reference, mem):
     for k in range(nc):
         i = contacts[k]
         which[k], modes[k], mu[k], rest[k] = i, standing[i], friction[i], kept[i]
-        directions[k] = reference[i]
+        put(directions[k], reference[i])
     scalars, lower, upper = i1(mem, at.SCALARS), d1(mem, at.LOWER), d1(mem, at.UPPER)
     for m in range(ns):
         scalars[m], lower[m], upper[m] = scalar_row(joints[m], mem)
@@ -239,10 +246,8 @@ def lay_out(reference, mem):
 def hold(mem):
     """Close what the scene holds, and nothing else."""
     standing, bilateral = i1(mem, at.STANDING), i1(mem, at.BILATERAL)
-    standing[:] = FREE
-    for i in range(len(bilateral)):
-        if bilateral[i] != 0:
-            standing[i] = HELD
+    for i in range(len(standing)):
+        standing[i] = HELD if i < len(bilateral) and bilateral[i] != 0 else FREE
     lay_out(np.zeros((len(bilateral), 2)), mem)
 
 
@@ -289,23 +294,23 @@ def settle(t, q, v, slow, mem):
     standing, dry, sliding = i1(mem, at.STANDING), d1(mem, at.DRY), d1(mem, at.SLIDING)
     still = d1(mem, at.STATE)[STILL]
     n, touching = len(v), len(slow)
-    candidates, chosen = np.zeros(touching + n, dtype=np.int64), np.empty(touching + n, dtype=np.int64)
-    candidates[:touching] = slow
+    candidates, chosen = np.zeros(touching + n, dtype=np.int64), np.zeros(touching + n, dtype=np.int64)
+    for i in range(touching):
+        candidates[i] = slow[i]
     for j in range(n):
         if dry[j] > 0.0:
             candidates[touching + j] = abs(v[j]) <= still
             sliding[j] = 0.0 if abs(v[j]) <= still else math.copysign(dry[j], v[j])
     reference, breaking = np.zeros((len(d1(mem, at.FRICTION)), 2)), np.zeros(n)
     jamming, converged, work = -1, True, 0.0
-    chosen[:] = FREE
-    if candidates.any():
+    if len(positions(candidates)) > 0:
         jamming, converged, work = choose(t, q, v, candidates, chosen, reference, breaking, mem)
         if jamming >= 0 or d1(mem, at.STATE)[FAILED] != 0.0:
             return jamming, converged, work
     for j in range(n):
         if breaking[j] != 0.0:
             sliding[j] = -math.copysign(dry[j], breaking[j])
-    standing[:] = chosen
+    put(standing, chosen)
     lay_out(reference, mem)
     return jamming, converged, work
 
@@ -325,7 +330,8 @@ def end_of_modes(t, h, end, q0, v0, coefficients, mem):
         mem: The table of `memory`.
     """
     standing = i1(mem, at.STANDING)
-    chosen, reference = np.empty_like(standing), np.empty((len(d1(mem, at.FRICTION)), 2))
+    chosen = np.empty(len(standing), dtype=np.int64)
+    reference = np.empty((len(d1(mem, at.FRICTION)), 2))
     q, v, breaking = np.empty(len(q0)), np.empty(len(v0)), np.empty(len(v0))
     earlier, later, part = t, math.inf, 1
     while d1(mem, at.STATE)[FAILED] == 0.0:
@@ -337,7 +343,10 @@ def end_of_modes(t, h, end, q0, v0, coefficients, mem):
                 break
         stages.state(coefficients, (time - t) / h, i2(mem, at.JOINTS), q0, v0, q, v)
         choose(time, q, v, standing, chosen, reference, breaking, mem)
-        if not np.array_equal(chosen, standing):
+        changed = False
+        for i in range(len(chosen)):
+            changed |= chosen[i] != standing[i]
+        if changed:
             later = time
         elif time == end:
             break
@@ -360,21 +369,23 @@ def jam(t, q, v, certain, mem):
     Returns:
         Whether slip was stopped; else v is as it was.
     """
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
+    take(q, v, mem)
     evaluate(t, mem, np.empty(len(v) + 4))
-    if not (i1(mem, at.MODES) == SLIP).any() or d1(mem, at.STATE)[FAILED] != 0.0:
+    modes, slipping = i1(mem, at.MODES), False
+    for k in range(len(modes)):
+        slipping |= modes[k] == SLIP
+    if not slipping or d1(mem, at.STATE)[FAILED] != 0.0:
         return False
     jacobians, velocity, force = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d2(mem, at.FORCE)
     scalars, minverse = i1(mem, at.SCALARS), d2(mem, at.MINVERSE)
     closed, n = 3 * len(jacobians), len(v)
     rows, speeds = np.zeros((closed + len(scalars), n)), np.empty(closed + len(scalars))
-    pushes = np.empty((closed, n))
+    pushes, delassus = np.empty((closed, n)), np.empty((closed, closed))
     for k in range(len(jacobians)):
         for d in range(3):
-            rows[3 * k + d] = jacobians[k, d]
+            put(rows[3 * k + d], jacobians[k, d])
             speeds[3 * k + d] = velocity[k, d]
-            pushes[3 * k + d] = minverse @ jacobians[k, d] * force[k, d]
+    answer(rows[:closed], minverse, pushes, delassus)
     for m in range(len(scalars)):
         rows[closed + m, scalars[m]] = 1.0
         speeds[closed + m] = v[scalars[m]]
@@ -382,9 +393,7 @@ def jam(t, q, v, certain, mem):
     for k in range(len(jacobians)):
         total = 0.0
         for a in range(closed):
-            part = 0.0
-            for j in range(n):
-                part += jacobians[k, 2, j] * pushes[a, j]
+            part = delassus[3 * k + 2, a] * force[a // 3, a % 3]
             total += part
             whole = max(whole, abs(part))
         left = max(left, abs(total))
@@ -415,12 +424,11 @@ def correct(t, q, v, mem):
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + len(shut), n))
     off = np.empty(len(rows))
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
+    take(q, v, mem)
     evaluate(t, mem, rates)
     count = 0
     for k in range(nc):
-        rows[count] = jacobians[k, 2]
+        put(rows[count], jacobians[k, 2])
         off[count] = gap[k] - rest[k]
         count += 1
     for m in range(len(shut)):
@@ -435,14 +443,14 @@ def correct(t, q, v, mem):
         for m in range(len(shut)):
             if shut[m] != 0:
                 q[index_q[m]] = bound[m]
-        d1(mem, at.Q)[:] = q
+        put(d1(mem, at.Q), q)
         evaluate(t, mem, rates)
-    rows[:] = 0.0
+    rows = np.zeros((3 * nc + ns + len(shut), n))
     count = 0
     for k in range(nc):
         for d in range(3):
             if d == 2 or modes[k] != SLIP:
-                rows[count] = jacobians[k, d]
+                put(rows[count], jacobians[k, d])
                 off[count] = velocity[k, d]
                 count += 1
     for j in scalars:

@@ -22,8 +22,8 @@ from . import stages
 from .charts import advance, chart_rate, magnitudes, turned_too_far
 from .dop853 import STAGES as LAST
 from .jit import inner, jit
-from .memory import d1, d2, d3, i1, i2
-from .motion import FAILED, LEAST_MARGIN, STILL, evaluate
+from .memory import d1, d2, d3, i1, i2, positions, put
+from .motion import FAILED, LEAST_MARGIN, STILL, evaluate, take
 from .sustained import SLIP, solve
 
 NODES_COUNT = 5
@@ -107,10 +107,10 @@ def attempt(t, h, rtol, atol, mem):
     error = collocate(t, h, rtol, atol, mem)
     state[STILL] = still
     if not error <= 1.0 or state[FAILED] != 0.0:
-        reference[:] = remembered
+        for k in range(len(reference)):
+            put(reference[k], remembered[k])
     else:  # where slip is slow, friction goes on in the direction that was found
-        d1(mem, at.Q)[:] = d1(mem, at.Q1)
-        d1(mem, at.V)[:] = d1(mem, at.V1)
+        take(d1(mem, at.Q1), d1(mem, at.V1), mem)
         evaluate(t + h, mem, d2(mem, at.RATES)[LAST, len(d1(mem, at.V1)) :])
         complete(h, mem)
     return error
@@ -137,7 +137,10 @@ def collocate(t, h, rtol, atol, mem):
         d2(mem, at.VELOCITY),
     )
     n, width, s = len(v0), rates.shape[1], NODES_COUNT
-    slips = np.flatnonzero((modes == SLIP) & (mu > 0.0))
+    rubbing = np.zeros(len(modes), dtype=np.int64)
+    for k in range(len(modes)):
+        rubbing[k] = modes[k] == SLIP and mu[k] > 0.0
+    slips = positions(rubbing)
     count = len(slips)
     size = s * count
     directions = np.empty((s, count, 2))
@@ -151,9 +154,9 @@ def collocate(t, h, rtol, atol, mem):
         scale[m] = 1.0 / (atol + rtol * sizes[m])
         scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
     for i in range(s):
-        rates[1 + i] = rates[0]
+        put(rates[1 + i], rates[0])
         for c in range(count):
-            directions[i, c] = reference[slips[c]]
+            put(directions[i, c], reference[slips[c]])
     before = math.inf
     for iteration in range(ITERATIONS):
         state[LEAST_MARGIN] = math.inf
@@ -169,9 +172,10 @@ def collocate(t, h, rtol, atol, mem):
                 return math.inf
             advance(joints, q0, xi, q)
             chart_rate(joints, xi, v, found[i, :n])
-            found[i, 2 * n :] = 0.0
+            for m in range(2 * n, width):
+                found[i, m] = 0.0
             for c in range(count):
-                reference[slips[c]] = directions[i, c]
+                put(reference[slips[c]], directions[i, c])
             evaluate(t + NODES[i] * h, mem, found[i, n:])
             if state[FAILED] != 0.0:
                 return math.inf
@@ -239,7 +243,7 @@ def collocate(t, h, rtol, atol, mem):
         v1[m] = v0[m] + h * b
     advance(joints, q0, xi, q1)
     for c in range(count):
-        reference[slips[c]] = directions[s - 1, c]
+        put(reference[slips[c]], directions[s - 1, c])
     return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
 
 

@@ -11,7 +11,7 @@ from . import step, touch
 from .crossings import ALONG, FORCE, GAP, LIMIT, RATE, curvatures, first_crossing, root, sample
 from .guards import clear
 from .jit import inner, jit
-from .memory import d1, d2, d3, f2, i1, i2
+from .memory import d1, d2, d3, f2, i1, i2, put
 from .motion import (
     ERROR,
     LEAST_MARGIN,
@@ -24,6 +24,7 @@ from .motion import (
     gaps,
     look_closely,
     release,
+    take,
 )
 from .sustained import FREE, SLIP
 
@@ -55,12 +56,14 @@ def begin(t, q, v, near, seen, mem):
     state = d1(mem, at.STATE)
     rates = d2(mem, at.RATES)
     n = len(v)
-    d1(mem, at.Q0)[:] = q
-    d1(mem, at.V0)[:] = v
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
-    rates[:, 2 * n :] = 0.0
-    rates[0, :n] = v
+    put(d1(mem, at.Q0), q)
+    put(d1(mem, at.V0), v)
+    take(q, v, mem)
+    for i in range(len(rates)):
+        for m in range(2 * n, rates.shape[1]):
+            rates[i, m] = 0.0
+    for m in range(n):
+        rates[0, m] = v[m]
     evaluate(t, mem, rates[0, n:])
     turn_references(d2(mem, at.VELOCITY), mem)
     state[STIFFNESS] = fastest_turn(mem)
@@ -92,10 +95,9 @@ def look(q, v, seen, mem):
 @jit
 def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, mem):
     """Fill v̇ and the motion of some contacts without contact forces, see `motion.look_closely`."""
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
+    take(q, v, mem)
     release(t, mem, np.empty(2))
-    joints[:] = d1(mem, at.ACCELERATION)
+    put(joints, d1(mem, at.ACCELERATION))
     for k in range(len(which)):
         gap[k] = look_closely(mem, which[k], rows[k], velocity[k], acceleration[k], surface[k])
 

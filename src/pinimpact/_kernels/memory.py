@@ -63,6 +63,32 @@ _doubles = _pointer_to(types.float64)
 _integers = _pointer_to(types.int64)
 
 
+# slices assigned at once and NumPy's searches take numba a second each to compile; these loops do not
+
+
+@inner
+def put(to, values):
+    """Copy values (n,) into an array."""
+    for i in range(len(to)):
+        to[i] = values[i]
+
+
+@inner
+def positions(marks):
+    """Return where an array (n,) of integers is not zero."""
+    count = 0
+    for i in range(len(marks)):
+        if marks[i] != 0:
+            count += 1
+    found = np.empty(count, dtype=np.int64)
+    count = 0
+    for i in range(len(marks)):
+        if marks[i] != 0:
+            found[count] = i
+            count += 1
+    return found
+
+
 @inner
 def d1(m, k):
     return carray(_doubles(m[k, 0]), (m[k, 1],))

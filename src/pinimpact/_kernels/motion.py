@@ -11,7 +11,7 @@ from . import memory as at
 from . import sustained, touch
 from .foreign import call
 from .jit import inner
-from .memory import d1, d2, d3, f2, i1, i2
+from .memory import d1, d2, d3, f2, i1, i2, put
 
 ABA, INVERT, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
 """Where `CALLS` has the function; its arguments follow."""
@@ -25,6 +25,13 @@ slip at the start of the step, see `collocation`; length and error of the step b
 
 LEAST_EFFECTIVE = 1e-9
 """Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
+
+
+@inner
+def take(q, v, mem):
+    """Take a state into the buffers that Pinocchio reads."""
+    put(d1(mem, at.Q), q)
+    put(d1(mem, at.V), v)
 
 
 @inner
@@ -56,8 +63,7 @@ def gaps(mem, found):
 @inner
 def all_gaps(q, v, found, mem):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
-    d1(mem, at.Q)[:] = q
-    d1(mem, at.V)[:] = v
+    take(q, v, mem)
     index_q, index_v, sign, bound = (
         i1(mem, at.INDEX_Q),
         i1(mem, at.INDEX_V),
@@ -196,8 +202,14 @@ def evaluate(t, mem, out):
         target,
     )
     orientation = sustained.solve(system, target, solution)
-    if not math.isfinite(system.sum() + target.sum()):  # a stage far off; the step will be refused
-        out[:] = math.nan
+    total = 0.0
+    for a in range(len(target)):
+        total += target[a]
+        for b in range(len(target)):
+            total += system[a, b]
+    if not math.isfinite(total):  # a stage far off; the step will be refused
+        for j in range(len(out)):
+            out[j] = math.nan
         return
     state[UNIQUE] = abs(orientation)
     if orientation == 0 and not call(calls[LEAST_NORM], calls[LEAST_NORM + 1]):

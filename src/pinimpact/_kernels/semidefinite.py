@@ -47,7 +47,8 @@ def impulses(matrix, target, x):
     size = len(target)
     order, lower, y = np.empty(size, dtype=np.int64), np.zeros((size, size)), np.empty(size)
     rank = factor(matrix, order, lower)
-    x[:] = 0.0
+    for a in range(size):
+        x[a] = 0.0
     if rank == size:
         for a in range(size):
             i = order[a]

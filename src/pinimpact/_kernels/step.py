@@ -9,7 +9,7 @@ from . import stages
 from .charts import magnitudes, turned_too_far
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .jit import inner, jit
-from .memory import d1, d2, i2
+from .memory import d1, d2, i2, put
 from .motion import FAILED, LEAST_MARGIN, evaluate
 
 
@@ -35,8 +35,8 @@ def attempt(t, h, rtol, atol, mem):
         if i == STAGES:
             if turned_too_far(joints, xi):
                 return math.inf
-            q1[:] = q
-            v1[:] = v
+            put(q1, q)
+            put(v1, v)
         evaluate(t + NODES[i] * h, mem, rates[i, n:])
         if state[FAILED] != 0.0:
             return math.inf
@@ -69,7 +69,8 @@ def complete(t, h, mem):
 def go_on(mem):
     """Take the end of the step last attempted as the start of the next one."""
     q0, v0, q1, v1, rates = d1(mem, at.Q0), d1(mem, at.V0), d1(mem, at.Q1), d1(mem, at.V1), d2(mem, at.RATES)
-    q0[:] = q1
-    v0[:] = v1
-    rates[0] = rates[STAGES]
-    rates[0, : len(v0)] = v0
+    put(q0, q1)
+    put(v0, v1)
+    put(rates[0], rates[STAGES])
+    for m in range(len(v0)):
+        rates[0, m] = v0[m]
