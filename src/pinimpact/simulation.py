@@ -24,7 +24,10 @@ Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
 
 MAX_STALLED = 200
-"""Events without progress in time, after which a simulation gives up."""
+"""Steps without progress in time, after which slip is stopped, or a simulation gives up."""
+
+STALLED = 1e-8
+"""Time [s] that is no progress, or that part of a duration below 1 s."""
 
 
 def simulate(
@@ -119,7 +122,8 @@ class _Run:
         self.segments: list[Segment] = []
         self.samples: list[tuple[float, Array, Array, Array, float]] = []
         self.steps = self.rejected = 0
-        self.stalled = 0
+        self.jams = 0
+        self.mark = 0, 0.0
         self.told = False
         self._later = np.empty((len(self.flow.contacts), 2))
 
@@ -222,18 +226,25 @@ class _Run:
     def _step(self, h: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
         now, flow, t = self.now, self.flow, self.now.t
+        if self.steps - self.mark[0] > MAX_STALLED:
+            if t - self.mark[1] > STALLED * min(1.0, self.duration):
+                self.mark = self.steps, t
+            elif self._unstick():
+                return flow.step.first_length(self.rtol, self.atol)
+            else:
+                raise SimulationError(
+                    f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
+                    "not settle there; a larger resting_speed may help",
+                    field="scene",
+                )
         left = self.duration - t
         natural = h
         h = min(h, self.max_step, self.horizon)
         while True:
             trial = left if h > 0.9 * left else h
-            if t + trial <= t and self.stalled < MAX_STALLED and now.jam(certain=True):
-                self.stalled += 1
-                self._settle()
-                self._restart()
-                self._sample()
-                return flow.step.first_length(self.rtol, self.atol)
             if t + trial <= t:
+                if self._unstick():
+                    return flow.step.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
@@ -266,7 +277,6 @@ class _Run:
         if time <= segment.end:
             self._cut(segment, time, number, drift)
             return natural
-        self.stalled = 0
         self.w = self.w + segment.coefficients[0, 2 * flow.nv :]
         now.t = segment.end = self.duration if trial == left else segment.end
         now.q, now.v = flow.step.q0.copy(), flow.step.v0.copy()
@@ -284,16 +294,20 @@ class _Run:
         self._sample()
         return trial * growth
 
+    def _unstick(self) -> bool:
+        """Stop all slip where the motion does not go on; return False if nothing slips."""
+        if not self.now.jam(certain=True):
+            return False
+        self.mark = self.steps, self.now.t
+        self.jams += 1
+        self._settle()
+        self._restart()
+        self._sample()
+        return True
+
     def _cut(self, segment: Segment, t: float, number: int, drift: float) -> None:
         """End the step at an event and deal with it."""
         now = self.now
-        self.stalled = self.stalled + 1 if t - now.t <= 1e-13 * max(1.0, t) else 0
-        if self.stalled > MAX_STALLED:
-            raise SimulationError(
-                f"scene: {self.stalled} events at t = {t:.6g} s without progress; the modes of contact do "
-                "not settle there; a larger resting_speed may help",
-                field="scene",
-            )
         segment.end = now.t = t
         now.q, now.v = segment.at(t)
         self.w = segment.works(t)
@@ -312,12 +326,13 @@ class _Run:
         count = len(impacts)
         self.now.settle(hit)
         if len(impacts) > count:  # `max_impacts` watches over these
-            self.stalled = 0
-        if len(impacts) > self.max_impacts:
+            self.mark = self.steps, self.now.t
+        if len(impacts) + self.jams > self.max_impacts:
+            last = f", the last at {impacts[-1].source!r}" if impacts else ""
             raise SimulationError(
-                f"max_impacts: {len(impacts)} impacts until t = {self.now.t:.6g} s, the last at "
-                f"{impacts[-1].source!r}; if they accumulate, a larger resting_speed or a smaller "
-                "restitution ends them, otherwise raise max_impacts",
+                f"max_impacts: {len(impacts) + self.jams} impacts until t = {self.now.t:.6g} s{last}; "
+                "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
+                "otherwise raise max_impacts",
                 field="max_impacts",
                 value=self.max_impacts,
             )
