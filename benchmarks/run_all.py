@@ -2,7 +2,8 @@
 
     python benchmarks/run_all.py
 
-The tables in the page are replaced by those just measured.
+or, with names of benchmarks as arguments, only theirs. The tables in the page are replaced by those just
+measured.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-NAMES = ("speed", "startup", "exchange_rate", "other_model")
+NAMES = ("speed", "startup", "exchange_rate", "other_model", "scene_cost", "scene_ladder")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
@@ -32,7 +33,7 @@ def refresh(page: Path) -> None:
 
 
 if __name__ == "__main__":
-    for name in NAMES:
+    for name in sys.argv[1:] or NAMES:
         print(f"== {name}", flush=True)
         subprocess.run(
             [sys.executable, "-m", f"benchmarks.{name}"],

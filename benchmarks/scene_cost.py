@@ -1,25 +1,24 @@
 """Accuracy against time over the tolerance for three scenes, and the Panda against MuJoCo, in one run.
 
-python benchmarks/scene_cost.py
+python -m benchmarks.scene_cost
 """
 
 from __future__ import annotations
 
-import time
+from functools import partial
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
+from benchmarks.panda_scene import START, STILL, TABLE, panda
+from benchmarks.timing import FIGURES, best_of, keep, publish, row
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, simulate
-from scene_bench import FIGURES, PANDA_START, TABLE, best, panda, save
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 MUJOCO_STEP = 0.002
+GOAL = 4.0
 
 
 def free_body(inertia: pin.Inertia, tips: tuple[tuple[float, float, float], ...] = ()) -> pin.Model:
@@ -52,7 +51,7 @@ def scenes() -> dict[str, tuple[Scene, np.ndarray, np.ndarray, float]]:
             np.array([1.0, 0, 3.0, 0.1, 5.0, 0.1]),
             2.0,
         ),
-        "Panda that strikes a table once": (panda(), PANDA_START, np.zeros(9), 0.24),
+        "Panda that strikes a table once": (panda(), START, STILL, 0.24),
     }
 
 
@@ -61,74 +60,88 @@ def work_precision() -> dict[str, list[dict[str, float]]]:
     figures: dict[str, list[dict[str, float]]] = {}
     for name, (scene, q0, v0, duration) in scenes().items():
         reference = simulate(scene, q0, v0, duration, rtol=1e-13, atol=1e-14)
+        runs = {
+            rtol: partial(simulate, scene, q0, v0, duration, rtol=rtol, atol=1e-2 * rtol)
+            for rtol in TOLERANCES
+        }
+        seconds = best_of(runs, rounds=20)
         figures[name] = []
-        for rtol in TOLERANCES:
-
-            def run(rtol: float = rtol):
-                return simulate(scene, q0, v0, duration, rtol=rtol, atol=1e-2 * rtol)  # noqa: B023
-
-            seconds = best(run, 0.5)
+        for rtol, run in runs.items():
             end = run()
             way = pin.difference(scene.model, reference.q[-1], end.q[-1])
             error = max(np.abs(way).max(), np.abs(end.v[-1] - reference.v[-1]).max())
-            figures[name].append({"rtol": rtol, "error": float(error), "seconds": seconds / duration})
-            print(f"{name:44s} rtol {rtol:.0e}  error {error:.2e}  {1e3 * seconds / duration:8.2f} ms/s")
+            figures[name].append({"rtol": rtol, "error": float(error), "seconds": seconds[rtol] / duration})
     return figures
 
 
-def against_mujoco() -> dict[str, float]:
-    """Return times per simulated second of the Panda [s], interleaved so that all see the same load."""
+def table(figures: dict[str, list[dict[str, float]]]) -> str:
+    """Return error and milliseconds per simulated second of each scene over the tolerance."""
+    lines = []
+    for name, rows in figures.items():
+        lines.append(f"{name}\n  rtol    " + "".join(f"{r['rtol']:9.0e}" for r in rows))
+        lines.append("  error   " + "".join(f"{r['error']:9.1e}" for r in rows))
+        lines.append("  ms per s" + "".join(f"{1e3 * r['seconds']:9.1f}" for r in rows))
+    return "\n".join(lines) + "\n"
+
+
+def against_mujoco() -> None:
+    """Publish times per simulated second of the Panda, interleaved so that all see the same load."""
     import mujoco
+    from benchmarks.mujoco_panda import load, set_state
 
-    from mujoco_panda import load, set_state
-
-    other, state = load(TABLE, MUJOCO_STEP)
-    model = panda().model
-    data, damping = model.createData(), np.array(model.damping)
-
-    def step_mujoco() -> None:
+    def mujoco_steps(limits: bool) -> None:
+        other, state = loaded[limits]
         mujoco.mj_resetData(other, state)
-        set_state(other, state, PANDA_START, np.zeros(9))
+        set_state(other, state, START, STILL)
         for _ in range(round(1.0 / MUJOCO_STEP)):
             mujoco.mj_step(other, state)
+
+    loaded = {limits: load(TABLE, MUJOCO_STEP) for limits in (False, True)}
+    loaded[False][0].jnt_limited[:] = 0
+    model = panda().model
+    data, damping = model.createData(), np.array(model.damping)
 
     def flow(t: float, y: np.ndarray) -> np.ndarray:
         v = y[9:]
         return np.concatenate([v, pin.aba(model, data, y[:9], v, -damping * v)])
 
     def bare_scipy() -> None:
-        start = np.concatenate([PANDA_START, np.zeros(9)])
-        solve_ivp(flow, (0.0, 1.0), start, method="DOP853", rtol=1e-6, atol=1e-8)
+        y0 = np.concatenate([START, STILL])
+        solve_ivp(flow, (0.0, 1.0), y0, method="DOP853", rtol=1e-6, atol=1e-8)
 
-    def simulated(scene: Scene):
-        return lambda: simulate(scene, PANDA_START, np.zeros(9), 1.0, rtol=1e-6, atol=1e-8)
+    def simulated(**options):
+        return partial(simulate, panda(**options), START, STILL, 1.0, rtol=1e-6, atol=1e-8)
 
-    limits = ("joint limits",)
-    runs = {
-        "MuJoCo, 2 ms steps": step_mujoco,
-        "bare scipy DOP853 with aba, no events": bare_scipy,
-        "pinimpact, table out of play": simulated(panda(without=("contact guards", *limits))),
-        "pinimpact, e = 0.5, joints without limits": simulated(panda(without=limits)),
-        "pinimpact, e = 0, joints without limits": simulated(panda(restitution=0.0, without=limits)),
-        "pinimpact, e = 0.5": simulated(panda()),
+    stops = ("joint limits",)
+    against = {
+        "MuJoCo without joint stops": partial(mujoco_steps, False),
+        "MuJoCo with joint stops": partial(mujoco_steps, True),
     }
-    least = dict.fromkeys(runs, np.inf)
-    for _ in range(15):
-        for name, run in runs.items():
-            begin = time.perf_counter()
-            run()
-            least[name] = min(least[name], time.perf_counter() - begin)
-    for name, seconds in least.items():
-        print(f"{name:44s} {1e3 * seconds:8.2f} ms/s  {seconds / least['MuJoCo, 2 ms steps']:6.2f} ×")
-    return least
+    runs = {
+        "table out of play": (simulated(without=("contact guards", *stops)), False, None),
+        "e = 0.5": (simulated(without=stops), False, GOAL),
+        "e = 0": (simulated(restitution=0.0, without=stops), False, GOAL),
+        "e = 0.5, joint stops": (simulated(), True, GOAL),
+        "e = 0, joint stops": (simulated(restitution=0.0), True, GOAL),
+        "bare scipy DOP853 with aba, no events": (bare_scipy, False, None),
+    }
+    seconds = best_of({**against, **{name: run for name, (run, _, _) in runs.items()}}, rounds=30)
+    names = list(against)
+    publish(
+        "scene_mujoco",
+        [
+            row(name, seconds[name], goal, names[limits], seconds[names[limits]])
+            for name, (_, limits, goal) in runs.items()
+        ],
+    )
 
 
 def draw(figures: dict[str, list[dict[str, float]]]) -> None:
-    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.subplots()
     for name, rows in figures.items():
-        axes.loglog(
-            [1e3 * r["seconds"] for r in rows], [max(r["error"], 1e-16) for r in rows], "o-", label=name
-        )
+        milliseconds, errors = [1e3 * r["seconds"] for r in rows], [max(r["error"], 1e-16) for r in rows]
+        axes.loglog(milliseconds, errors, "o-", label=name)
     axes.set_xlabel("time per simulated second [ms]")
     axes.set_ylabel("error at the end [m, rad and their rates]")
     axes.grid(True, which="major", alpha=0.3)
@@ -138,13 +151,12 @@ def draw(figures: dict[str, list[dict[str, float]]]) -> None:
 
 def main() -> None:
     figures = work_precision()
-    try:
-        comparison = against_mujoco()
-    except ImportError:
-        comparison = {}
-        print("MuJoCo is not installed; pip install mujoco for the comparison")
-    print(save("scene_cost", {"work_precision": figures, "seconds_per_simulated_second": comparison}))
+    keep("scene_cost", table(figures), {"scenes": figures})
     draw(figures)
+    try:
+        against_mujoco()
+    except ImportError:
+        print("MuJoCo is not installed; pip install mujoco for the comparison")
 
 
 if __name__ == "__main__":

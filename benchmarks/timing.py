@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +54,7 @@ def row(
 
 
 def publish(name: str, rows: list[dict[str, Any]]) -> None:
-    """Print rows as a table and keep both, with versions and machine, in docs/figures."""
+    """Print rows as a table and keep both."""
     lines = []
     for r in rows:
         line = f"{r['what']:<44}{duration(r['seconds']):>10}"
@@ -61,9 +63,16 @@ def publish(name: str, rows: list[dict[str, Any]]) -> None:
         if r["goal"] is not None:
             line += f"   (goal: ≤ {r['goal']:g}{' ×' if r['against'] else ' s'})"
         lines.append(line)
-    table = "\n".join(lines) + "\n"
+    keep(name, "\n".join(lines) + "\n", {"rows": rows})
+
+
+def keep(name: str, table: str, figures: Mapping[str, Any]) -> None:
+    """Print a table, and keep it and its figures, with versions and machine, in docs/figures."""
     print(table, end="")
     FIGURES.mkdir(parents=True, exist_ok=True)
     (FIGURES / f"{name}.txt").write_text(table, encoding="utf-8")
-    text = json.dumps({"machine": machine(), "rows": rows}, indent=1, ensure_ascii=False)
+    record = machine()
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        record["packages"]["mujoco"] = metadata.version("mujoco")
+    text = json.dumps({"machine": record, **figures}, indent=1, ensure_ascii=False)
     (FIGURES / f"{name}.json").write_text(text + "\n", encoding="utf-8")

@@ -56,7 +56,7 @@ def until_it_jams(q, v):
     return end.t[-1], end.y[:3, -1], end.y[3:, -1]
 
 
-@pytest.mark.parametrize("angle, rate", [(0.3, 3.0), (0.5, 2.5), (0.6, 1.5)])
+@pytest.mark.parametrize(("angle", "rate"), [(0.3, 3.0), (0.5, 2.5), (0.6, 1.5)])
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9])
 def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
     """The singularity of Painlevé's rod: an impact without collision stops the tip, and it lifts off."""

@@ -95,6 +95,7 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
         d1(mem, at.SIGN),
         d1(mem, at.DRY),
     )
+    before = i1(mem, at.STANDING)
     count, limits, n = len(friction), len(sign), len(v)
     for i in range(len(standing)):
         standing[i] = FREE
@@ -171,6 +172,8 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
             kept[b : b + 2] = True
             continue
         standing[i] = SLIP
+        if speed <= still and before[i] != SLIP:  # slip begins from rest
+            kept[b : b + 2] = True
         reference[i, 0] = 1.0
         if speed > still:
             reference[i, 0], reference[i, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed

@@ -19,6 +19,7 @@ from .motion import (
     MARGIN,
     STIFFNESS,
     STILL,
+    VANISHING,
     all_gaps,
     evaluate,
     gaps,
@@ -105,11 +106,11 @@ def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, me
 @inner
 def turn_references(velocity, mem):
     """Let the remembered directions of slip follow those of the contact velocities (nc, 3)."""
-    modes, reference, still = i1(mem, at.MODES), d2(mem, at.REFERENCE), d1(mem, at.STATE)[STILL]
+    modes, reference, state = i1(mem, at.MODES), d2(mem, at.REFERENCE), d1(mem, at.STATE)
     for k in range(len(modes)):
         if modes[k] == SLIP:
             speed = math.hypot(velocity[k, 0], velocity[k, 1])
-            if speed > still:
+            if speed > VANISHING * state[STILL]:
                 reference[k, 0], reference[k, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
 
 
