@@ -118,6 +118,7 @@ class Instant:
         if hit is not None:
             watched[hit] = closing.HIT
         pending: list[dict[str, Any]] = []
+        jams = [0] * len(flow.contacts)
         while True:
             i, rate = closing.approach(
                 *(self.q, self.v, self.touch, starting, self.rest, self.quiet, watched, slow, flow.machine)
@@ -133,11 +134,19 @@ class Instant:
             jamming = self._close(slow)
             if jamming < 0:
                 break
+            jams[jamming] += 1
+            if sum(jams) > MAX_ROUNDS:
+                raise SimulationError(
+                    f"scene: {MAX_ROUNDS} impacts without collision at t = {self.t:.6g} s do not settle, the "
+                    f"last at {self.names[jamming]!r}; less friction would end them",
+                    field="scene",
+                )
+            stop = jams[jamming] > 1
             self.note(
                 f"Slip at {self.names[jamming]} drives the surface in and no force holds it: "
-                "an impact without collision."
+                f"an impact without collision{', which stops it' if stop else ''}."
             )
-            pending.append(self._jam(jamming))
+            pending.append(self._jam(jamming, stop))
         self.impacts += [ImpactRecord(**fields, simultaneous=len(pending) > 1) for fields in pending]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
@@ -181,8 +190,13 @@ class Instant:
             )
         return self._record(i, after, contact_space, resting)
 
-    def _jam(self, i: int) -> dict[str, Any]:
-        """Resolve the impact without collision of a contact that slips; return the fields of its record."""
+    def _jam(self, i: int, stop: bool) -> dict[str, Any]:
+        """Resolve the impact without collision of a contact that slips; return the fields of its record.
+
+        Args:
+            i: The contact.
+            stop: Whether to stop its slip outright, since such an impact has not.
+        """
         contact = self.flow.contacts[i]
         matrices = contact_matrices(self.model, self.data, self.q, contact, self.held, self.locked)
         velocity = matrices.velocity(self.v)
@@ -191,9 +205,12 @@ class Instant:
         problem = ImpactProblem(
             matrices.delassus, velocity, contact.friction, e, contact.law, matrices.surface_velocity
         )
-        solution = solve_impact(problem)
-        after = self.v + matrices.response @ solution.impulse
-        impulse = solution.impulse @ matrices.axes
+        if stop:
+            p = -np.linalg.pinv(matrices.delassus, rcond=1e-10, hermitian=True) @ velocity
+        else:
+            p = solve_impact(problem).impulse
+        after = self.v + matrices.response @ p
+        impulse = p @ matrices.axes
         return self._record(i, after, lambda: (problem, impulse), False)
 
     def jam(self, certain: bool) -> bool:
