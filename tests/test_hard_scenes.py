@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from benchmarks.fuzz_scenes import draw, unaccounted
 from scipy.integrate import solve_ivp
 
-from pinimpact import Contact, Plane, Scene, load_robot
+from pinimpact import Contact, Plane, Scene, load_robot, simulate
 
 from .scene_models import G, run, unbounded
 
@@ -114,3 +115,12 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
         pin.framesForwardKinematics(model, data, trajectory.at(t)[0])
         heights = [data.oMf[model.getFrameId(foot)].translation[2] for foot in feet]
         assert min(heights) - lowest + 0.05 > -1e-7
+
+
+@pytest.mark.parametrize("seed", [3000072, 3000170, *range(4000001, 4000013)])
+def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
+    _, scene, q, v, rtol = draw(seed)
+    trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.complete
+    assert unaccounted(trajectory) < 300 * rtol
+    assert trajectory.statistics["steps"] < 5000

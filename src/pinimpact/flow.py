@@ -146,7 +146,7 @@ class Flow:
             np.array([limit.sign for limit in limits], dtype=float),
             np.array([limit.bound for limit in limits], dtype=float),
         )
-        self.state = np.zeros(10)
+        self.state = np.zeros(11)
         self.state[[MARGIN, LEAST_MARGIN]] = math.inf
         self.standing = np.zeros(count + len(limits) + nv, dtype=np.int64)
         self.step = Step(joint_table(model), model.nq, nv)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ._kernels import collocation, march, step
+from ._kernels import collocation, march, motion, step
 from .errors import InputError, PinimpactError, SimulationError
 from .instant import Instant
 from .integrator import QUADRATURES, Segment
@@ -23,8 +23,14 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
 
+CERTAIN = 10.0
+"""Slip has a direction where it is faster than the error of a step by this factor."""
+
 MAX_STALLED = 200
 """Steps without progress in time, after which slip is stopped, or a simulation gives up."""
+
+JAMS = 3
+"""How often slip that a jam has stopped may begin again at one instant before it is left to begin."""
 
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
@@ -216,6 +222,8 @@ class _Run:
         """Begin a smooth stretch at the present state."""
         now, flow = self.now, self.flow
         self.seen = np.empty_like(self._later)
+        error = self.atol + self.rtol * float(np.abs(now.v).max(initial=0.0))
+        flow.state[motion.SLOWEST] = min(CERTAIN * error, flow.state[motion.STILL])
         # no step is taken far beyond the end of a bounce
         self.horizon = 1.3 * flow.begin(now.t, now.q, now.v, now.touch, self.seen)
         now.tolerated &= flow.doubtful
@@ -325,6 +333,11 @@ class _Run:
         impacts = self.now.impacts
         count = len(impacts)
         self.now.settle(hit)
+        for _ in range(JAMS):
+            if not self.now.jam(certain=False):
+                break
+            self.jams += 1
+            self.now.settle()
         if len(impacts) > count:  # `max_impacts` watches over these
             self.mark = self.steps, self.now.t
         if len(impacts) + self.jams > self.max_impacts:

@@ -14,7 +14,19 @@ from . import memory as at
 from .foreign import call
 from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2, positions, put
-from .motion import ALLOWANCE, FAILED, INVERT, STILL, UNIQUE, all_gaps, evaluate, look_closely, release, take
+from .motion import (
+    ALLOWANCE,
+    FAILED,
+    INVERT,
+    SLOWEST,
+    STILL,
+    UNIQUE,
+    all_gaps,
+    evaluate,
+    look_closely,
+    release,
+    take,
+)
 from .semidefinite import factor, impulses
 from .sustained import FREE, HELD, RIGID, SLIP, STICK, decide
 
@@ -126,10 +138,11 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
         free[3 * nc + m] = acceleration[scalars[m]]
     answer(rows, minverse, response, delassus)
     force, strength = np.zeros((nc, 3)), np.zeros(ns)
-    still = state[STILL]
-    sweeps, jamming = decide(
-        delassus, free, velocity[:, :2], mu, held, still, lower, upper, force, strength, SWEEPS, 1e-12
-    )
+    slip = np.zeros((nc, 2))  # left zero where a contact may stick
+    for k in range(nc):
+        if slips_on(contacts[k], velocity[k, 0], velocity[k, 1], mem):
+            slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
+    sweeps, jamming = decide(delassus, free, slip, mu, held, lower, upper, force, strength, SWEEPS, 1e-12)
     if jamming >= 0:
         b = 3 * jamming + 2
         return contacts[jamming], True, take_away(rows[b : b + 1], velocity[jamming, 2:], minverse, v)
@@ -155,7 +168,7 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
     for k in range(nc):
         b, i = 3 * k, contacts[k]
         normal, tangent = force[k, 2], math.hypot(force[k, 0], force[k, 1])
-        speed = math.hypot(velocity[k, 0], velocity[k, 1])
+        speed = math.hypot(slip[k, 0], slip[k, 1])
         if held[k]:
             standing[i] = HELD
             kept[b : b + 3] = True
@@ -167,16 +180,16 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
         # a force on its cone means slip, unless another one would do, and then only what moves slips
         held_back = tangent <= mu[k] * normal * (1.0 - 1e-9)
         held_back |= not unique and math.hypot(result[b], result[b + 1]) <= pace
-        if mu[k] > 0.0 and speed <= still and held_back:
+        if mu[k] > 0.0 and speed == 0.0 and held_back:
             standing[i] = STICK
             kept[b : b + 2] = True
             continue
         standing[i] = SLIP
-        if speed <= still and before[i] != SLIP:  # slip begins from rest
+        if speed == 0.0 and before[i] != SLIP:  # slip begins from rest
             kept[b : b + 2] = True
         reference[i, 0] = 1.0
-        if speed > still:
-            reference[i, 0], reference[i, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
+        if speed > 0.0:
+            reference[i, 0], reference[i, 1] = slip[k, 0] / speed, slip[k, 1] / speed
         elif tangent > 0.0:
             reference[i, 0], reference[i, 1] = -force[k, 0] / tangent, -force[k, 1] / tangent
     for m in range(ns):
@@ -197,6 +210,23 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
             put(rows[taken], rows[a])
             taken += 1
     return -1, sweeps >= 0, take_away(rows[:taken], speeds[:taken], minverse, v)
+
+
+@inner
+def slips_on(i, x, y, mem):
+    """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, however slowly."""
+    state, which, modes, reference = (
+        d1(mem, at.STATE),
+        i1(mem, at.WHICH),
+        i1(mem, at.MODES),
+        d2(mem, at.REFERENCE),
+    )
+    if math.hypot(x, y) > state[STILL]:
+        return True
+    for k in range(len(which)):
+        if which[k] == i and modes[k] == SLIP:
+            return reference[k, 0] * x + reference[k, 1] * y > state[SLOWEST]
+    return False
 
 
 @inner
@@ -372,12 +402,14 @@ def jam(t, q, v, certain, mem):
     Returns:
         Whether slip was stopped; else v is as it was.
     """
-    take(q, v, mem)
-    evaluate(t, mem, np.empty(len(v) + 4))
     modes, slipping = i1(mem, at.MODES), False
     for k in range(len(modes)):
         slipping |= modes[k] == SLIP
-    if not slipping or d1(mem, at.STATE)[FAILED] != 0.0:
+    if not slipping:
+        return False
+    take(q, v, mem)
+    evaluate(t, mem, np.empty(len(v) + 4))
+    if d1(mem, at.STATE)[FAILED] != 0.0:
         return False
     jacobians, velocity, force = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d2(mem, at.FORCE)
     scalars, minverse = i1(mem, at.SCALARS), d2(mem, at.MINVERSE)

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
 
 from . import memory as at
 from . import stages
@@ -23,7 +24,7 @@ from .charts import advance, chart_rate, magnitudes, turned_too_far
 from .dop853 import STAGES as LAST
 from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2, positions, put
-from .motion import FAILED, LEAST_MARGIN, STILL, evaluate, take
+from .motion import FAILED, LEAST_MARGIN, SLOWEST, evaluate, take
 from .sustained import SLIP, solve
 
 NODES_COUNT = 5
@@ -33,7 +34,7 @@ STIFF = 3.0
 
 
 def _coefficients():
-    """Return nodes, matrix, weights of the rates at 0, dense output and the factor of the error estimate."""
+    """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
     s = NODES_COUNT
     p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
     p = p.deriv(s - 1)
@@ -46,17 +47,24 @@ def _coefficients():
     integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
     matrix = nodes[:, None] ** (powers + 1.0) @ integrals
     # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `stages.interpolate`
-    basis, factor = [], Polynomial([0.0, 1.0])
-    for k in range(s):
-        basis.append(np.pad(factor.coef, (0, s + 1 - len(factor.coef)))[1:])
+    size = s + 2
+    basis: NDArray[np.float64] = np.zeros((size, size))
+    factor = Polynomial([0.0, 1.0])
+    for k in range(size):
+        basis[k, : k + 1] = factor.coef[1:]
         factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
-    dense = np.linalg.solve(np.array(basis, dtype=float).T, integrals)
+    dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
+    # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
+    still = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
+    for node in nodes:
+        still = still * Polynomial([1.0, -1.0 / node])
+    start = np.linalg.solve(basis.T, np.array(still.coef[1:], dtype=float))
     eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
     real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
-    return nodes, matrix, lagrange[0].copy(), dense, 1.0 / real
+    return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
 
 
-NODES, MATRIX, AT_START, DENSE, GAMMA = _coefficients()
+NODES, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
 
 
 @inner
@@ -102,10 +110,10 @@ def attempt(t, h, rtol, atol, mem):
     state = d1(mem, at.STATE)
     state[LEAST_MARGIN] = math.inf
     reference = d2(mem, at.REFERENCE)
-    remembered, still = reference.copy(), state[STILL]
-    state[STILL] = math.inf  # so that friction takes the direction that it is given
+    remembered, slowest = reference.copy(), state[SLOWEST]
+    state[SLOWEST] = math.inf  # so that friction takes the direction that it is given
     error = collocate(t, h, rtol, atol, mem)
-    state[STILL] = still
+    state[SLOWEST] = slowest
     if not error <= 1.0 or state[FAILED] != 0.0:
         for k in range(len(reference)):
             put(reference[k], remembered[k])
@@ -275,9 +283,11 @@ def complete(h, mem):
     n = len(d1(mem, at.V0))
     stages.largest(rates, 1 + NODES_COUNT, n, peak)
     for m in range(rates.shape[1]):
+        late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
+        for j in range(NODES_COUNT):
+            late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
         for k in range(7):
-            total = 0.0
-            if k < NODES_COUNT:
-                for j in range(NODES_COUNT):
-                    total += DENSE[k, j] * rates[1 + j, m]
+            total = late * START[k]
+            for j in range(NODES_COUNT):
+                total += DENSE[k, j] * rates[1 + j, m]
             coefficients[k, m] = h * total

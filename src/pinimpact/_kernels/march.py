@@ -17,9 +17,9 @@ from .motion import (
     LEAST_MARGIN,
     LENGTH,
     MARGIN,
+    SLOWEST,
     STIFFNESS,
     STILL,
-    VANISHING,
     all_gaps,
     evaluate,
     gaps,
@@ -105,13 +105,14 @@ def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, me
 
 @inner
 def turn_references(velocity, mem):
-    """Let the remembered directions of slip follow those of the contact velocities (nc, 3)."""
+    """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
     modes, reference, state = i1(mem, at.MODES), d2(mem, at.REFERENCE), d1(mem, at.STATE)
     for k in range(len(modes)):
         if modes[k] == SLIP:
-            speed = math.hypot(velocity[k, 0], velocity[k, 1])
-            if speed > VANISHING * state[STILL]:
-                reference[k, 0], reference[k, 1] = velocity[k, 0] / speed, velocity[k, 1] / speed
+            x, y = velocity[k, 0], velocity[k, 1]
+            speed = math.hypot(x, y)
+            if speed > state[SLOWEST] and x * reference[k, 0] + y * reference[k, 1] > 0.0:
+                reference[k, 0], reference[k, 1] = x / speed, y / speed
 
 
 @jit
@@ -301,8 +302,8 @@ def first_change_of_mode(t, h, end, tolerated, velocity, mem):
         if ahead >= -1e-3 * still:
             continue
         first = sample(ALONG, k, t, t, h, mem)[0]
-        if first <= 0.0:
-            continue
+        if first <= 0.0:  # a step before has left it there, for it was next to nothing
+            return t
         time = root(ALONG, k, t, t + h, first, ahead, t, h, mem)
         if time < end:
             sample(ALONG, k, time, t, h, mem)

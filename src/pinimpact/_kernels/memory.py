@@ -26,7 +26,7 @@ joint that its dry friction holds. From it `closing.lay_out` takes what is close
 `TARGET`, `SOLUTION` (m,), `FORCE` (nc, 3), `SCALAR_FORCE` (ns,). These have the size of everything that could
 be closed; the table says how much of it counts.
 
-`STATE` (10,) see `motion.STILL` and its neighbours.
+`STATE` (11,) see `motion.STILL` and its neighbours.
 """
 
 from __future__ import annotations

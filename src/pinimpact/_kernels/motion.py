@@ -16,15 +16,15 @@ from .memory import d1, d2, d3, f2, i1, i2, put
 ABA, INVERT, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
 """Where `CALLS` has the function; its arguments follow."""
 
-STILL, ALLOWANCE, MARGIN, LEAST_MARGIN, UNIQUE, FAILED, EVALUATIONS, STIFFNESS, LENGTH, ERROR = range(10)
+STILL, ALLOWANCE, MARGIN, LEAST_MARGIN, UNIQUE, FAILED, EVALUATIONS, STIFFNESS, LENGTH, ERROR, SLOWEST = (
+    range(11)
+)
 """In `STATE`: the speed [m/s] below which a contact may stick; the force [N] by which
 Coulomb's law may seem violated through rounding; by how much the forces keep to it, negative where the modes
 do not hold, and the least of it since it was last set to infinity; whether the motion determines the forces,
 else they are those of least norm; whether a call raised; how often v̇ was evaluated; the stiffness of
-slip at the start of the step, see `collocation`; length and error of the step before, zero at a start."""
-
-VANISHING = 1e-6
-"""Part of the speed `STILL` below which slip has no direction of its own."""
+slip at the start of the step, see `collocation`; length and error of the step before, zero at a start; the
+speed [m/s] below which slip has no direction but the one remembered."""
 
 LEAST_EFFECTIVE = 1e-9
 """Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
@@ -196,7 +196,7 @@ def evaluate(t, mem, out):
         modes,
         mu,
         reference,
-        VANISHING * state[STILL],
+        state[SLOWEST],
         scalars,
         directions,
         equations,

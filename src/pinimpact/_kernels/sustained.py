@@ -248,16 +248,15 @@ def finish(
 
 
 @jit
-def decide(delassus, free, velocity, mu, held, still, lower, upper, force, scalar_force, sweeps, tolerance):
+def decide(delassus, free, velocity, mu, held, lower, upper, force, scalar_force, sweeps, tolerance):
     """Find forces that obey Coulomb's law at acceleration level, by projected sweeps.
 
     Args:
         delassus: (3 nc + ns, 3 nc + ns) of all contacts that touch, then the scalar rows.
         free: (3 nc + ns,) accelerations without forces.
-        velocity: (nc, 2) tangential velocities; at most `still` is none.
+        velocity: (nc, 2) velocities of slip, zero for a contact that may stick.
         mu: (nc,) friction coefficients.
         held: (nc,) True for bilateral contacts.
-        still: Speed [m/s].
         lower, upper: (ns,) bounds of the scalar forces.
         force: (nc, 3) start, and takes the forces.
         scalar_force: (ns,) likewise.
@@ -285,7 +284,7 @@ def decide(delassus, free, velocity, mu, held, still, lower, upper, force, scala
                 continue
             old1, old2, old3 = x[b], x[b + 1], x[b + 2]
             speed = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2)
-            if not held[i] and mu[i] > 0.0 and speed > still:
+            if not held[i] and mu[i] > 0.0 and speed > 0.0:
                 s1, s2 = velocity[i, 0] / speed, velocity[i, 1] / speed
                 effective = c - mu[i] * (s1 * delassus[b + 2, b] + s2 * delassus[b + 2, b + 1])
                 a = free[b + 2]
