@@ -413,22 +413,24 @@ def jam(t, q, v, certain, mem):
         return False
     jacobians, velocity, force = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d2(mem, at.FORCE)
     scalars, minverse = i1(mem, at.SCALARS), d2(mem, at.MINVERSE)
+    strength = d1(mem, at.SCALAR_FORCE)
     closed, n = 3 * len(jacobians), len(v)
-    rows, speeds = np.zeros((closed + len(scalars), n)), np.empty(closed + len(scalars))
-    pushes, delassus = np.empty((closed, n)), np.empty((closed, closed))
+    size = closed + len(scalars)
+    rows, speeds, pushes = np.zeros((size, n)), np.empty(size), np.empty(size)
     for k in range(len(jacobians)):
         for d in range(3):
             put(rows[3 * k + d], jacobians[k, d])
-            speeds[3 * k + d] = velocity[k, d]
-    answer(rows[:closed], minverse, pushes, delassus)
+            speeds[3 * k + d], pushes[3 * k + d] = velocity[k, d], force[k, d]
     for m in range(len(scalars)):
         rows[closed + m, scalars[m]] = 1.0
-        speeds[closed + m] = v[scalars[m]]
+        speeds[closed + m], pushes[closed + m] = v[scalars[m]], strength[m]
+    response, delassus = np.empty((size, n)), np.empty((size, size))
+    answer(rows, minverse, response, delassus)
     left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
     for k in range(len(jacobians)):
         total = 0.0
-        for a in range(closed):
-            part = delassus[3 * k + 2, a] * force[a // 3, a % 3]
+        for a in range(size):
+            part = delassus[3 * k + 2, a] * pushes[a]
             total += part
             whole = max(whole, abs(part))
         left = max(left, abs(total))
