@@ -12,6 +12,7 @@ import pinocchio as pin
 from benchmarks.panda_scene import START, STILL, TABLE, panda
 from benchmarks.timing import FIGURES, best_of, keep, publish, row
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, simulate
@@ -144,6 +145,9 @@ def draw(figures: dict[str, list[dict[str, float]]]) -> None:
         axes.loglog(milliseconds, errors, "o-", label=name)
     axes.set_xlabel("time per simulated second [ms]")
     axes.set_ylabel("error at the end [m, rad and their rates]")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="major", alpha=0.3)
     axes.legend(fontsize=8)
     figure.savefig(FIGURES / "scene_cost.png", dpi=150)
