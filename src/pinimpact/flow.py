@@ -310,7 +310,7 @@ def _room(contacts: int, scalars: int, nv: int) -> tuple[NDArray[Any], ...]:
 
 def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:
     """Return the solution of least norm, without forces that pull where none need to."""
-    solution = np.linalg.lstsq(system, target, rcond=sustained.RANK)[0]
+    solution = np.linalg.lstsq(system, target, rcond=sustained.SINGULAR_STILL)[0]
     widths = [1 if mode == SLIP else 3 for mode in modes]
     starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
     kept = np.ones(len(target), dtype=bool)
@@ -326,7 +326,7 @@ def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArra
             return trial
         kept[starts[k] : starts[k + 1]] = False
         trial = np.zeros(len(target))
-        trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=sustained.RANK)[0]
+        trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=sustained.SINGULAR_STILL)[0]
         if np.abs(system @ trial - target).max() > 1e-9 * np.abs(target).max():
             return solution
 

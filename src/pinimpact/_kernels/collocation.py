@@ -25,7 +25,7 @@ from .dop853 import STAGES as LAST
 from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2, positions, put
 from .motion import FAILED, LEAST_MARGIN, SLOWEST, evaluate, take
-from .sustained import SLIP, solve
+from .sustained import RANK, SLIP, solve
 
 NODES_COUNT = 5
 ITERATIONS = 12
@@ -98,7 +98,7 @@ def turn(k, s1, s2, mem, across, effect):
         for j in range(n):
             total -= equations[m, j] * effect[j]
         change[m] = total
-    if solve(system, change, answer) != 0:
+    if solve(system, change, answer, RANK) != 0:
         for m in range(size):
             for j in range(n):
                 effect[j] += response[m, j] * answer[m]
@@ -206,7 +206,7 @@ def collocate(t, h, rtol, atol, mem):
                             total += across[i, c, m] * effect[j, d, m]
                         matrix[row, j * count + d] = h * MATRIX[i, j] * total
                 matrix[row, row] -= speeds[i, c]
-        if solve(matrix, right, angle) == 0:
+        if solve(matrix, right, angle, RANK) == 0:
             return math.inf
         norm = 0.0
         for i in range(s):
@@ -270,7 +270,7 @@ def filtered(h, across, effect, speeds, error):
                 total += across[c, m] * effect[d, m]
             matrix[c, d] = -GAMMA * h * total
         matrix[c, c] += speeds[c]
-    if solve(matrix, right, answer) != 0:
+    if solve(matrix, right, answer, RANK) != 0:
         for c in range(count):
             for m in range(n):
                 error[m] += GAMMA * h * effect[c, m] * answer[c]

@@ -204,7 +204,8 @@ def evaluate(t, mem, out):
         system,
         target,
     )
-    orientation = sustained.solve(system, target, solution)
+    rank = sustained.RANK if state[UNIQUE] != 0.0 else sustained.SINGULAR_STILL
+    orientation = sustained.solve(system, target, solution, rank)
     total = 0.0
     for a in range(len(target)):
         total += target[a]

@@ -16,6 +16,9 @@ FREE, SLIP, STICK, HELD = range(4)
 RANK = 1e-10
 """Singular values below this part of the largest count as zero."""
 
+SINGULAR_STILL = 1e-7
+"""The same, once some have been, lest a motion along the edge goes to and fro."""
+
 RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
 
@@ -144,11 +147,11 @@ def assemble(
 
 
 @inner
-def solve(system, target, solution):
+def solve(system, target, solution, rank):
     """Solve by elimination with complete pivoting.
 
     Returns:
-        The sign of the determinant, zero where the system is singular to `RANK`.
+        The sign of the determinant, zero where its pivots are not above the part `rank` of the largest.
     """
     size = len(target)
     matrix = system.copy()
@@ -163,7 +166,7 @@ def solve(system, target, solution):
                 if abs(matrix[a, b]) > pivot:
                     pivot, row, col = abs(matrix[a, b]), a, b
         largest = max(largest, pivot)
-        if not pivot > RANK * largest:
+        if not pivot > rank * largest:
             return 0
         if (matrix[row, col] < 0.0) != ((row != k) != (col != k)):
             sign = -sign
