@@ -27,6 +27,7 @@ from .motion import (
     release,
     take,
 )
+from .products import apply, products
 from .semidefinite import factor, impulses
 from .sustained import FREE, HELD, RIGID, SLIP, STICK, decide
 
@@ -46,19 +47,9 @@ STANDARD_GRAVITY = 9.80665
 @inner
 def answer(rows, minverse, response, matrix):
     """Fill the response M⁻¹ rowsᵀ, row by row, and the matrix rows M⁻¹ rowsᵀ."""
-    m, n = rows.shape
-    for a in range(m):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += minverse[j, k] * rows[a, k]
-            response[a, j] = total
-    for a in range(m):
-        for b in range(m):
-            total = 0.0
-            for j in range(n):
-                total += rows[a, j] * response[b, j]
-            matrix[a, b] = total
+    for a in range(len(rows)):
+        apply(minverse, rows[a], response[a])
+    products(rows, response, matrix)
 
 
 @inner
@@ -79,6 +70,31 @@ def take_away(rows, velocity, minverse, v):
         for j in range(n):
             work -= 0.5 * x[a] * rows[a, j] * v[j]
     return work
+
+
+@inner
+def closed_rows(v, slips, rows, speeds, mem):
+    """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
+
+    Args:
+        v: (nv,) velocity.
+        slips: Whether the tangential rows of contacts that slip are among them.
+        rows, speeds: With room for three rows a contact and the scalar rows.
+        mem: The table of `memory`.
+    """
+    modes, jacobians, velocity = i1(mem, at.MODES), d3(mem, at.ROWS), d2(mem, at.VELOCITY)
+    count = 0
+    for k in range(len(modes)):
+        for d in range(3):
+            if d == 2 or slips or modes[k] != SLIP:
+                put(rows[count], jacobians[k, d])
+                speeds[count] = velocity[k, d]
+                count += 1
+    for j in i1(mem, at.SCALARS):
+        rows[count, j] = 1.0
+        speeds[count] = v[j]
+        count += 1
+    return count
 
 
 @inner
@@ -411,26 +427,19 @@ def jam(t, q, v, certain, mem):
     evaluate(t, mem, np.empty(len(v) + 4))
     if d1(mem, at.STATE)[FAILED] != 0.0:
         return False
-    jacobians, velocity, force = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d2(mem, at.FORCE)
-    scalars, minverse = i1(mem, at.SCALARS), d2(mem, at.MINVERSE)
-    strength = d1(mem, at.SCALAR_FORCE)
-    closed, n = 3 * len(jacobians), len(v)
-    size = closed + len(scalars)
-    rows, speeds, pushes = np.zeros((size, n)), np.empty(size), np.empty(size)
-    for k in range(len(jacobians)):
-        for d in range(3):
-            put(rows[3 * k + d], jacobians[k, d])
-            speeds[3 * k + d], pushes[3 * k + d] = velocity[k, d], force[k, d]
-    for m in range(len(scalars)):
-        rows[closed + m, scalars[m]] = 1.0
-        speeds[closed + m], pushes[closed + m] = v[scalars[m]], strength[m]
+    force, strength, minverse = d2(mem, at.FORCE), d1(mem, at.SCALAR_FORCE), d2(mem, at.MINVERSE)
+    closed, n = 3 * len(modes), len(v)
+    size = closed + len(strength)
+    rows, speeds = np.zeros((size, n)), np.empty(size)
+    closed_rows(v, True, rows, speeds, mem)
     response, delassus = np.empty((size, n)), np.empty((size, size))
     answer(rows, minverse, response, delassus)
     left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
-    for k in range(len(jacobians)):
+    for k in range(len(modes)):
         total = 0.0
         for a in range(size):
-            part = delassus[3 * k + 2, a] * pushes[a]
+            push = force[a // 3, a % 3] if a < closed else strength[a - closed]
+            part = delassus[3 * k + 2, a] * push
             total += part
             whole = max(whole, abs(part))
         left = max(left, abs(total))
@@ -453,10 +462,9 @@ def correct(t, q, v, mem):
     state = d1(mem, at.STATE)
     joints = i2(mem, at.JOINTS)
     minverse = d2(mem, at.MINVERSE)
-    which, modes, scalars, rest = i1(mem, at.WHICH), i1(mem, at.MODES), i1(mem, at.SCALARS), d1(mem, at.REST)
-    jacobians, velocity, gap = d3(mem, at.ROWS), d2(mem, at.VELOCITY), d1(mem, at.GAP)
+    jacobians, gap, rest = d3(mem, at.ROWS), d1(mem, at.GAP), d1(mem, at.REST)
     index_q, index_v, bound = i1(mem, at.INDEX_Q), i1(mem, at.INDEX_V), d1(mem, at.BOUND)
-    n, nc, ns = len(v), len(which), len(scalars)
+    n, nc, ns = len(v), len(gap), len(i1(mem, at.SCALARS))
     shut = i1(mem, at.STANDING)[len(d1(mem, at.FRICTION)) :][: len(bound)]
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + len(shut), n))
@@ -483,17 +491,7 @@ def correct(t, q, v, mem):
         put(d1(mem, at.Q), q)
         evaluate(t, mem, rates)
     rows = np.zeros((3 * nc + ns + len(shut), n))
-    count = 0
-    for k in range(nc):
-        for d in range(3):
-            if d == 2 or modes[k] != SLIP:
-                put(rows[count], jacobians[k, d])
-                off[count] = velocity[k, d]
-                count += 1
-    for j in scalars:
-        rows[count, j] = 1.0
-        off[count] = v[j]
-        count += 1
+    count = closed_rows(v, False, rows, off, mem)
     if count == 0 or state[FAILED] != 0.0:
         return 0.0
     return take_away(rows[:count], off[:count], minverse, v)

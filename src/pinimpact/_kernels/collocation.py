@@ -25,6 +25,7 @@ from .dop853 import STAGES as LAST
 from .jit import inner, jit
 from .memory import d1, d2, d3, i1, i2, positions, put
 from .motion import FAILED, LEAST_MARGIN, SLOWEST, evaluate, take
+from .products import apply
 from .sustained import RANK, SLIP, solve
 
 NODES_COUNT = 5
@@ -88,11 +89,7 @@ def turn(k, s1, s2, mem, across, effect):
     for j in range(n):
         across[j] = s1 * jacobians[k, 1, j] - s2 * jacobians[k, 0, j]
         pushed[j] = -force * across[j]
-    for j in range(n):
-        total = 0.0
-        for i in range(n):
-            total += minverse[j, i] * pushed[i]
-        effect[j] = total
+    apply(minverse, pushed, effect)
     for m in range(size):
         total = 0.0
         for j in range(n):
@@ -169,13 +166,7 @@ def collocate(t, h, rtol, atol, mem):
     for iteration in range(ITERATIONS):
         state[LEAST_MARGIN] = math.inf
         for i in range(s):
-            for m in range(n):
-                a = b = 0.0
-                for j in range(s):
-                    a += MATRIX[i, j] * rates[1 + j, m]
-                    b += MATRIX[i, j] * rates[1 + j, n + m]
-                xi[m] = h * a
-                v[m] = v0[m] + h * b
+            advance_to(i, h, rates, v0, xi, v)
             if turned_too_far(joints, xi):
                 return math.inf
             advance(joints, q0, xi, q)
@@ -242,17 +233,24 @@ def collocate(t, h, rtol, atol, mem):
     for m in range(2 * n):
         norm += (error[m] * scale[m]) ** 2
     norm = math.sqrt(norm / (2 * n))
-    for m in range(n):
-        a = b = 0.0
-        for j in range(s):
-            a += MATRIX[s - 1, j] * rates[1 + j, m]
-            b += MATRIX[s - 1, j] * rates[1 + j, n + m]
-        xi[m] = h * a
-        v1[m] = v0[m] + h * b
+    advance_to(s - 1, h, rates, v0, xi, v1)
     advance(joints, q0, xi, q1)
     for c in range(count):
         put(reference[slips[c]], directions[s - 1, c])
     return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
+
+
+@inner
+def advance_to(i, h, rates, v0, xi, v):
+    """Fill chart coordinates and velocity at a stage, from the rates at all."""
+    n = len(v0)
+    for m in range(n):
+        a = b = 0.0
+        for j in range(NODES_COUNT):
+            a += MATRIX[i, j] * rates[1 + j, m]
+            b += MATRIX[i, j] * rates[1 + j, n + m]
+        xi[m] = h * a
+        v[m] = v0[m] + h * b
 
 
 @inner

@@ -15,8 +15,8 @@ from . import memory as at
 from . import stages
 from .guards import clear
 from .jit import inner
-from .memory import d1, d2, i1, i2
-from .motion import MARGIN, evaluate, kinematics, look
+from .memory import d1, d2, i2
+from .motion import MARGIN, evaluate, kinematics, limit_gap, look
 
 GAP, LIMIT, ALONG, RATE, FORCE = np.arange(5)  # as variables, for literals would be compiled one by one
 
@@ -37,13 +37,7 @@ def sample(kind, i, t, start, h, mem):
         kinematics(mem)
         return look(mem, i)
     if kind == LIMIT:
-        index_q, index_v, sign, bound = (
-            i1(mem, at.INDEX_Q),
-            i1(mem, at.INDEX_V),
-            d1(mem, at.SIGN),
-            d1(mem, at.BOUND),
-        )
-        return sign[i] * (q[index_q[i]] - bound[i]), sign[i] * v[index_v[i]]
+        return limit_gap(mem, i, q, v)
     if kind == RATE:
         return v[i], 0.0
     evaluate(t, mem, np.empty(len(v) + 4))

@@ -23,7 +23,9 @@ from .motion import (
     all_gaps,
     evaluate,
     gaps,
+    limit_gap,
     look_closely,
+    measure,
     release,
     take,
 )
@@ -99,8 +101,7 @@ def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, me
     take(q, v, mem)
     release(t, mem, np.empty(2))
     put(joints, d1(mem, at.ACCELERATION))
-    for k in range(len(which)):
-        gap[k] = look_closely(mem, which[k], rows[k], velocity[k], acceleration[k], surface[k])
+    measure(mem, which, rows, velocity, acceleration, surface, gap)
 
 
 @inner
@@ -251,18 +252,13 @@ def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
             )
             if time <= end:
                 found, end, number = time, time, i
-    index_q, index_v, sign, bound = (
-        i1(mem, at.INDEX_Q),
-        i1(mem, at.INDEX_V),
-        d1(mem, at.SIGN),
-        d1(mem, at.BOUND),
-    )
-    for k in range(len(sign)):
-        a, b, s = index_q[k], index_v[k], sign[k]
-        gap, rate = s * (q0[a] - bound[k]), s * v0[b]
-        size, change = SAFETY * peak[1, b], SAFETY * peak[3, b]
+    index = i1(mem, at.INDEX_V)
+    for k in range(len(index)):
+        gap, rate = limit_gap(mem, k, q0, v0)
+        end_gap, end_rate = limit_gap(mem, k, q1, v1)
+        size, change = SAFETY * peak[1, index[k]], SAFETY * peak[3, index[k]]
         base = min(gap, 0.0)
-        if shut[k] != 0 or clear(gap - base, rate, s * (q1[a] - bound[k]) - base, s * v1[b], size, h, floor):
+        if shut[k] != 0 or clear(gap - base, rate, end_gap - base, end_rate, size, h, floor):
             continue
         end_gap, end_rate = sample(LIMIT, k, end, t, h, mem)
         time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, mem)

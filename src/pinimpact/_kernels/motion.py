@@ -64,21 +64,22 @@ def gaps(mem, found):
 
 
 @inner
+def limit_gap(mem, k, q, v):
+    """Return gap and gap rate of a joint limit at a state."""
+    sign, j = d1(mem, at.SIGN)[k], i1(mem, at.INDEX_V)[k]
+    return sign * (q[i1(mem, at.INDEX_Q)[k]] - d1(mem, at.BOUND)[k]), sign * v[j]
+
+
+@inner
 def all_gaps(q, v, found, mem):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
     take(q, v, mem)
-    index_q, index_v, sign, bound = (
-        i1(mem, at.INDEX_Q),
-        i1(mem, at.INDEX_V),
-        d1(mem, at.SIGN),
-        d1(mem, at.BOUND),
-    )
-    count = len(found) - len(sign)
+    limits = len(d1(mem, at.SIGN))
+    count = len(found) - limits
     if count > 0:
         gaps(mem, found[:count])
-    for k in range(len(sign)):
-        found[count + k, 0] = sign[k] * (q[index_q[k]] - bound[k])
-        found[count + k, 1] = sign[k] * v[index_v[k]]
+    for k in range(limits):
+        found[count + k, 0], found[count + k, 1] = limit_gap(mem, k, q, v)
 
 
 @inner
@@ -133,16 +134,8 @@ def release(t, mem, powers):
 
 
 @inner
-def measure(mem):
-    """Take the numbers of what is closed, at the state last evaluated without contact forces."""
-    which = i1(mem, at.WHICH)
-    rows, velocity, acceleration, surface, gap = (
-        d3(mem, at.ROWS),
-        d2(mem, at.VELOCITY),
-        d2(mem, at.FREE_ACCELERATION),
-        d2(mem, at.SURFACE),
-        d1(mem, at.GAP),
-    )
+def measure(mem, which, rows, velocity, acceleration, surface, gap):
+    """Take the numbers of some contacts, at the state last evaluated without contact forces."""
     for k in range(len(which)):
         gap[k] = look_closely(mem, which[k], rows[k], velocity[k], acceleration[k], surface[k])
 
@@ -170,13 +163,13 @@ def evaluate(t, mem, out):
     if not call(calls[INVERT], calls[INVERT + 1]):
         state[FAILED] = 1.0
         return
-    measure(mem)
     rows, velocity, free, surface = (
         d3(mem, at.ROWS),
         d2(mem, at.VELOCITY),
         d2(mem, at.FREE_ACCELERATION),
         d2(mem, at.SURFACE),
     )
+    measure(mem, which, rows, velocity, free, surface, d1(mem, at.GAP))
     directions, equations, response, system, target, solution, force, scalar_force = (
         d2(mem, at.DIRECTIONS),
         d2(mem, at.EQUATIONS),

@@ -42,6 +42,27 @@ def factor(matrix, order, lower):
 
 
 @inner
+def forward(lower, order, right, y):
+    """Fill y (rank,) with the solution of lower y = right, by the rows in order."""
+    for a in range(len(y)):
+        i = order[a]
+        total = right[i]
+        for j in range(a):
+            total -= lower[i, j] * y[j]
+        y[a] = total / lower[i, a]
+
+
+@inner
+def backward(lower, order, y, x):
+    """Fill x, in order, with the solution of lowerᵀ x = y (rank,); elsewhere it counts as zero."""
+    for a in range(len(y) - 1, -1, -1):
+        total = y[a]
+        for b in range(a + 1, len(y)):
+            total -= lower[order[b], a] * x[order[b]]
+        x[order[a]] = total / lower[order[a], a]
+
+
+@inner
 def impulses(matrix, target, x):
     """Fill an x that solves matrix x = target, in least squares where the semidefinite matrix is singular."""
     size = len(target)
@@ -50,12 +71,7 @@ def impulses(matrix, target, x):
     for a in range(size):
         x[a] = 0.0
     if rank == size:
-        for a in range(size):
-            i = order[a]
-            total = target[i]
-            for j in range(a):
-                total -= lower[i, j] * y[j]
-            y[a] = total / lower[i, a]
+        forward(lower, order, target, y)
     elif rank > 0:  # lower y = target, by its normal equations
         normal, inner_order, inner_lower = np.empty((rank, rank)), order.copy(), np.zeros((rank, rank))
         for a in range(rank):
@@ -69,20 +85,6 @@ def impulses(matrix, target, x):
                 normal[a, b] = total
         factor(normal, inner_order[:rank], inner_lower)
         z = np.empty(rank)
-        for a in range(rank):
-            i = inner_order[a]
-            total = y[i]
-            for j in range(a):
-                total -= inner_lower[i, j] * z[j]
-            z[a] = total / inner_lower[i, a]
-        for a in range(rank - 1, -1, -1):
-            total = z[a]
-            for b in range(a + 1, rank):
-                total -= inner_lower[inner_order[b], a] * y[inner_order[b]]
-            y[inner_order[a]] = total / inner_lower[inner_order[a], a]
-    for a in range(rank - 1, -1, -1):
-        total = y[a]
-        for b in range(a + 1, rank):
-            total -= lower[order[b], a] * x[order[b]]
-        x[order[a]] = total / lower[order[a], a]
-    return rank
+        forward(inner_lower, inner_order, y, z)
+        backward(inner_lower, inner_order, z, y)
+    backward(lower, order, y[:rank], x)

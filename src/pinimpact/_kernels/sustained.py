@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from .jit import inner, jit
+from .products import apply, products
 
 FREE, SLIP, STICK, HELD = range(4)
 RANK = 1e-10
@@ -114,11 +115,7 @@ def assemble(
             for d in range(3):
                 for j in range(n):
                     rows[m, j] = jacobians[i, d, j]
-                for j in range(n):
-                    total = 0.0
-                    for k in range(n):
-                        total += minverse[j, k] * rows[m, k]
-                    response[m, j] = total
+                apply(minverse, rows[m], response[m])
                 target[m] = -free[i, d]
                 m += 1
     for i in range(len(index)):
@@ -128,12 +125,7 @@ def assemble(
         rows[m, index[i]] = 1.0
         target[m] = -acceleration[index[i]]
         m += 1
-    for a in range(size):
-        for b in range(size):
-            total = 0.0
-            for j in range(n):
-                total += rows[a, j] * response[b, j]
-            system[a, b] = total
+    products(rows, response, system)
     largest = 0.0
     for a in range(size):
         largest = max(largest, abs(system[a, a]))
