@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from benchmarks.timing import FIGURES
 
-from pinimpact.cost import run_cost
+from pinimpact.studies.cost import run_cost
 
 TARGETS = (1e-3, 1e-6, 1e-12)
 

@@ -10,7 +10,7 @@ from benchmarks.timing import FIGURES
 from matplotlib.figure import Figure
 
 from pinimpact import Flag, ImpactProblem, solve_impact
-from pinimpact.other_models import SOLVERS, solve_constraint
+from pinimpact.studies.pinocchio_baseline import SOLVERS, solve_constraint
 
 COUNT = 1000
 SIZES = (3, 7)

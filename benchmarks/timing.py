@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from pinimpact.cost import duration, machine
+from pinimpact.studies.cost import duration, machine
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 ROUNDS = 200

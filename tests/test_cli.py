@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 
-from pinimpact.cli import main
-from pinimpact.demo import FIXED_BASE, FREE_BASE, SWINGS, run_demo
+from pinimpact.app.cli import main
+from pinimpact.app.demo import FIXED_BASE, FREE_BASE, SWINGS, run_demo
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.contacts import contact_geometry
-from pinimpact.surfaces import contact_axes
+from pinimpact.robot.contact import contact_geometry
+from pinimpact.robot.surfaces import contact_axes
 
 from . import robot_cases as cases
 

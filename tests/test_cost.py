@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from pinimpact import Flag, ImpactProblem, InputError, Method, UnknownNameError, cost, solve_impact
-from pinimpact.methods import METHODS
-from pinimpact.other_models import SOLVERS, solve_constraint
+from pinimpact import Flag, ImpactProblem, InputError, Method, UnknownNameError, solve_impact
+from pinimpact.contact_space.methods import METHODS
+from pinimpact.studies import cost
+from pinimpact.studies.pinocchio_baseline import SOLVERS, solve_constraint
 
 CLASSES = cost.problem_classes()
 TWO = {name: CLASSES[name] for name in ("smooth slip", "planar")}

@@ -12,7 +12,7 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from pinimpact import METHODS, Flag, ImpactProblem, InputError, PinimpactError, UnknownNameError, solve_impact
-from pinimpact.cost import problem_classes, relative_error
+from pinimpact.studies.cost import problem_classes, relative_error
 
 from .reference import table as stored
 
@@ -188,9 +188,9 @@ def test_steps_without_compiling():
 
 
 def test_tables_are_consistent():
-    from pinimpact._kernels import tableaux
+    from pinimpact.contact_space._kernels import butcher
 
-    for table, order in ((tableaux.EULER, 1), (tableaux.RK4, 4), (tableaux.DORMAND_PRINCE, 5)):
+    for table, order in ((butcher.EULER, 1), (butcher.RK4, 4), (butcher.DORMAND_PRINCE, 5)):
         a, b, c = table.a, table.b, table.c
         assert c == pytest.approx(a.sum(axis=1))
         for k in range(order):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.polynomial.legendre import leggauss
 
 import pinimpact
-from pinimpact.robots import bundled_models
+from pinimpact.robot.loading import bundled_models
 
 angle = st.floats(-3.0, 3.0)
 relaxed = settings(deadline=None, max_examples=40)

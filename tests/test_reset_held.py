@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.contacts import contact_geometry
-from pinimpact.reset import HeldContactWarning
+from pinimpact.robot.contact import contact_geometry
+from pinimpact.robot.robot_impact import HeldContactWarning
 
 from . import robot_cases as cases
 

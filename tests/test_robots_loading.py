@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.robots import bundled_models
+from pinimpact.robot.loading import bundled_models
 
 URDF = """<robot name="arm">
   <link name="base"/>

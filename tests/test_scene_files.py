@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.assembly import Placed, assemble
-from pinimpact.scene_files import load_scene
-from pinimpact.units import quantity
+from pinimpact.app.scene_file import load_scene
+from pinimpact.app.units import quantity
+from pinimpact.robot.merging import Placed, assemble
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 BALL = (

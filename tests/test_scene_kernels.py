@@ -8,16 +8,17 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Contact, Plane, Scene, contact_matrices
-from pinimpact._kernels import charts, touch
-from pinimpact.flow import Flow
-from pinimpact.manifold import joint_table
+from pinimpact.robot._kernels import contact_motion
+from pinimpact.scene._kernels import lie_charts
+from pinimpact.scene.dynamics import Flow
+from pinimpact.scene.joint_charts import joint_table
 
 
 @numba.njit
 def curvature(columns, points, placement, peak, h):
-    """Return the bound for the first contact; `touch.curvature` is called from kernels only."""
+    """Return the bound for the first contact; `contact_motion.curvature` is called from kernels only."""
     constants, ends, signs, group = points[:4]
-    return touch.curvature(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
+    return contact_motion.curvature(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
 
 
 def curved_model():
@@ -56,10 +57,10 @@ def test_charts_move_as_the_model_does(size):
     q0, v, xi = random_state(model, 1)
     xi *= size
     rate, q, moved = np.empty(model.nv), np.empty(model.nq), np.empty(model.nq)
-    charts.chart_rate(table, xi, v, rate)
+    lie_charts.chart_rate(table, xi, v, rate)
     h = 1e-6
-    charts.advance(table, q0, xi - h * rate, q)
-    charts.advance(table, q0, xi + h * rate, moved)
+    lie_charts.advance(table, q0, xi - h * rate, q)
+    lie_charts.advance(table, q0, xi + h * rate, moved)
     assert pin.difference(model, q, moved) / (2 * h) == pytest.approx(v, abs=1e-8)
     assert pin.isNormalized(model, moved, 1e-15)
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact._kernels import collocation
+from pinimpact.scene._kernels import step_radau
 
 from .scene_models import G, free_body, run, slider, unbounded
 
@@ -75,7 +75,7 @@ def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(m
         return np.concatenate([trajectory.q[-1], trajectory.v[-1]]), trajectory.statistics["steps"]
 
     implicit, steps = end()
-    monkeypatch.setattr(collocation, "STIFF", np.inf)
+    monkeypatch.setattr(step_radau, "STIFF", np.inf)
     explicit, more_steps = end()
     assert implicit == pytest.approx(explicit, abs=1e-5)
     assert 5 * steps < more_steps
@@ -102,7 +102,7 @@ def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
 
 
 def test_the_coefficients_are_those_of_radau_iia():
-    nodes, matrix, s = collocation.NODES, collocation.MATRIX, collocation.NODES_COUNT
+    nodes, matrix, s = step_radau.NODES, step_radau.MATRIX, step_radau.NODES_COUNT
     for k in range(2 * s - 1):
         assert matrix[-1] @ nodes**k == pytest.approx(1 / (k + 1), abs=1e-14)
     for k in range(s):

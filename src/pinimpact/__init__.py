@@ -10,8 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .batch import BatchSolution, solve_impacts
-    from .contacts import Contact, ContactMatrices, contact_matrices
+    from .contact_space.batch import BatchSolution, solve_impacts
+    from .contact_space.methods import METHODS, Method, register_method
+    from .contact_space.problem import ImpactProblem
+    from .contact_space.solution import Path, Segment, Solution, Work
+    from .contact_space.solve import solve_impact
     from .errors import (
         InputError,
         LawError,
@@ -21,18 +24,15 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
-    from .methods import METHODS, Method, register_method
-    from .outcome import EFFECTS, LAWS, Flag, Status
-    from .problem import ImpactProblem
-    from .reset import HeldContactWarning, Hit, Hits, impact, impacts
-    from .robots import load_robot
-    from .scene import Scene
-    from .simulation import simulate
-    from .solution import Path, Segment, Solution, Work
-    from .solvers import solve_impact
-    from .surfaces import Plane
-    from .trajectory import Trajectory
-    from .visual.html import replay
+    from .robot.contact import Contact, ContactMatrices, contact_matrices
+    from .robot.loading import load_robot
+    from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
+    from .robot.surfaces import Plane
+    from .scene.scene import Scene
+    from .scene.simulation import simulate
+    from .scene.trajectory import Trajectory
+    from .status import EFFECTS, LAWS, Flag, Status
+    from .visual.html_replay import replay
 
 __version__ = "0.1.0"
 
@@ -76,8 +76,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "batch": ("BatchSolution", "solve_impacts"),
-    "contacts": ("Contact", "ContactMatrices", "contact_matrices"),
+    "contact_space.batch": ("BatchSolution", "solve_impacts"),
+    "robot.contact": ("Contact", "ContactMatrices", "contact_matrices"),
     "errors": (
         "InputError",
         "LawError",
@@ -87,18 +87,18 @@ _HOMES = {
         "UnknownNameError",
         "UnstoppableApproachError",
     ),
-    "methods": ("METHODS", "Method", "register_method"),
-    "outcome": ("EFFECTS", "LAWS", "Flag", "Status"),
-    "problem": ("ImpactProblem",),
-    "reset": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
-    "robots": ("load_robot",),
-    "scene": ("Scene",),
-    "simulation": ("simulate",),
-    "solution": ("Path", "Segment", "Solution", "Work"),
-    "solvers": ("solve_impact",),
-    "surfaces": ("Plane",),
-    "trajectory": ("Trajectory",),
-    "visual.html": ("replay",),
+    "contact_space.methods": ("METHODS", "Method", "register_method"),
+    "status": ("EFFECTS", "LAWS", "Flag", "Status"),
+    "contact_space.problem": ("ImpactProblem",),
+    "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
+    "robot.loading": ("load_robot",),
+    "scene.scene": ("Scene",),
+    "scene.simulation": ("simulate",),
+    "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
+    "contact_space.solve": ("solve_impact",),
+    "robot.surfaces": ("Plane",),
+    "scene.trajectory": ("Trajectory",),
+    "visual.html_replay": ("replay",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

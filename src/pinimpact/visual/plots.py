@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solution import Path as RecordedPath
+from ..contact_space.solution import Solution, Work
 from ..errors import InputError
-from ..problem import ImpactProblem
-from ..solution import Path as RecordedPath
-from ..solution import Solution, Work
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..trajectory import Trajectory
+    from ..scene.trajectory import Trajectory
 
 COMPRESSION, RESTITUTION, STICK, FLOW = "#c0392b", "#1f6fb2", "#f0b429", "#b8bec5"
 

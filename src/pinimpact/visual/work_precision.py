@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
-    from ..cost import Report
+    from ..studies.cost import Report
 
 COLUMNS = 4
 STYLES = {

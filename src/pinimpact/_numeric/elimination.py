@@ -1,0 +1,53 @@
+"""Square linear systems, by elimination with complete pivoting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .jit import inner
+
+RANK = 1e-10
+"""Pivots and singular values below this part of the largest count as zero."""
+
+
+@inner
+def solve(system, target, solution, rank):
+    """Solve by elimination with complete pivoting.
+
+    Returns:
+        The sign of the determinant, zero where its pivots are not above the part `rank` of the largest.
+    """
+    size = len(target)
+    matrix = system.copy()
+    right = target.copy()
+    order = np.arange(size)
+    largest = 0.0
+    sign = 1
+    for k in range(size):
+        pivot, row, col = 0.0, k, k
+        for a in range(k, size):
+            for b in range(k, size):
+                if abs(matrix[a, b]) > pivot:
+                    pivot, row, col = abs(matrix[a, b]), a, b
+        largest = max(largest, pivot)
+        if not pivot > rank * largest:
+            return 0
+        if (matrix[row, col] < 0.0) != ((row != k) != (col != k)):
+            sign = -sign
+        for b in range(size):
+            matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
+        right[k], right[row] = right[row], right[k]
+        for a in range(size):
+            matrix[a, k], matrix[a, col] = matrix[a, col], matrix[a, k]
+        order[k], order[col] = order[col], order[k]
+        for a in range(k + 1, size):
+            factor = matrix[a, k] / matrix[k, k]
+            for b in range(k + 1, size):
+                matrix[a, b] -= factor * matrix[k, b]
+            right[a] -= factor * right[k]
+    for k in range(size - 1, -1, -1):
+        total = right[k]
+        for b in range(k + 1, size):
+            total -= matrix[k, b] * solution[order[b]]
+        solution[order[k]] = total / matrix[k, k]
+    return sign

@@ -1,0 +1,62 @@
+"""Checks of what users give: arrays and numbers, with errors that name the field and what would be right."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+
+
+def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`."""
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{field}: {value!r} is not an array of numbers; an array of shape {shape} is expected",
+            field=field,
+            value=value,
+        ) from None
+    if array.shape != shape:
+        raise InputError(f"{field}: shape {array.shape} given, {shape} expected", field=field, value=value)
+    return array
+
+
+def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Like `float_array`, and refuse NaN and infinity."""
+    array = float_array(field, value, shape)
+    if not np.isfinite(array).all():
+        raise InputError(
+            f"{field}: {array.tolist()} holds numbers that are not finite", field=field, value=value
+        )
+    return array
+
+
+def coefficient(name: str, value: Any) -> float:
+    """Return `value` as a float between 0 and 1, or raise `InputError`."""
+    number = _finite(name, value)
+    if not 0.0 <= number <= 1.0:
+        raise InputError(f"{name}: {number} is not between 0 and 1", field=name, value=value)
+    return number
+
+
+def at_least_zero(name: str, value: Any) -> float:
+    """Return `value` as a finite float that is not negative, or raise `InputError`."""
+    number = _finite(name, value)
+    if number < 0.0:
+        raise InputError(f"{name}: {number} is negative; it must be at least 0", field=name, value=value)
+    return number
+
+
+def _finite(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: {value!r} is not a number", field=name, value=value) from None
+    if not math.isfinite(number):
+        raise InputError(f"{name}: {number} is not finite", field=name, value=value)
+    return number

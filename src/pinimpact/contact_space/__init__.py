@@ -1,0 +1,1 @@
+"""An impact as nine numbers: problem, solution and methods; knows nothing of robots."""

@@ -1,0 +1,1 @@
+"""The impact solver: numba and math only."""

@@ -1,0 +1,115 @@
+"""Slip as a power series in the half-angle of its direction. (theory.md, section 3)
+
+In the frame of the present direction of slip, t is the tangent of half the angle turned since, and
+v_t = R (1 − t², 2t). With dt/ds = p(t)/2, dR/ds = m(t) R, dP₃/ds = R (1 + t²)² and polynomials p, m of
+degrees four and three, everything is a quadrature of S = R p(0)/p(t), whose power series in
+x = 2t/p(0) obeys a recurrence of four terms.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.jit import inner
+from .delassus import EPS
+
+TERMS = 32
+RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, TERMS + 8)])
+
+
+@inner
+def in_frame(a11, a12, a22, b1, b2, s1, s2):
+    """Return A and b in the axes (σ, σ⊥): A∥, A×, A⊥, b∥, b⊥."""
+    u1, u2 = a11 * s1 + a12 * s2, a12 * s1 + a22 * s2
+    return (
+        s1 * u1 + s2 * u2,
+        s1 * u2 - s2 * u1,
+        s1 * (a22 * s1 - a12 * s2) - s2 * (a12 * s1 - a11 * s2),
+        s1 * b1 + s2 * b2,
+        s1 * b2 - s2 * b1,
+    )
+
+
+@inner
+def polynomials(al, ax, ap, bl, bp):
+    """Coefficients p₁ … p₄ and m₀ … m₃ of (3.6), (3.7); A already times μ. p₀ is carried by the caller."""
+    return (
+        -2.0 * (bl + ap - al),
+        6.0 * ax,
+        -2.0 * (bl - ap + al),
+        -bp - ax,
+        bl - al,
+        bp - 3.0 * ax,
+        bl + al - 2.0 * ap,
+        bp + ax,
+    )
+
+
+@inner
+def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
+    """Fill `series` with the coefficients of S(x)/S(0). (3.10), (3.11)
+
+    Returns:
+        the size of the last terms, and the constants of the stretch: t/x, twice 1 for the factors of speed
+        and impulse, 0 for the exponent, the coefficients of p/p₀ and of the logarithmic derivative of S.
+    """
+    h = 0.5 * p0
+    h2 = h * h
+    q1, q2, q3, q4 = 0.5 * p1, 0.5 * p2 * h, 0.5 * p3 * h2, 0.5 * p4 * h2 * h
+    w0, w1, w2, w3 = m0 - q1, (m1 - p2) * h, (m2 - 1.5 * p3) * h2, (m3 - 2.0 * p4) * h2 * h
+    # the factors of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each falling by q with k
+    c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
+    s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
+    series[0] = 1.0
+    for k in range(TERMS):
+        share = RECIPROCAL[k + 1]
+        rest = (c1 * s1 + (c2 * s2 + c3 * s3)) * share
+        new = (c0 * share) * s0 + rest
+        c0 -= q1
+        c1 -= q2
+        c2 -= q3
+        c3 -= q4
+        s3, s2, s1 = s2, s1, s0
+        s0 = new
+        series[k + 1] = new
+    last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
+    return last, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
+
+
+@inner
+def reach(last, h):
+    """Return how far x may go: the last term is then below rounding, and t ≤ 1. (3.11)"""
+    end = 1.0 / abs(h)
+    if last > 0.0:
+        end = min(end, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
+    return end
+
+
+@inner
+def within_reach(x, last, h):
+    """Return whether x ≤ reach(last, h), without its logarithm."""
+    power = x * x
+    power *= power
+    power *= power
+    power *= power
+    return last * (power * power) <= 0.5 * EPS and abs(h * x) <= 1.0
+
+
+@inner
+def moments(series, x):
+    """Return S(x) and ∫₀ˣ S xʲ dx for j = 0 … 4."""
+    power = 1.0
+    value = n0 = n1 = n2 = n3 = n4 = 0.0
+    for k in range(TERMS + 1):
+        term = series[k] * power
+        power *= x
+        value += term
+        n0 += term * RECIPROCAL[k + 1]
+        n1 += term * RECIPROCAL[k + 2]
+        n2 += term * RECIPROCAL[k + 3]
+        n3 += term * RECIPROCAL[k + 4]
+        n4 += term * RECIPROCAL[k + 5]
+    x2 = x * x
+    return value, n0 * x, n1 * x2, n2 * x2 * x, n3 * x2 * x2, n4 * x2 * x2 * x

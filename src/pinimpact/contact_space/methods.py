@@ -1,0 +1,142 @@
+"""The registry of methods: "exact", the paper's Euler scheme, Runge–Kutta in its place, scipy by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError, PinimpactError
+from ..status import Status
+from .solution import Array, Inputs
+
+if TYPE_CHECKING:
+    from ._kernels.butcher import Tableau
+
+Raw = tuple[Any, ...]
+Run = Callable[..., Raw]
+"""run(inputs, trace, path, **options) -> the tuple that `solve_into` returns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method of `solve_impact`.
+
+    Attributes:
+        load: Returns the function that runs it; called on first use, so that importing costs nothing.
+        summary: One line on what it is.
+        options: Names of its keyword options and their defaults.
+    """
+
+    load: Callable[[], Run]
+    summary: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+METHODS: dict[str, Method] = {}
+"""The registered methods by name."""
+
+
+def register_method(name: str, method: Method) -> None:
+    """Make `method` available to `solve_impact` under `name`."""
+    METHODS[name] = method
+
+
+def _load_exact() -> Run:
+    from ._kernels.path import SCRATCH, solve_into
+
+    def run(inputs: Inputs, trace: Array, path: Array) -> Raw:
+        raw: Raw = solve_into(*inputs, np.empty(SCRATCH), trace, path)
+        return raw
+
+    return run
+
+
+def _checked_steps(steps: Any) -> int:
+    """Return `steps` as an int, or raise `InputError`."""
+    if not isinstance(steps, (int, np.integer)) or not 1 <= steps <= 10**9:
+        raise InputError(
+            f"steps: {steps!r} given, a whole number from 1 to 1e9 expected", field="steps", value=steps
+        )
+    return int(steps)
+
+
+def _checked_rtol(rtol: Any) -> float:
+    """Return `rtol` as a float, or raise `InputError`."""
+    if not isinstance(rtol, (int, float, np.floating)) or not 3e-14 <= float(rtol) <= 0.1:
+        raise InputError(
+            f"rtol: {rtol!r} given, a number from 3e-14 to 0.1 expected", field="rtol", value=rtol
+        )
+    return float(rtol)
+
+
+def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array, path: Array) -> Raw:
+    from ._kernels.stepping import solve_stepping
+
+    raw: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
+    if raw[0] == Status.NOT_CONVERGED:
+        name, value = ("rtol", rtol) if rtol > 0.0 else ("steps", steps)
+        raise PinimpactError(
+            f"{name}: with {value:g} the impact takes too many steps; it slips for far longer than |v₃|/c "
+            f'(v₃ = {inputs[8]:.6g} m/s, c = {inputs[5]:.6g}) or comes to creep; use "exact"',
+            field=name,
+            value=value,
+        )
+    return raw
+
+
+def _load_euler() -> Run:
+    from ._kernels.butcher import EULER
+
+    def run(inputs: Inputs, trace: Array, path: Array, steps: int = 1000) -> Raw:
+        return _step(inputs, EULER, _checked_steps(steps), 0.0, trace, path)
+
+    return run
+
+
+def _load_rk4() -> Run:
+    from ._kernels.butcher import RK4
+
+    def run(inputs: Inputs, trace: Array, path: Array, steps: int = 100) -> Raw:
+        return _step(inputs, RK4, _checked_steps(steps), 0.0, trace, path)
+
+    return run
+
+
+FIRST_STEPS = 10
+"""The adaptive method starts with this part of the scale of the compression."""
+
+
+def _load_adaptive() -> Run:
+    from ._kernels.butcher import DORMAND_PRINCE
+
+    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = 1e-8) -> Raw:
+        return _step(inputs, DORMAND_PRINCE, FIRST_STEPS, _checked_rtol(rtol), trace, path)
+
+    return run
+
+
+def _load_solve_ivp() -> Run:
+    from .scipy_baseline import solve_by_hand
+
+    def run(inputs: Inputs, trace: Array, path: Array, rtol: float = 1e-8) -> Raw:
+        return solve_by_hand(inputs, trace, path, _checked_rtol(rtol))
+
+    return run
+
+
+register_method("exact", Method(_load_exact, "power series and closed forms, to rounding error"))
+register_method(
+    "euler", Method(_load_euler, "the paper's scheme: Euler steps in P₃, bisected at events", {"steps": 1000})
+)
+register_method(
+    "rk4", Method(_load_rk4, "Runge–Kutta steps of order 4 in P₃, bisected at events", {"steps": 100})
+)
+register_method(
+    "adaptive", Method(_load_adaptive, "Dormand–Prince 5(4) in P₃ with chosen steps", {"rtol": 1e-8})
+)
+register_method(
+    "solve_ivp", Method(_load_solve_ivp, "scipy's solve_ivp with events, for comparison only", {"rtol": 1e-8})
+)

@@ -1,0 +1,171 @@
+"""The answer to an impact problem: the end state at once, the story behind it on first access."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..status import EFFECTS, Flag, Status
+
+Array = NDArray[np.float64]
+Inputs = tuple[float, float, float, float, float, float, float, float, float, float, float, int]
+"""w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, v₁, v₂, v₃, μ, e and the code of the law."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of the impact with one mode of contact in one phase; slip that resumes is a new one.
+
+    Attributes:
+        mode: Whether the contact slips or sticks.
+        phase: Whether v₃ < 0 has to be stopped, or it has been.
+        start: Normal impulse P₃ at which the segment begins [N s].
+        end: Normal impulse at which it ends [N s].
+    """
+
+    mode: Literal["slip", "stick"]
+    phase: Literal["compression", "restitution"]
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Where the energy went [J]; floats, or arrays (N,) in a batch.
+
+    Attributes:
+        compression: Work of the normal impulse during compression, ≤ 0.
+        restitution: Work of the normal impulse during restitution, ≥ 0.
+        friction: Work of the tangential impulse in the velocity of slip, ≤ 0.
+        surface: P · v_surface, what a moving surface puts in.
+    """
+
+    compression: Any
+    restitution: Any
+    friction: Any
+    surface: Any
+
+    @property
+    def total(self) -> Any:
+        """Sum of the four: the change of the robot's kinetic energy."""
+        return self.compression + self.restitution + self.friction + self.surface
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The recorded path, from the first touch to the end.
+
+    Attributes:
+        normal_impulse: (m,) P₃, never falling [N s].
+        velocity: (m, 3) contact velocity [m/s].
+        impulse: (m, 3) contact impulse so far [N s].
+    """
+
+    normal_impulse: Array
+    velocity: Array
+    impulse: Array
+
+
+class Solution:
+    """What an impact came to, in contact axes (t₁, t₂, n)."""
+
+    def __init__(
+        self,
+        raw: tuple[Any, ...],
+        inputs: Inputs,
+        trace: Callable[[], Array],
+        path: Path | None = None,
+        surface_velocity: Any = (0.0, 0.0, 0.0),
+    ) -> None:
+        self._raw = raw
+        self._inputs = inputs
+        self._trace = trace
+        self._surface_velocity = surface_velocity
+        self.path: Path | None = path
+        """The recorded `Path`, or None where ``record=True`` was not asked for."""
+
+    @cached_property
+    def velocity(self) -> Array:
+        """(3,) post-impact contact velocity [m/s]."""
+        return np.array(self._raw[3:6])
+
+    @cached_property
+    def impulse(self) -> Array:
+        """(3,) impulse on the robot [N s]."""
+        return np.array(self._raw[6:9])
+
+    @property
+    def compression_impulse(self) -> float:
+        """Normal impulse of all compression phases together [N s]."""
+        return float(self._raw[9])
+
+    @property
+    def status(self) -> Status:
+        """Why the impact ended."""
+        return Status(self._raw[0])
+
+    @property
+    def flags(self) -> Flag:
+        """What was special about it."""
+        return Flag(self._raw[1])
+
+    @property
+    def iterations(self) -> int:
+        """Steps that the method took."""
+        return int(self._raw[2])
+
+    @cached_property
+    def _rows(self) -> Array:
+        return self._trace()
+
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """The `Segment`s of the impact in order; empty where there was no impact."""
+        modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick", "slip")  # the last: resumed
+        phases: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
+        return tuple(
+            Segment(modes[int(row[0])], phases[int(row[1])], float(row[2]), float(row[3]))
+            for row in self._rows
+        )
+
+    @cached_property
+    def work(self) -> Work:
+        """The `Work` ledger [J]."""
+        rows = self._rows
+        restoring = rows[:, 1] == 1.0
+        return Work(
+            compression=float(rows[~restoring, 4].sum()),
+            restitution=float(rows[restoring, 4].sum()),
+            friction=float(rows[:, 5].sum()),
+            surface=float(self.impulse @ np.asarray(self._surface_velocity, dtype=float)),
+        )
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that were computed, of the vocabulary `pinimpact.EFFECTS`."""
+        flags = self.flags
+        _, _, w13, _, w23, _, _, _, _, mu, e, _ = self._inputs
+        impact = self.status != Status.NO_IMPACT
+        computed = (
+            mu > 0.0 and impact,
+            e > 0.0 and impact,
+            (w13 != 0.0 or w23 != 0.0) and impact,
+            Flag.SLIP_TURNED in flags,
+            Flag.STICK in flags,
+            Flag.SLIP_RESUMED in flags,
+            Flag.JAM in flags,
+            Flag.SECOND_COMPRESSION in flags,
+            self.path is not None,
+        )
+        return tuple(name for name, present in zip(EFFECTS, computed, strict=True) if present)
+
+    def __repr__(self) -> str:
+        return (
+            f"Solution(velocity={self.velocity.tolist()}, impulse={self.impulse.tolist()}, "
+            f"status={self.status.name}, flags={self.flags!r})"
+        )

@@ -1,0 +1,1 @@
+"""Robots: loading, surfaces, contacts, their matrices, and the impact of a robot."""

@@ -1,0 +1,112 @@
+"""The whole impact of a robot in one call: mass matrix and Jacobians in, post-impact velocity out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import jit
+from ...contact_space._kernels.codes import INVALID_NUMBERS, NO_IMPACT
+from ...contact_space._kernels.path import SCRATCH, solve_into
+from .contact_kinematics import jacobian
+from .tree import factor, solve, solve_transposed
+
+DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SIZE = 0, 6, 9, 12, 21, 28
+"""Where `reset` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
+velocity, the contact axes, and v⁺, P and the compression impulse."""
+
+SINGULAR_MASS = -1
+"""Status: the mass matrix is not positive definite."""
+
+
+@jit
+def all_finite(x):
+    """Whether no number of a vector is infinite or NaN."""
+    total = 0.0
+    for i in range(len(x)):
+        total += 0.0 * x[i]
+    return total == 0.0
+
+
+@jit
+def dot(x, y):
+    """Return xᵀy."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+@jit
+def reset(
+    mass,
+    parents,
+    frame,
+    frame_columns,
+    frame_support,
+    carrier,
+    carrier_columns,
+    carrier_support,
+    constants,
+    q,
+    v,
+    mu,
+    e,
+    law,
+    out,
+):
+    """Resolve the impact of one contact.
+
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) the next velocity on the way to the root, or −1.
+        frame: This and the next six as in `geometry.jacobian`.
+        frame_columns: See there.
+        frame_support: See there.
+        carrier: See there.
+        carrier_columns: See there.
+        carrier_support: See there.
+        constants: See there.
+        q: (nq,), only looked through for numbers that are not finite.
+        v: (nv,) pre-impact velocity.
+        mu: Friction.
+        e: Restitution.
+        law: Code of its law.
+        out: (nv + SIZE,) takes the answer; see `DELASSUS` and its neighbours.
+
+    Returns:
+        status, flags and iterations; or `SINGULAR_MASS` and the velocity at which the factorization stops.
+    """
+    n = len(v)
+    if not (all_finite(q) and all_finite(v)):
+        return INVALID_NUMBERS, 0, 0
+    scratch = np.empty((n + 4, n))
+    lower, y, delta = scratch[:n], scratch[n : n + 3], scratch[n + 3]
+    stopped = factor(mass, parents, lower)
+    if stopped >= 0:
+        return SINGULAR_MASS, stopped, 0
+    seen = jacobian(
+        frame, frame_columns, frame_support, carrier, carrier_columns, carrier_support, constants, y
+    )
+    s1, s2, s3 = seen[9], seen[10], seen[11]
+    v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
+    solve_transposed(lower, parents, y)
+    w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
+    w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
+    unwanted = np.empty((0, 6))
+    status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
+        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law), np.empty(SCRATCH), unwanted, unwanted
+    )
+    for j in range(n):
+        delta[j] = y[0, j] * p1 + y[1, j] * p2 + y[2, j] * p3
+    if status != NO_IMPACT:
+        solve(lower, parents, scratch[n + 3 :])
+    for j in range(n):
+        out[j] = v[j] + delta[j]
+    rest = (
+        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
+        *seen[:9],
+        *(a1, a2, a3, p1, p2, p3, pc),
+    )
+    for i in range(SIZE):
+        out[n + i] = rest[i]
+    return status, flags, iterations

@@ -1,0 +1,80 @@
+"""Factor and solve with the mass matrix of a kinematic tree, M = LᵀL, touching only ancestors.
+
+L is lower triangular and L[i, j] ≠ 0 only where velocity j is an ancestor of velocity i (Featherstone,
+Rigid Body Dynamics Algorithms, 2008, section 6.5).
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.jit import jit
+
+EPS = 2.0**-52
+
+
+@jit
+def factor(mass, parents, lower):
+    """Fill `lower` with L; its entries that are no ancestor's are left as they are.
+
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) the next velocity on the way to the root, or −1.
+        lower: (nv, nv) takes L.
+
+    Returns:
+        −1, or the first velocity whose inertia, with all that it carries free to move, is not positive.
+    """
+    n = mass.shape[0]
+    for i in range(n):
+        j = i
+        while j >= 0:
+            lower[i, j] = mass[i, j]
+            j = parents[j]
+    for k in range(n - 1, -1, -1):
+        pivot = lower[k, k]
+        if not pivot > n * EPS * mass[k, k]:
+            return k
+        root = math.sqrt(pivot)
+        inverse = 1.0 / root
+        lower[k, k] = root
+        i = parents[k]
+        while i >= 0:
+            lower[k, i] *= inverse
+            i = parents[i]
+        i = parents[k]
+        while i >= 0:
+            x = lower[k, i]
+            j = i
+            while j >= 0:
+                lower[i, j] -= x * lower[k, j]
+                j = parents[j]
+            i = parents[i]
+    return -1
+
+
+@jit
+def solve_transposed(lower, parents, rows):
+    """Solve Lᵀ y = x in place for each row x (nv,) of `rows` (m, nv)."""
+    for row in rows:
+        for i in range(len(row) - 1, -1, -1):
+            if row[i] != 0.0:
+                x = row[i] / lower[i, i]
+                row[i] = x
+                j = parents[i]
+                while j >= 0:
+                    row[j] -= x * lower[i, j]
+                    j = parents[j]
+
+
+@jit
+def solve(lower, parents, rows):
+    """Solve L y = x in place for each row x (nv,) of `rows` (m, nv)."""
+    for row in rows:
+        for i in range(len(row)):
+            x = row[i]
+            j = parents[i]
+            while j >= 0:
+                x -= lower[i, j] * row[j]
+                j = parents[j]
+            row[i] = x / lower[i, i]

@@ -1,0 +1,68 @@
+"""Several robots in one model, each at its place and with its own names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A robot to be put among others.
+
+    Attributes:
+        robot: The robot.
+        prefix: Goes before the names of its joints and frames.
+        placement: Of its base in the world.
+    """
+
+    robot: pin.RobotWrapper
+    prefix: str
+    placement: pin.SE3
+
+
+def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
+    """Return one robot that consists of all the parts; its ``q0`` is made of theirs.
+
+    Raises:
+        InputError: No parts, or two that would bear the same names.
+    """
+    prefixes = [part.prefix for part in parts]
+    if not parts or len(set(prefixes)) < len(prefixes):
+        raise InputError(
+            f"robot: {len(parts)} robots with the prefixes {prefixes}; give each its own prefix",
+            field="robot",
+            value=prefixes,
+        )
+    if len(parts) == 1 and not parts[0].prefix and parts[0].placement.isIdentity():
+        return parts[0].robot
+    model = pin.Model()
+    collision, visual = pin.GeometryModel(), pin.GeometryModel()
+    for part in parts:
+        added, *shapes = _renamed(part)
+        _, visual = pin.appendModel(model, added, visual, shapes[1], 0, part.placement)
+        model, collision = pin.appendModel(model, added, collision, shapes[0], 0, part.placement)
+    model.name = ", ".join(part.prefix + part.robot.model.name for part in parts)
+    whole = pin.RobotWrapper(model, collision, visual)
+    whole.q0 = np.concatenate([part.robot.q0 for part in parts])
+    return whole
+
+
+def _renamed(part: Placed) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
+    """Return copies of a robot's model and shapes in which all but the universe bears the prefix."""
+    model = part.robot.model.copy()
+    for joint in range(1, model.njoints):
+        model.names[joint] = part.prefix + model.names[joint]
+    for frame in range(1, model.nframes):
+        model.frames[frame].name = part.prefix + model.frames[frame].name
+    copies = []
+    for shapes in (part.robot.collision_model, part.robot.visual_model):
+        copies.append(shapes.copy())
+        for shape in copies[-1].geometryObjects:
+            shape.name = part.prefix + shape.name
+    return model, *copies

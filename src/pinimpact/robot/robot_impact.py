@@ -1,0 +1,388 @@
+"""Impacts of robots: (q, v) and a contact in, post-impact velocity and impulse out."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array, float_array
+from ..contact_space._kernels.path import SCRATCH, solve_into
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solution import Inputs, Solution
+from ..contact_space.solve import TRACE_ROWS, solve_impact, solve_inputs
+from ..errors import InputError
+from ..status import Status
+from ._kernels import robot_impact as kernel
+from .contact import (
+    Contact,
+    ContactMatrices,
+    check_contact,
+    check_held,
+    contact_geometry,
+    contact_matrices,
+    kinematics,
+    singular_mass,
+)
+from .names import configuration, model_of, workspace
+
+LOCKED = int(Status.LOCKED)
+"""The last status that is an answer."""
+
+Array = NDArray[np.float64]
+_FLOAT = np.dtype(np.float64)
+# bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
+_Model = pin.Model
+_mass_matrix = pin.crba
+_WORLD = pin.Convention.WORLD
+_is_normalized = pin.isNormalized
+_contiguous = np.ascontiguousarray
+_empty = np.empty
+_reset = kernel.reset
+SIZE = kernel.SIZE
+_NONE_HELD = np.zeros((0, 3))
+_NONE_HELD.setflags(write=False)
+
+HELD_TOLERANCE = 1e-6
+"""How fast a held point may move before the impact, in parts of what the joints together could make of it."""
+
+
+class HeldContactWarning(UserWarning):
+    """A held contact would have to pull on its surface during an impact."""
+
+
+class Hit:
+    """What an impact does to a robot.
+
+    Attributes:
+        held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
+    """
+
+    __slots__ = ("_answer", "_contact", "_nv", "_outcome", "_restitution", "_solution", "held_impulses")
+
+    def __init__(
+        self,
+        answer: Array,
+        nv: int,
+        outcome: tuple[int, int, int],
+        contact: Contact,
+        restitution: float,
+        solution: Solution | None = None,
+        held_impulses: Array = _NONE_HELD,
+    ) -> None:
+        self._answer = answer
+        self._nv = nv
+        self._outcome = outcome
+        self._contact = contact
+        self._restitution = restitution
+        self._solution = solution
+        self.held_impulses = held_impulses
+
+    @property
+    def v(self) -> Array:
+        """(nv,) post-impact generalized velocity."""
+        return self._answer[: self._nv]
+
+    @property
+    def impulse_world(self) -> Array:
+        """(3,) impulse on the robot at the contact, in world axes [N s]."""
+        return self._part(kernel.AFTER + 3, 3) @ self.axes
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) contact axes t₁, t₂, n as rows, in world axes."""
+        return self._part(kernel.AXES, 9).reshape(3, 3)
+
+    @property
+    def problem(self) -> ImpactProblem:
+        """The contact-space problem that was solved."""
+        w11, w12, w13, w22, w23, w33, *velocity = self._part(kernel.DELASSUS, 9).tolist()
+        return ImpactProblem(
+            np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]),
+            np.array(velocity),
+            self._contact.friction,
+            self._restitution,
+            self._contact.law,
+            self._part(kernel.SURFACE, 3).copy(),
+        )
+
+    @property
+    def solution(self) -> Solution:
+        """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
+        if self._solution is None:
+            inputs = self._inputs()
+            raw = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
+            surface = self._part(kernel.SURFACE, 3)
+            self._solution = Solution(raw, inputs, partial(_trace, inputs), None, surface)
+        return self._solution
+
+    def __repr__(self) -> str:
+        return f"Hit(v={self.v}, impulse_world={self.impulse_world}, status={str(self.solution.status)!r})"
+
+    def _inputs(self) -> Inputs:
+        w11, w12, w13, w22, w23, w33, v1, v2, v3 = self._part(kernel.DELASSUS, 9).tolist()
+        contact = self._contact
+        return (
+            *(w11, w12, w13, w22, w23, w33, v1, v2, v3),
+            contact.friction,
+            self._restitution,
+            contact.law_code,
+        )
+
+    def _part(self, start: int, count: int) -> Array:
+        start += self._nv
+        return self._answer[start : start + count]
+
+
+def _trace(inputs: Inputs) -> Array:
+    """Return the trace of the exact method; see `solve_into`."""
+    rows = np.empty((TRACE_ROWS, 6))
+    return rows[: solve_into(*inputs, np.empty(SCRATCH), rows, rows[:0])[11]]
+
+
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+    method: str = "exact",
+    record: bool = False,
+    **options: Any,
+) -> Hit:
+    """Resolve the impact of one contact of a robot: M Δq̇ = Jᵀ P.
+
+    The contact is taken as closed, whatever its gap. A contact that does not approach changes nothing;
+    ``hit.solution.status`` says so.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data; what changes is told in `contact_matrices`.
+        q: (nq,) configuration.
+        v: (nv,) pre-impact velocity.
+        contact: The contact that collides.
+        held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
+            surface, to `HELD_TOLERANCE`. One that would have to pull gives a `HeldContactWarning`.
+        locked: Joints, by name or id, whose velocity the impact does not change.
+        method: Method of `solve_impact`.
+        record: Whether ``hit.solution.path`` is wanted.
+        **options: The method's own keywords.
+
+    Raises:
+        InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves.
+        UnknownNameError: A frame or joint that the model does not have; an unknown method.
+        ModelError: The mass matrix is not positive definite.
+        UnstoppableApproachError: No normal impulse can stop the approach.
+        LawError: The restitution law cannot be met.
+    """
+    if type(model) is not _Model:
+        model = model_of(model)
+    space = workspace(model, data)
+    if type(contact) is not Contact:
+        check_contact("contact", contact)
+    if held or locked or record or options or method != "exact":
+        return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
+    try:
+        q_now, v_now = _contiguous(q, _FLOAT), _contiguous(v, _FLOAT)
+        fit = q_now.shape == space.q_shape and v_now.shape == space.v_shape
+    except (TypeError, ValueError):
+        fit = False
+    if not fit:  # say what is wrong
+        q_now, v_now = float_array("q", q, space.q_shape), float_array("v", v, space.v_shape)
+    if space.curved and not _is_normalized(model, q_now, 1e-8):
+        configuration(space, model, q_now)
+    restitution = contact.restitution
+    if callable(restitution):
+        restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
+    nv = space.nv
+    answer = _empty(nv + SIZE)
+    outcome = _reset(
+        _mass_matrix(model, data, q_now, _WORLD),
+        space.parents,
+        *kinematics(model, data, q_now, space, contact),
+        contact.constants,
+        q_now,
+        v_now,
+        contact.friction,
+        restitution,
+        contact.law_code,
+        answer,
+    )
+    hit = Hit(answer, nv, outcome, contact, restitution)
+    if not 0 <= outcome[0] <= LOCKED:
+        if outcome[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, outcome[1])
+        finite_array("q", q, space.q_shape)
+        finite_array("v", v, space.v_shape)
+        solve_inputs(hit._inputs())
+    return hit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """Many impacts of one robot, row by row.
+
+    Attributes:
+        v: (N, nv) post-impact velocities; NaN where the status is an error's.
+        impulse_world: (N, 3) impulses on the robot in world axes [N s]; NaN likewise.
+        status: (N,) integer values of `Status`.
+        flags: (N,) integer values of `Flag`.
+    """
+
+    v: Array
+    impulse_world: Array
+    status: NDArray[np.int64]
+    flags: NDArray[np.int64]
+
+
+def impacts(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    friction: ArrayLike | None = None,
+    restitution: ArrayLike | None = None,
+) -> Hits:
+    """Resolve one contact's impact from many states, and with many coefficients.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data; what changes is told in `contact_matrices`.
+        q: (N, nq) configurations.
+        v: (N, nv) pre-impact velocities.
+        contact: The contact that collides.
+        friction: Scalar or (N,) to take instead of the contact's.
+        restitution: Scalar or (N,) to take instead of the contact's.
+
+    Returns:
+        Row by row the answers; a row with bad numbers gets its status and NaN and spoils no other.
+
+    Raises:
+        InputError: Wrong shapes.
+        UnknownNameError: A frame that the model does not have.
+        ModelError: The mass matrix is not positive definite.
+    """
+    model = model_of(model)
+    space = workspace(model, data)
+    check_contact("contact", contact)
+    count = np.shape(q)[0] if np.ndim(q) == 2 else 0
+    q = float_array("q", q, (count, *space.q_shape))
+    v = float_array("v", v, (count, *space.v_shape))
+    mu = _per_row("friction", contact.friction if friction is None else friction, count)
+    law = contact.restitution if restitution is None else restitution
+    e = None if callable(law) else _per_row("restitution", law, count)
+    found = Hits(
+        np.full((count, space.nv), np.nan),
+        np.full((count, 3), np.nan),
+        np.full(count, int(Status.INVALID_NUMBERS)),
+        np.zeros(count, dtype=np.int64),
+    )
+    answer = np.empty(space.nv + kernel.SIZE)
+    for row in range(count):
+        if not np.isfinite(q[row]).all() or (space.curved and not pin.isNormalized(model, q[row], 1e-8)):
+            continue
+        outcome = kernel.reset(
+            pin.crba(model, data, q[row], pin.Convention.WORLD),
+            space.parents,
+            *kinematics(model, data, q[row], space, contact),
+            contact.constants,
+            q[row],
+            v[row],
+            mu[row],
+            _restitution_of_approach(model, data, q[row], v[row], contact) if e is None else e[row],
+            contact.law_code,
+            answer,
+        )
+        if outcome[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, outcome[1])
+        found.status[row] = outcome[0]
+        if outcome[0] <= LOCKED:
+            hit = Hit(answer, space.nv, outcome, contact, 0.0)
+            found.v[row] = hit.v
+            found.impulse_world[row] = hit.impulse_world
+            found.flags[row] = outcome[1]
+    return found
+
+
+def _restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
+    """Return e for the speed at which the contact approaches; 0 where v is not finite."""
+    speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
+    return contact.restitution_at(max(speed, 0.0)) if speed < math.inf else 0.0
+
+
+def _impact_in_steps(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    method: str,
+    record: bool,
+    options: dict[str, Any],
+) -> Hit:
+    """Go by way of `contact_matrices` and `solve_impact`, for all that the kernel does not do."""
+    held = check_held(held)
+    matrices = contact_matrices(model, data, q, contact, held, locked)
+    nv = len(matrices.h)
+    v = finite_array("v", v, (nv,))
+    _check_at_rest(matrices, held, v)
+    velocity = matrices.velocity(v)
+    restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
+    problem = ImpactProblem(
+        matrices.delassus, velocity, contact.friction, restitution, contact.law, matrices.surface_velocity
+    )
+    solution = solve_impact(problem, method=method, record=record, **options)
+    held_impulses = matrices.held_response @ solution.impulse
+    for anchor, geometry, impulse in zip(held, matrices.held, held_impulses, strict=True):
+        pull = -float(geometry.axes[2] @ impulse)
+        if pull > 1e-12 * float(np.linalg.norm(solution.impulse)):
+            warnings.warn(
+                f"held: {anchor.label!r} would have to pull with {pull:.3g} N s to hold; if it can lift off, "
+                "leave it out of held",
+                HeldContactWarning,
+                stacklevel=3,
+            )
+    answer = np.concatenate(
+        [
+            v + matrices.response @ solution.impulse,
+            matrices.delassus[np.triu_indices(3)],
+            velocity,
+            matrices.surface_velocity,
+            matrices.axes.ravel(),
+            solution.velocity,
+            solution.impulse,
+            [solution.compression_impulse],
+        ]
+    )
+    outcome = (solution.status, solution.flags, solution.iterations)
+    return Hit(answer, nv, outcome, contact, restitution, solution, held_impulses)
+
+
+def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
+    for anchor, geometry in zip(held, matrices.held, strict=True):
+        speed = float(np.linalg.norm(geometry.velocity(v)))
+        scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
+        scale += float(np.linalg.norm(geometry.surface_velocity))
+        if speed > HELD_TOLERANCE * scale:
+            raise InputError(
+                f"held: {anchor.label!r} moves at {speed:.3g} m/s against its surface before the impact; a "
+                "held contact must be at rest there: correct v, or leave it out of held",
+                field="held",
+                value=anchor,
+            )
+
+
+def _per_row(name: str, value: ArrayLike, count: int) -> Array:
+    return float_array(name, np.full(count, value) if np.ndim(value) == 0 else value, (count,))

@@ -1,0 +1,1 @@
+"""Dynamics with closed contacts, steps and events: numba and math only."""

@@ -1,0 +1,292 @@
+"""One step of the Radau IIA method of order 9, for slip whose direction settles fast.
+
+Friction follows the direction of slip, and at a small speed s that direction turns at a rate of about
+wᵀu/s: w picks the velocity across the slip, and u = ∂v̇/∂θ is what a turn of the friction does. Where h wᵀu/s
+is large an explicit step is unstable. Here the angles θ of friction at the stages are unknowns of their own,
+with the condition that there is no velocity across them; that stays regular down to s = 0. Newton's method
+then needs no more than a system with one unknown per contact and stage, and the rest is iterated along.
+
+Source of the method: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections
+IV.5 and IV.8. Its coefficients are made here from their definition.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from ..._numeric.elimination import RANK, solve
+from ..._numeric.jit import inner, jit
+from ..._numeric.products import apply
+from . import stages
+from . import workspace as at
+from .contact_forces import SLIP
+from .dop853 import STAGES as LAST
+from .dynamics import FAILED, LEAST_MARGIN, SLOWEST, evaluate, take
+from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
+from .workspace import d1, d2, d3, i1, i2, positions, put
+
+NODES_COUNT = 5
+ITERATIONS = 12
+STIFF = 3.0
+"""Explicit steps are stable up to about twice this h wᵀu/s."""
+
+
+def _coefficients():
+    """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
+    s = NODES_COUNT
+    p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
+    p = p.deriv(s - 1)
+    nodes = np.sort(p.roots().real)
+    for _ in range(3):
+        nodes = nodes - p(nodes) / p.deriv()(nodes)
+    nodes[-1] = 1.0
+    powers = np.arange(s)
+    lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
+    integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
+    matrix = nodes[:, None] ** (powers + 1.0) @ integrals
+    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `stages.interpolate`
+    size = s + 2
+    basis: NDArray[np.float64] = np.zeros((size, size))
+    factor = Polynomial([0.0, 1.0])
+    for k in range(size):
+        basis[k, : k + 1] = factor.coef[1:]
+        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
+    dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
+    # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
+    still = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
+    for node in nodes:
+        still = still * Polynomial([1.0, -1.0 / node])
+    start = np.linalg.solve(basis.T, np.array(still.coef[1:], dtype=float))
+    eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
+    real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
+    return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
+
+
+NODES, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
+
+
+@inner
+def turn(k, s1, s2, mem, across, effect):
+    """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
+    minverse = d2(mem, at.MINVERSE)
+    modes, mu = i1(mem, at.MODES), d1(mem, at.MU)
+    jacobians = d3(mem, at.ROWS)
+    equations, response, system, solution = (
+        d2(mem, at.EQUATIONS),
+        d2(mem, at.RESPONSE),
+        d2(mem, at.SYSTEM),
+        d1(mem, at.SOLUTION),
+    )
+    n, size = len(across), len(solution)
+    row = 0
+    for i in range(k):
+        row += 1 if modes[i] == SLIP else 3
+    force = mu[k] * solution[row]
+    pushed, change, answer = np.empty(n), np.empty(size), np.empty(size)
+    for j in range(n):
+        across[j] = s1 * jacobians[k, 1, j] - s2 * jacobians[k, 0, j]
+        pushed[j] = -force * across[j]
+    apply(minverse, pushed, effect)
+    for m in range(size):
+        total = 0.0
+        for j in range(n):
+            total -= equations[m, j] * effect[j]
+        change[m] = total
+    if solve(system, change, answer, RANK) != 0:
+        for m in range(size):
+            for j in range(n):
+                effect[j] += response[m, j] * answer[m]
+
+
+@jit
+def attempt(t, h, rtol, atol, mem):
+    """Compute a step of length h; return its error as `step.attempt` does, infinite if it is not found."""
+    state = d1(mem, at.STATE)
+    state[LEAST_MARGIN] = math.inf
+    reference = d2(mem, at.REFERENCE)
+    remembered, slowest = reference.copy(), state[SLOWEST]
+    state[SLOWEST] = math.inf  # so that friction takes the direction that it is given
+    error = collocate(t, h, rtol, atol, mem)
+    state[SLOWEST] = slowest
+    if not error <= 1.0 or state[FAILED] != 0.0:
+        for k in range(len(reference)):
+            put(reference[k], remembered[k])
+    else:  # where slip is slow, friction goes on in the direction that was found
+        take(d1(mem, at.Q1), d1(mem, at.V1), mem)
+        evaluate(t + h, mem, d2(mem, at.RATES)[LAST, len(d1(mem, at.V1)) :])
+        complete(h, mem)
+    return error
+
+
+@inner
+def collocate(t, h, rtol, atol, mem):
+    state = d1(mem, at.STATE)
+    joints, q0, v0, q1, v1, rates, xi, sizes = (
+        i2(mem, at.JOINTS),
+        d1(mem, at.Q0),
+        d1(mem, at.V0),
+        d1(mem, at.Q1),
+        d1(mem, at.V1),
+        d2(mem, at.RATES),
+        d1(mem, at.XI),
+        d1(mem, at.SIZES),
+    )
+    q, v = d1(mem, at.Q), d1(mem, at.V)
+    modes, mu, reference, velocity = (
+        i1(mem, at.MODES),
+        d1(mem, at.MU),
+        d2(mem, at.REFERENCE),
+        d2(mem, at.VELOCITY),
+    )
+    n, width, s = len(v0), rates.shape[1], NODES_COUNT
+    rubbing = np.zeros(len(modes), dtype=np.int64)
+    for k in range(len(modes)):
+        rubbing[k] = modes[k] == SLIP and mu[k] > 0.0
+    slips = positions(rubbing)
+    count = len(slips)
+    size = s * count
+    directions = np.empty((s, count, 2))
+    across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
+    speeds = np.zeros((s, count))
+    matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
+    found = np.empty((s, width))
+    scale = np.empty(2 * n)
+    magnitudes(joints, q0, sizes)
+    for m in range(n):
+        scale[m] = 1.0 / (atol + rtol * sizes[m])
+        scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
+    for i in range(s):
+        put(rates[1 + i], rates[0])
+        for c in range(count):
+            put(directions[i, c], reference[slips[c]])
+    before = math.inf
+    for iteration in range(ITERATIONS):
+        state[LEAST_MARGIN] = math.inf
+        for i in range(s):
+            advance_to(i, h, rates, v0, xi, v)
+            if turned_too_far(joints, xi):
+                return math.inf
+            advance(joints, q0, xi, q)
+            chart_rate(joints, xi, v, found[i, :n])
+            for m in range(2 * n, width):
+                found[i, m] = 0.0
+            for c in range(count):
+                put(reference[slips[c]], directions[i, c])
+            evaluate(t + NODES[i] * h, mem, found[i, n:])
+            if state[FAILED] != 0.0:
+                return math.inf
+            for m in range(width):
+                found[i, m] -= rates[1 + i, m]
+            for c in range(count):
+                k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
+                turn(k, s1, s2, mem, across[i, c], effect[i, c])
+                speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
+                right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
+        for i in range(s):
+            for c in range(count):
+                row = i * count + c
+                for j in range(s):
+                    for m in range(n):
+                        right[row] -= h * MATRIX[i, j] * across[i, c, m] * found[j, n + m]
+                    for d in range(count):
+                        total = 0.0
+                        for m in range(n):
+                            total += across[i, c, m] * effect[j, d, m]
+                        matrix[row, j * count + d] = h * MATRIX[i, j] * total
+                matrix[row, row] -= speeds[i, c]
+        if solve(matrix, right, angle, RANK) == 0:
+            return math.inf
+        norm = 0.0
+        for i in range(s):
+            for c in range(count):
+                change = angle[i * count + c]
+                for m in range(n):
+                    found[i, n + m] += effect[i, c, m] * change
+                x, y = math.cos(change), math.sin(change)
+                s1, s2 = directions[i, c, 0], directions[i, c, 1]
+                directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
+            for m in range(width):
+                rates[1 + i, m] += found[i, m]
+            for m in range(2 * n):
+                norm += (h * found[i, m] * scale[m]) ** 2
+        norm = math.sqrt(norm / (2 * n * s))
+        ratio = norm / before if iteration > 0 else 0.5
+        if not norm < math.inf or (iteration > 2 and ratio >= 1.0):
+            return math.inf
+        if norm == 0.0 or (ratio < 1.0 and norm * ratio / (1.0 - ratio) <= 1e-2):
+            break
+        before = norm
+    else:
+        return math.inf
+    # the error: what the rates' polynomial says of the start, against the rates there
+    error = np.empty(2 * n)
+    for m in range(2 * n):
+        total = rates[0, m]
+        for j in range(s):
+            total -= AT_START[j] * rates[1 + j, m]
+        error[m] = GAMMA * h * total
+    filtered(h, across[0], effect[0], speeds[0], error[n:])
+    norm = 0.0
+    for m in range(2 * n):
+        norm += (error[m] * scale[m]) ** 2
+    norm = math.sqrt(norm / (2 * n))
+    advance_to(s - 1, h, rates, v0, xi, v1)
+    advance(joints, q0, xi, q1)
+    for c in range(count):
+        put(reference[slips[c]], directions[s - 1, c])
+    return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
+
+
+@inner
+def advance_to(i, h, rates, v0, xi, v):
+    """Fill chart coordinates and velocity at a stage, from the rates at all."""
+    n = len(v0)
+    for m in range(n):
+        a = b = 0.0
+        for j in range(NODES_COUNT):
+            a += MATRIX[i, j] * rates[1 + j, m]
+            b += MATRIX[i, j] * rates[1 + j, n + m]
+        xi[m] = h * a
+        v[m] = v0[m] + h * b
+
+
+@inner
+def filtered(h, across, effect, speeds, error):
+    """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
+    count, n = across.shape
+    matrix, right, answer = np.empty((count, count)), np.empty(count), np.empty(count)
+    for c in range(count):
+        right[c] = 0.0
+        for m in range(n):
+            right[c] += across[c, m] * error[m]
+        for d in range(count):
+            total = 0.0
+            for m in range(n):
+                total += across[c, m] * effect[d, m]
+            matrix[c, d] = -GAMMA * h * total
+        matrix[c, c] += speeds[c]
+    if solve(matrix, right, answer, RANK) != 0:
+        for c in range(count):
+            for m in range(n):
+                error[m] += GAMMA * h * effect[c, m] * answer[c]
+
+
+@inner
+def complete(h, mem):
+    """Fill the dense output of the step last attempted, and `peak`."""
+    rates, peak, coefficients = d2(mem, at.RATES), d2(mem, at.PEAK), d2(mem, at.COEFFICIENTS)
+    n = len(d1(mem, at.V0))
+    stages.largest(rates, 1 + NODES_COUNT, n, peak)
+    for m in range(rates.shape[1]):
+        late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
+        for j in range(NODES_COUNT):
+            late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
+        for k in range(7):
+            total = late * START[k]
+            for j in range(NODES_COUNT):
+                total += DENSE[k, j] * rates[1 + j, m]
+            coefficients[k, m] = h * total

@@ -1,0 +1,223 @@
+"""The plan of effects: what a scene calls for, why, and what was switched off against it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError, UnknownNameError
+from ..robot.names import near_matches
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+SWITCHABLE = (
+    "gravity",
+    "control",
+    "joint damping",
+    "joint friction",
+    "rotor inertia",
+    "contact friction",
+    "restitution",
+    "contact guards",
+    "sustained contact",
+    "moving surfaces",
+    "joint limits",
+    "held contacts",
+    "locked joints",
+    "recorded path",
+)
+"""Effects that can be switched off by name."""
+
+DERIVED = ("normal-tangential coupling", "spatial slip")
+"""Effects that each impact decides from its own W and v; they cannot be switched off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One line of a plan.
+
+    Attributes:
+        name: Of the documented vocabulary, `SWITCHABLE` and `DERIVED`.
+        on: Whether it is computed.
+        reason: Why it is, or why not.
+        changes_answer: Whether it was switched off although the scene calls for it.
+    """
+
+    name: str
+    on: bool
+    reason: str
+    changes_answer: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The effects of a scene, each with its reason; ``str(plan)`` is a table, ``plan["gravity"]`` one line.
+
+    Attributes:
+        effects: In the order of the vocabulary.
+        resting_speed: Bounce speed below which a contact is taken as resting [m/s].
+        unreachable: Names of the contacts that can never reach their surface, and are not watched.
+    """
+
+    effects: tuple[Effect, ...]
+    resting_speed: float
+    unreachable: tuple[str, ...]
+
+    def __iter__(self) -> Iterator[Effect]:
+        return iter(self.effects)
+
+    def __getitem__(self, name: str) -> Effect:
+        for effect in self.effects:
+            if effect.name == name:
+                return effect
+        raise UnknownNameError(f"effect: {name!r} is none; {near_matches(name, SWITCHABLE + DERIVED)}")
+
+    @property
+    def switched_off(self) -> tuple[str, ...]:
+        """Effects switched off although the scene calls for them, so that the answer changes."""
+        return tuple(effect.name for effect in self.effects if effect.changes_answer)
+
+    def __str__(self) -> str:
+        width = max(len(effect.name) for effect in self.effects)
+        marks = [
+            "OFF" if effect.changes_answer else ("yes" if effect.on else "no") for effect in self.effects
+        ]
+        return "\n".join(
+            f"{effect.name:<{width}}  {mark:<3}  {effect.reason}"
+            for effect, mark in zip(self.effects, marks, strict=True)
+        )
+
+
+def check_names(without: Sequence[str]) -> tuple[str, ...]:
+    """Return the effects to leave out, or raise for one that is unknown or cannot be."""
+    if isinstance(without, str):
+        without = (without,)
+    for name in without:
+        if name in DERIVED:
+            raise InputError(
+                f"without: {name!r} is decided by each impact from its numbers and cannot be switched off",
+                field="without",
+                value=name,
+            )
+        if name not in SWITCHABLE:
+            raise UnknownNameError(
+                f"without: {name!r} is no effect; {near_matches(name, SWITCHABLE)}",
+                field="without",
+                value=name,
+            )
+    return tuple(without)
+
+
+def make_plan(scene: Scene) -> Plan:
+    """Derive the plan of a scene from its data."""
+    model = scene.model
+    contacts = scene.contacts
+    unreachable = scene.unreachable()
+    watched = len(contacts) - len(unreachable)
+    damping, dry, rotor = scene.joint_damping, scene.joint_friction, np.asarray(model.armature)
+    rubbing = [c.label for c in contacts if c.friction > 0.0]
+    bouncing = [c.label for c in contacts if callable(c.restitution) or c.restitution > 0.0]
+    moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
+    limits = scene.limits()
+    g = float(np.linalg.norm(model.gravity.linear))
+
+    def count(number: int, what: str) -> str:
+        return f"{number} {what}{'' if number == 1 else 's'}"
+
+    called_for: dict[str, tuple[bool, str, str]] = {
+        "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
+        "control": (scene.control is not None, "a control callback is given", "no control callback is given"),
+        "joint damping": (
+            bool(damping.any()),
+            f"{count(int((damping != 0).sum()), 'velocity')} damped".replace("velocitys", "velocities"),
+            "the model's damping is zero",
+        ),
+        "joint friction": (
+            bool(dry.any()),
+            f"dry friction in {count(int((dry != 0).sum()), 'joint')}",
+            "the model's joint friction is zero",
+        ),
+        "rotor inertia": (
+            bool(rotor.any()),
+            f"armature on {count(int((rotor != 0).sum()), 'joint')}",
+            "the model's armature is zero",
+        ),
+        "contact friction": (
+            bool(rubbing),
+            f"μ > 0 at {', '.join(rubbing)}",
+            "no contact has μ > 0" if contacts else "there are no contacts",
+        ),
+        "restitution": (
+            bool(bouncing),
+            f"e > 0 at {', '.join(bouncing)}",
+            "no contact has e > 0" if contacts else "there are no contacts",
+        ),
+        "contact guards": (
+            watched > 0,
+            f"{count(watched, 'contact')} watched"
+            + (f"; out of reach and not watched: {', '.join(unreachable)}" if unreachable else ""),
+            f"out of reach of their surfaces: {', '.join(unreachable)}"
+            if unreachable
+            else "there are no contacts",
+        ),
+        "sustained contact": (
+            watched > 0 or bool(limits),
+            f"a bounce slower than {scene.rest:.3g} m/s is taken as rest",
+            "nothing can touch",
+        ),
+        "moving surfaces": (
+            bool(moving),
+            f"the surface moves at {', '.join(moving)}",
+            "no surface moves by itself",
+        ),
+        "joint limits": (
+            bool(limits),
+            f"{count(len(limits), 'finite bound')}, one-sided impacts with e = {scene.limit_restitution:g}",
+            "no joint has a finite bound",
+        ),
+        "held contacts": (
+            bool(scene.held),
+            f"held: {', '.join(c.label for c in scene.held)}",
+            "no contact is held",
+        ),
+        "locked joints": (
+            bool(scene.locked),
+            f"locked during impacts: {', '.join(map(str, scene.locked))}",
+            "no joint is locked",
+        ),
+        "recorded path": (scene.record, "record=True", "record=False"),
+    }
+    effects = []
+    for name, (present, reason, absence) in called_for.items():
+        if not present:
+            effects.append(Effect(name, False, absence))
+        elif name in scene.without:
+            effects.append(
+                Effect(name, False, f"switched off against the plan: {reason}", name != "recorded path")
+            )
+        else:
+            effects.append(Effect(name, True, reason))
+    touching = watched > 0 and "contact guards" not in scene.without
+    for name, reason in (
+        ("normal-tangential coupling", "each impact computes it unless its W has none (b = 0)"),
+        ("spatial slip", "each impact integrates it unless its slip keeps its direction"),
+    ):
+        slipping = touching and (
+            name != "spatial slip" or (bool(rubbing) and "contact friction" not in scene.without)
+        )
+        effects.append(
+            Effect(
+                name,
+                slipping,
+                reason
+                if slipping
+                else "no impact with friction can occur"
+                if touching
+                else "no contact can touch",
+            )
+        )
+    return Plan(tuple(effects), scene.rest, unreachable)

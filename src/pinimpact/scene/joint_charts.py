@@ -1,0 +1,42 @@
+"""The configuration space of a model as a table of joints, for charts that need no Pinocchio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from ._kernels.lie_charts import CIRCLE, PLANAR, RIGID, ROTATION, VECTOR
+
+
+def joint_table(model: pin.Model) -> NDArray[np.int64]:
+    """Return the (k, 4) table that `lie_charts` describes; plain neighbours share a row.
+
+    Raises:
+        ModelError: A joint whose configuration space is not one of those known (a composite of curved
+            joints, a mimic joint).
+    """
+    rows: list[list[int]] = []
+    for joint, name in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
+        nq, nv, i, j = joint.nq, joint.nv, joint.idx_q, joint.idx_v
+        kind_name = joint.shortname()
+        if nq == nv and "Mimic" not in kind_name:
+            if rows and rows[-1][0] == VECTOR and rows[-1][1] + rows[-1][3] == i:
+                rows[-1][3] += nv
+            else:
+                rows.append([VECTOR, i, j, nv])
+        elif (nq, nv) == (2, 1):
+            rows.append([CIRCLE, i, j, nv])
+        elif (nq, nv) == (7, 6):
+            rows.append([RIGID, i, j, nv])
+        elif (nq, nv) == (4, 3) and kind_name in ("JointModelPlanar", "JointModelSpherical"):
+            rows.append([PLANAR if kind_name == "JointModelPlanar" else ROTATION, i, j, nv])
+        else:
+            raise ModelError(
+                f"model: joint {name!r} is a {kind_name} with {nq} coordinates and {nv} velocities, which a "
+                "simulation cannot integrate; build the model from its simple joints",
+                field="model",
+                value=name,
+            )
+    return np.array(rows, dtype=np.int64).reshape(-1, 4)

@@ -1,0 +1,1 @@
+"""Measurements: what accuracy costs, and other solvers of the same problem."""

@@ -1,0 +1,362 @@
+"""What accuracy costs in time: error against time for every method over its steps or tolerances."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..contact_space.methods import METHODS
+from ..contact_space.problem import ImpactProblem, law_code
+from ..contact_space.solution import Solution
+from ..contact_space.solve import delassus_upper, solve_impact
+from ..errors import InputError, PinimpactError
+
+SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
+    "euler": tuple({"steps": n} for n in (10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)),
+    "rk4": tuple({"steps": n} for n in (3, 10, 30, 100, 300, 1000, 3000)),
+    "adaptive": tuple({"rtol": 10.0**-k} for k in range(2, 14)),
+    "solve_ivp": tuple({"rtol": 10.0**-k} for k in range(3, 13)),
+}
+"""What each method is measured at; a method without an entry is measured as it stands."""
+
+TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": 3e-14}
+"""What "exact" is compared with; every other method is compared with "exact"."""
+
+BATCH = 2e-4
+"""Seconds that one timing lasts at least; shorter calls are repeated."""
+
+
+def problem_classes() -> dict[str, ImpactProblem]:
+    """Return the standard problems, one for each regime that an impact can take."""
+    skewed = np.array([[1.3, 0.2, 0.4], [0.2, 0.8, -0.3], [0.4, -0.3, 0.9]])
+    s, c = math.sin(0.46), math.cos(0.46)
+    rod = np.array(
+        [[4.0, 0.0, 0.0], [0.0, 1.0 + 3.0 * s * s, -3.0 * s * c], [0.0, -3.0 * s * c, 1.0 + 3.0 * c * c]]
+    )
+    stick = 3.0 * s * c / (1.0 + 3.0 * s * s)
+    jam = np.array([[1.2, 0.0, 1.0], [0.0, 8.0, 0.0], [1.0, 0.0, 1.0]])
+    planar = np.array([[1.5, 0.0, 0.6], [0.0, 0.0, 0.0], [0.6, 0.0, 0.9]])
+    # fast enough for slip to end in restitution only: the compression impulse then depends on the path
+    start = (0.9, 0.9 * math.sqrt(3.0), -2.0)
+    # −t₁ is an invariant direction here, unstable, and slip that came along it has to turn back
+    symmetric = np.array([[1.2, 0.0, 0.5], [0.0, 0.4, 0.0], [0.5, 0.0, 0.9]])
+    return {
+        "smooth slip": ImpactProblem(skewed, (1.0, 0.7, -1.0), 0.3, 0.5),
+        "slip to stick": ImpactProblem(rod, start, 1.1, 0.8),
+        "resumed slip": ImpactProblem(rod, start, 0.7, 0.8),
+        "near-critical friction": ImpactProblem(rod, start, stick * (1.0 - 1e-6), 0.8),
+        "near-invariant start": ImpactProblem(symmetric, (-1.0, 1e-4, -1.0), 0.3, 0.5),
+        "jam": ImpactProblem(jam, (0.5, 12.0, -0.6), 1.5, 0.5),
+        "planar": ImpactProblem(planar, (0.3, 0.0, -1.0), 0.3, 0.5),
+        "frictionless": ImpactProblem(skewed, (1.0, 0.7, -1.0), 0.0, 0.5),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One method at one setting on one problem.
+
+    Attributes:
+        problem: Name of the problem.
+        method: Name of the method.
+        setting: Its keyword options.
+        error: The larger of the errors of v⁺ over |v⁻| and of P over |P|; NaN where the method failed.
+        seconds: Time of the compiled kernel, called from compiled code; NaN where the method has none.
+        call_seconds: Time of `solve_impact`, called from Python.
+    """
+
+    problem: str
+    method: str
+    setting: dict[str, Any]
+    error: float
+    seconds: float
+    call_seconds: float
+
+    @property
+    def cost(self) -> float:
+        """Seconds of the kernel, or of the call where there is no kernel."""
+        return self.call_seconds if math.isnan(self.seconds) else self.seconds
+
+    def __str__(self) -> str:
+        setting = ", ".join(f"{name}={value:g}" for name, value in self.setting.items())
+        return f"{self.method}({setting})"
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """End state of another model, at e = 0, against the end of the path.
+
+    Attributes:
+        problem: Name of the problem.
+        solver: Pinocchio's solver.
+        turned: Whether slip turned, stopped or resumed on the path.
+        velocity: |v⁺ − v⁺ of the path| over |v⁻|.
+        impulse: |P − P of the path| over |P|.
+        call_seconds: Time of the call.
+    """
+
+    problem: str
+    solver: str
+    turned: str
+    velocity: float
+    impulse: float
+    call_seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Measurements, and how to read, keep and draw them."""
+
+    points: tuple[Point, ...]
+    contrasts: tuple[Contrast, ...]
+    machine: dict[str, Any]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Names of the problems, in the order measured."""
+        return tuple(dict.fromkeys(point.problem for point in self.points))
+
+    def table(self) -> str:
+        """Return error and time of every point as text."""
+        lines = []
+        for problem in self.problems:
+            lines += [problem, f"  {'method':<26}{'error':>10}{'kernel':>12}{'from Python':>14}"]
+            lines += [
+                f"  {point!s:<26}{point.error:>10.1e}{duration(point.seconds):>12}"
+                f"{duration(point.call_seconds):>14}"
+                for point in self.points
+                if point.problem == problem
+            ]
+        if self.contrasts:
+            lines += [
+                "",
+                "Another model: Pinocchio's constraint solvers at e = 0, against the end of the path",
+            ]
+            lines += [f"  {'problem':<26}{'solver':<8}{'v⁺ off by':>10}{'P off by':>10}  slip on the path"]
+            lines += [
+                f"  {c.problem:<26}{c.solver:<8}{c.velocity:>10.1e}{c.impulse:>10.1e}  {c.turned}"
+                for c in self.contrasts
+            ]
+        return "\n".join(lines)
+
+    def cheapest(self, target: float) -> tuple[Point | None, ...]:
+        """Return for each problem the point of least cost whose error is within `target`, or None."""
+        if not 0.0 < target < math.inf:
+            raise InputError(f"target: {target!r} given, a number > 0 expected", field="target", value=target)
+        best = []
+        for problem in self.problems:
+            good = [p for p in self.points if p.problem == problem and p.error <= target]
+            best.append(min(good, key=lambda point: point.cost, default=None))
+        return tuple(best)
+
+    def answer(self, target: float) -> str:
+        """Return in words which method and setting reaches `target` at the least cost."""
+        lines = [f"cheapest within an error of {target:g}"]
+        for problem, point in zip(self.problems, self.cheapest(target), strict=True):
+            found = "nothing measured reaches it"
+            if point is not None:
+                found = f"{point!s:<26}{point.error:>10.1e}{duration(point.cost):>12}"
+            lines.append(f"  {problem:<26}{found}")
+        return "\n".join(lines)
+
+    def save(self, path: str | Path) -> None:
+        """Write the raw figures as JSON (NaN as null)."""
+        raw = {
+            "machine": self.machine,
+            "points": [asdict(point) for point in self.points],
+            "contrasts": [asdict(contrast) for contrast in self.contrasts],
+        }
+        Path(path).write_text(json.dumps(_nulls(raw), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+    def plot(self, path: str | Path) -> None:
+        """Draw the work-precision diagram as PNG."""
+        from ..visual.work_precision import draw
+
+        draw(self, path)
+
+
+def run_cost(
+    problems: Mapping[str, ImpactProblem] | None = None,
+    methods: Iterable[str] | None = None,
+    repeats: int = 20,
+    time_cap: float = 2.0,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Measure error against time.
+
+    Args:
+        problems: Problems by name; the standard classes where None.
+        methods: Names of registered methods; all where None.
+        repeats: Timings of each point, of which the best counts.
+        time_cap: Seconds after which a point takes no more timings; a method is not measured at settings
+            beyond the first whose single call takes longer.
+        progress: Called with the name of each problem as its turn comes.
+
+    Returns:
+        The `Report`. A method that fails on a problem has NaN there.
+
+    Raises:
+        PinimpactError: A problem that has no answer, or the name of no method.
+    """
+    points: list[Point] = []
+    contrasts: list[Contrast] = []
+    for name, problem in (problem_classes() if problems is None else problems).items():
+        if progress is not None:
+            progress(name)
+        exact, tight = solve_impact(problem), solve_impact(problem, **TIGHTEST)
+        for method in METHODS if methods is None else methods:
+            reference = tight if method == "exact" else exact
+            for setting in SETTINGS.get(method, ({},)):
+                point = _measure(name, problem, method, setting, reference, repeats, time_cap)
+                points.append(point)
+                if point.call_seconds > time_cap:
+                    break
+        contrasts += _contrasts(name, problem, repeats, time_cap)
+    return Report(tuple(points), tuple(contrasts), machine())
+
+
+def relative_error(solution: Solution, reference: Solution, problem: ImpactProblem) -> float:
+    """Return the larger of the error of v⁺ over |v⁻| and of P over |P|."""
+    size = float(np.linalg.norm(reference.impulse)) or 1.0
+    return max(
+        float(np.linalg.norm(solution.velocity - reference.velocity) / np.linalg.norm(problem.velocity)),
+        float(np.linalg.norm(solution.impulse - reference.impulse)) / size,
+    )
+
+
+def best_time(call: Callable[[int], Any], repeats: int, time_cap: float) -> float:
+    """Return the least seconds that ``call(count)`` takes per count."""
+    begun = time.perf_counter()
+    call(1)
+    once = time.perf_counter() - begun
+    count = max(1, math.ceil(BATCH / max(once, 1e-8)))
+    best = once
+    for _ in range(repeats):
+        now = time.perf_counter()
+        if now - begun > time_cap:
+            break
+        call(count)
+        best = min(best, (time.perf_counter() - now) / count)
+    return best
+
+
+def _measure(
+    name: str,
+    problem: ImpactProblem,
+    method: str,
+    setting: dict[str, Any],
+    reference: Solution,
+    repeats: int,
+    time_cap: float,
+) -> Point:
+    def call(count: int) -> None:
+        for _ in range(count):
+            solve_impact(problem, method, **setting)
+
+    try:
+        error = relative_error(solve_impact(problem, method, **setting), reference, problem)
+    except PinimpactError:
+        if method not in METHODS:
+            raise
+        return Point(name, method, setting, math.nan, math.nan, math.nan)
+    kernel = _kernel(problem, method, setting)
+    seconds = best_time(kernel, repeats, time_cap) if kernel else math.nan
+    return Point(name, method, setting, error, seconds, best_time(call, repeats, time_cap))
+
+
+def _kernel(problem: ImpactProblem, method: str, setting: dict[str, Any]) -> Callable[[int], Any] | None:
+    """Return what solves the problem `count` times in compiled code, warmed up."""
+    from ..contact_space._kernels.butcher import DORMAND_PRINCE, EULER, RK4
+    from ..contact_space._kernels.timing import repeat_exact, repeat_stepping
+    from ..contact_space.methods import FIRST_STEPS
+
+    v1, v2, v3 = map(float, np.asarray(problem.velocity))
+    numbers = (*delassus_upper(problem.delassus), v1, v2, v3, float(problem.friction))
+    inputs = (*numbers, float(problem.restitution), law_code(problem.law))
+
+    def exact(count: int) -> None:
+        repeat_exact(count, *inputs)
+
+    def stepping(count: int) -> None:
+        repeat_stepping(count, *inputs, table, setting.get("steps", FIRST_STEPS), setting.get("rtol", 0.0))
+
+    table = {"euler": EULER, "rk4": RK4, "adaptive": DORMAND_PRINCE}.get(method)
+    if method != "exact" and table is None:
+        return None
+    call = exact if table is None else stepping
+    call(1)
+    return call
+
+
+def _contrasts(name: str, problem: ImpactProblem, repeats: int, time_cap: float) -> list[Contrast]:
+    from .pinocchio_baseline import SOLVERS, solve_constraint
+
+    plastic = ImpactProblem(problem.delassus, problem.velocity, problem.friction, 0.0)
+    path = solve_impact(plastic)
+    events = [effect for effect in path.effects if effect in ("spatial slip", "stick", "resumed slip", "jam")]
+    found = []
+    for solver in SOLVERS:
+
+        def call(count: int, solver: str = solver) -> None:
+            for _ in range(count):
+                solve_constraint(problem.delassus, problem.velocity, problem.friction, solver)
+
+        velocity, impulse = solve_constraint(problem.delassus, problem.velocity, problem.friction, solver)
+        found.append(
+            Contrast(
+                name,
+                solver,
+                ", ".join(events) or "straight",
+                float(np.linalg.norm(velocity - path.velocity) / np.linalg.norm(problem.velocity)),
+                float(np.linalg.norm(impulse - path.impulse) / (np.linalg.norm(path.impulse) or 1.0)),
+                best_time(call, repeats, time_cap),
+            )
+        )
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """Return what a measurement has to say about where it was made."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [
+            line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line
+        ]
+        cpu = models[0] if models else cpu
+    packages = ("pinimpact", "pin", "numba", "llvmlite", "numpy", "scipy")
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        "packages": {package: version(package) for package in packages},
+    }
+
+
+def duration(seconds: float) -> str:
+    """Return seconds in readable units."""
+    if math.isnan(seconds):
+        return "–"
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def _nulls(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _nulls(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_nulls(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

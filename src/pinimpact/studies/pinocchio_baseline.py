@@ -1,0 +1,69 @@
+"""Pinocchio's own constraint solvers on the same W, v and μ: another model of the impact.
+
+They find one impulse for the whole impact, with friction opposed to the *final* slip and no restitution.
+Where slip keeps its direction that is the end of the path too; where it turns, it is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from ..checks import finite_array
+from ..contact_space.solution import Array
+from ..errors import UnknownNameError
+
+SOLVERS = ("admm", "pgs")
+TOLERANCE = 1e-11
+MAX_ITERATIONS = 100_000
+
+
+def _settings(settings: pin.ADMMSolverSettings | pin.PGSSolverSettings) -> None:
+    settings.absolute_feasibility_tol = settings.relative_feasibility_tol = TOLERANCE
+    settings.absolute_complementarity_tol = settings.relative_complementarity_tol = TOLERANCE
+    settings.max_iterations = MAX_ITERATIONS
+    settings.solve_ncp = True
+
+
+def solve_constraint(
+    delassus: ArrayLike, velocity: ArrayLike, friction: float, solver: str = "admm"
+) -> tuple[Array, Array]:
+    """Solve the impact of e = 0 as a complementarity problem with Pinocchio (4.1 or later).
+
+    Args:
+        delassus: (3, 3) W [1/kg].
+        velocity: (3,) pre-impact contact velocity [m/s].
+        friction: μ.
+        solver: ``"admm"`` or ``"pgs"``.
+
+    Returns:
+        v⁺ (3,) and P (3,); NaN where the solver does not converge.
+
+    Raises:
+        InputError: Numbers that cannot be used.
+        UnknownNameError: No such solver.
+    """
+    W = finite_array("delassus", delassus, (3, 3))
+    v = finite_array("velocity", velocity, (3,))
+    if solver not in SOLVERS:
+        raise UnknownNameError(
+            f"solver: {solver!r} is not one of {', '.join(SOLVERS)}", field="solver", value=solver
+        )
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    contact = pin.PointContactConstraintModel(model, joint)
+    contact.setFriction(float(friction))
+    constraints, data = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
+    constraints.append(pin.ConstraintModel(contact))
+    data.append(constraints[0].createData())
+    if solver == "admm":
+        run, settings, result = pin.ADMMConstraintSolver(3), pin.ADMMSolverSettings(), pin.ADMMSolverResult()
+    else:
+        run, settings, result = pin.PGSConstraintSolver(3), pin.PGSSolverSettings(), pin.PGSSolverResult()
+    _settings(settings)
+    operator = pin.DelassusOperatorDense(np.asfortranarray(W))
+    if not run.solve(operator, v.copy(), constraints, data, settings, result):
+        return np.full(3, np.nan), np.full(3, np.nan)
+    impulse = np.array(result.retrieveConstraintImpulses()).ravel()
+    return v + W @ impulse, impulse
