@@ -172,7 +172,7 @@ def test_locked_mechanism(method):
 
 def test_steps_without_compiling():
     script = (
-        "import numba, pinimpact.cost as cost; from pinimpact import solve_impact\n"
+        "import numba, pinimpact.studies.cost as cost; from pinimpact import solve_impact\n"
         "assert numba.config.DISABLE_JIT\n"
         "problem = cost.problem_classes()['resumed slip']\n"
         "for method in ('euler', 'rk4', 'adaptive'):\n"

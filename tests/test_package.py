@@ -26,7 +26,7 @@ def test_import_loads_nothing_heavy() -> None:
 
 
 def test_the_command_line_starts_light() -> None:
-    loaded = modules_after("import pinimpact.cli")
+    loaded = modules_after("import pinimpact.app.cli")
     assert not loaded & {"numba", "scipy", "matplotlib", "meshcat", "pinocchio", "pydantic"}
 
 

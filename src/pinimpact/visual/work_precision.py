@@ -27,7 +27,7 @@ def draw(report: Report, path: str | Path) -> None:
     """Draw error against time, one panel for each problem, as PNG.
 
     Args:
-        report: Measurements of `pinimpact.cost.run_cost`.
+        report: Measurements of `pinimpact.studies.cost.run_cost`.
         path: File to write.
     """
     columns = min(COLUMNS, len(report.problems))
