@@ -1,0 +1,84 @@
+"""Small dense systems against NumPy's decompositions."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinimpact._numeric import elimination, least_norm, semidefinite
+
+TOLERANCE = 1e-9
+COMPILES = settings(deadline=None)
+
+
+@numba.njit
+def solve_least_norm(matrix, right, x):
+    """Call the kernel, which only kernels can."""
+    return least_norm.least_norm(matrix, right, TOLERANCE, x)
+
+
+@numba.njit
+def solve_square(matrix, right, x):
+    """Call the kernel, which only kernels can."""
+    return elimination.solve(matrix, right, x, TOLERANCE)
+
+
+@numba.njit
+def solve_semidefinite(matrix, right, x):
+    """Call the kernel, which only kernels can."""
+    semidefinite.impulses(matrix, right, x)
+
+
+def matrix_of_rank(seed, rows, columns, rank):
+    """A matrix whose singular values lie between 1 and 10, as many as its rank."""
+    rng = np.random.default_rng(seed)
+    left = np.linalg.qr(rng.normal(size=(rows, rows)))[0][:, :rank]
+    right = np.linalg.qr(rng.normal(size=(columns, columns)))[0][:, :rank]
+    return (left * rng.uniform(1.0, 10.0, size=rank)) @ right.T
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 12), st.integers(0, 12), st.booleans())
+def test_least_norm_is_that_of_the_singular_values(seed, rows, columns, rank, consistent):
+    rank = min(rank, rows, columns)
+    matrix = matrix_of_rank(seed, rows, columns, rank)
+    rng = np.random.default_rng(seed + 1)
+    right = matrix @ rng.normal(size=columns) if consistent else rng.normal(size=rows)
+    before = matrix.copy()
+    x = np.empty(columns)
+    assert solve_least_norm(matrix, right, x) == rank
+    assert (matrix == before).all()
+    expected = np.linalg.pinv(matrix, rcond=TOLERANCE) @ right if rank else np.zeros(columns)
+    assert x == pytest.approx(expected, rel=1e-11, abs=1e-12)
+
+
+def test_least_norm_of_columns_that_repeat_shares_evenly():
+    x = np.empty(4)
+    assert solve_least_norm(np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([2.0]), x) == 1
+    assert x == pytest.approx(0.5, rel=1e-15)
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 10))
+def test_elimination_solves_and_knows_the_sign_of_the_determinant(seed, size):
+    matrix = matrix_of_rank(seed, size, size, size)
+    right = np.random.default_rng(seed + 1).normal(size=size)
+    x = np.empty(size)
+    assert solve_square(matrix, right, x) == np.sign(np.linalg.det(matrix))
+    assert x == pytest.approx(np.linalg.solve(matrix, right), rel=1e-11, abs=1e-12)
+    singular = matrix_of_rank(seed, size, size, size - 1)
+    assert solve_square(singular, right, x) == 0
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 10), st.integers(1, 10))
+def test_impulses_of_a_semidefinite_matrix_reproduce_what_it_can_produce(seed, size, rank):
+    factor = matrix_of_rank(seed, size, min(rank, size), min(rank, size))
+    matrix = factor @ factor.T
+    target = matrix @ np.random.default_rng(seed + 1).normal(size=size)
+    x = np.empty(size)
+    solve_semidefinite(matrix, target, x)
+    assert matrix @ x == pytest.approx(target, rel=1e-10, abs=1e-10)
