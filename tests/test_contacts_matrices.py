@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.robot.contact import contact_geometry
+from pinimpact.robot.matrices import contact_geometry
 from pinimpact.robot.surfaces import contact_axes
 
 from . import robot_cases as cases

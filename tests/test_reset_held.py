@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.robot.contact import contact_geometry
+from pinimpact.robot.matrices import contact_geometry
 from pinimpact.robot.robot_impact import HeldContactWarning
 
 from . import robot_cases as cases

@@ -77,7 +77,7 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     contact = Contact("frame5", plane, offset=(0.1, -0.2, 0.3), radius=radius)
     q, v, tau = random_state(model, 2)
     scene = Scene(model, [contact], control=lambda *_: tau)
-    flow = Flow(scene, model, model.createData(), [contact], [], [])
+    flow = Flow(scene, model, [contact], [], [])
 
     def evaluate(q, v):
         found = flow.probe(0.0, q, v, [0])
@@ -115,7 +115,7 @@ def test_the_bound_of_the_curvature_holds():
     for seed in range(20):
         q, v, tau = random_state(model, seed)
         scene = Scene(model, [contact], control=lambda *_, tau=tau: tau)
-        flow = Flow(scene, model, model.createData(), [contact], [], [])
+        flow = Flow(scene, model, [contact], [], [])
         closed = flow.probe(0.0, q, v, [0])
         a = closed.joints
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
-    from .robot.contact import Contact, ContactMatrices, contact_matrices
+    from .robot.contact import Contact
     from .robot.loading import load_robot
+    from .robot.matrices import ContactMatrices, contact_matrices
+    from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
     from .robot.surfaces import Plane
     from .scene.scene import Scene
@@ -54,6 +56,7 @@ __all__ = [
     "ModelError",
     "Path",
     "PinimpactError",
+    "PinocchioLayoutWarning",
     "Plane",
     "Scene",
     "Segment",
@@ -77,7 +80,9 @@ __all__ = [
 
 _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
-    "robot.contact": ("Contact", "ContactMatrices", "contact_matrices"),
+    "robot.contact": ("Contact",),
+    "robot.matrices": ("ContactMatrices", "contact_matrices"),
+    "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
         "InputError",
         "LawError",

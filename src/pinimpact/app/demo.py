@@ -11,8 +11,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
-from ..robot.contact import Contact, contact_geometry
+from ..robot.contact import Contact
 from ..robot.loading import load_robot
+from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
 from ..robot.surfaces import Plane
 from ..scene.scene import Scene

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import difflib
-import weakref
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..checks import finite_array
-from ..errors import InputError, UnknownNameError
+from ..errors import InputError, ModelError, UnknownNameError
 
 
 def near_matches(name: str, names: Iterable[str]) -> str:
@@ -92,92 +89,6 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     return free
 
 
-class Workspace:
-    """What does not change about a model and its data from one call to the next; see `workspace`."""
-
-    __slots__ = (
-        *("columns", "curved", "data", "frames", "model", "nframes", "nv", "parents", "q_shape", "supports"),
-        "v_shape",
-    )
-
-    def __init__(self, model: pin.Model, data: pin.Data) -> None:
-        if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
-            raise outdated(model, data)
-        self.model = weakref.ref(model)
-        self.data = weakref.ref(data, _forget(id(data)))
-        self.nframes = model.nframes
-        self.nv = model.nv
-        self.q_shape = (model.nq,)
-        self.v_shape = (model.nv,)
-        self.curved = model.nq != model.nv
-        self.parents = np.array(data.parents_fromRow, dtype=np.int64)
-        if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
-            self.parents = np.arange(-1, model.nv - 1)
-        self.frames: dict[Any, int] = {}
-        self.supports: dict[int, np.ndarray] = {}
-        # what crba and computeJointJacobians write; with mimic joints it has columns of its own
-        self.columns = _unowned(data.J, (6, model.nv)) if data.J.size == 6 * model.nv else None
-
-    def frame(self, key: str | int, field: str = "frame") -> int:
-        """Return the id of a frame given by name or id; see `frame_id`."""
-        found = self.frames.get(key)
-        if found is None:
-            model: Any = self.model()
-            found = frame_id(model, key, field)
-            if found >= self.nframes:
-                raise outdated(model, self.data())
-            self.frames[key] = found
-        return found
-
-    def support(self, frame: int) -> np.ndarray:
-        """Return (nv,) booleans: the velocities that move a frame given by id."""
-        found = self.supports.get(frame)
-        if found is None:
-            model: Any = self.model()
-            # with mimic joints a column holds what the frame's own joints do, and nothing else
-            found = self.supports[frame] = np.full(self.nv, self.columns is None)
-            for joint in list(model.supports[model.frames[frame].parentJoint])[1:]:
-                found[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = True
-        return found
-
-
-def _unowned(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a view of an array, column by column, that does not keep its owner alive."""
-    numbers = (ctypes.c_double * array.size).from_address(array.__array_interface__["data"][0])
-    return np.ctypeslib.as_array(numbers).reshape(shape, order="F")
-
-
-def outdated(model: pin.Model, data: Any) -> InputError:
-    """Return the error for data that do not fit their model."""
-    return InputError(
-        f"data: made for another model or before this one was changed "
-        f"({len(data.oMi)} joints, {len(data.oMf)} frames, {len(data.M)} velocities; the model has "
-        f"{model.njoints}, {model.nframes}, {model.nv}); make new data with model.createData()",
-        field="data",
-        value=data,
-    )
-
-
-_workspaces: dict[int, Workspace] = {}
-
-
-def _forget(key: int) -> Any:
-    forget = _workspaces.pop  # bound now: at exit the module may be gone before the data
-    return lambda _: forget(key, None)
-
-
-def workspace(model: pin.Model, data: pin.Data) -> Workspace:
-    """Return the workspace of `data`, made on the first call and remembered as long as `data` lives.
-
-    Frame placements, inertias and rotor inertias may be changed between calls. Adding a frame calls for
-    new data; a frame that is renamed in place keeps answering to the name first asked for.
-    """
-    found = _workspaces.get(id(data))
-    if found is None or found.data() is not data or found.model() is not model:
-        found = _workspaces[id(data)] = Workspace(model, data)
-    return found
-
-
 def model_of(robot: Any) -> pin.Model:
     """Return the model of a RobotWrapper, or the model itself.
 
@@ -196,18 +107,16 @@ def model_of(robot: Any) -> pin.Model:
     return model
 
 
-def configuration(space: Workspace, model: pin.Model, q: Any) -> np.ndarray:
-    """Return q as a checked (nq,) array.
-
-    Raises:
-        InputError: Wrong length, not finite, or a quaternion or (cos, sin) pair that is not of unit length
-            to within 1e-8.
-    """
-    q = finite_array("q", q, space.q_shape)
-    if space.curved and not pin.isNormalized(model, q, 1e-8):
-        raise InputError(
-            "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)",
-            field="q",
-            value=q,
-        )
-    return q
+def singular_mass(model: pin.Model, velocity: int) -> ModelError:
+    """Return the error for a mass matrix whose factorization stops at a velocity."""
+    joint = next(
+        name
+        for name, start, count in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        if start <= velocity < start + count
+    )
+    return ModelError(
+        f"model: the mass matrix is not positive definite: joint {joint!r} (velocity {velocity}) moves no "
+        f"inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock the joint",
+        field="model",
+        value=joint,
+    )

@@ -21,17 +21,10 @@ from ..contact_space.solve import TRACE_ROWS, solve_impact, solve_inputs
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
-from .contact import (
-    Contact,
-    ContactMatrices,
-    check_contact,
-    check_held,
-    contact_geometry,
-    contact_matrices,
-    kinematics,
-    singular_mass,
-)
-from .names import configuration, model_of, workspace
+from .contact import Contact, check_contact, check_held
+from .data_cache import checked_configuration, data_cache
+from .matrices import ContactMatrices, contact_geometry, contact_matrices, kinematics
+from .names import model_of, singular_mass
 
 LOCKED = int(Status.LOCKED)
 """The last status that is an answer."""
@@ -40,7 +33,6 @@ Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model
-_mass_matrix = pin.crba
 _WORLD = pin.Convention.WORLD
 _is_normalized = pin.isNormalized
 _contiguous = np.ascontiguousarray
@@ -186,29 +178,29 @@ def impact(
     """
     if type(model) is not _Model:
         model = model_of(model)
-    space = workspace(model, data)
+    cache = data_cache(model, data)
     if type(contact) is not Contact:
         check_contact("contact", contact)
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
     try:
         q_now, v_now = _contiguous(q, _FLOAT), _contiguous(v, _FLOAT)
-        fit = q_now.shape == space.q_shape and v_now.shape == space.v_shape
+        fit = q_now.shape == cache.q_shape and v_now.shape == cache.v_shape
     except (TypeError, ValueError):
         fit = False
     if not fit:  # say what is wrong
-        q_now, v_now = float_array("q", q, space.q_shape), float_array("v", v, space.v_shape)
-    if space.curved and not _is_normalized(model, q_now, 1e-8):
-        configuration(space, model, q_now)
+        q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
+    if cache.curved and not _is_normalized(model, q_now, 1e-8):
+        checked_configuration(cache, model, q_now)
     restitution = contact.restitution
     if callable(restitution):
         restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
-    nv = space.nv
+    nv = cache.nv
     answer = _empty(nv + SIZE)
     outcome = _reset(
-        _mass_matrix(model, data, q_now, _WORLD),
-        space.parents,
-        *kinematics(model, data, q_now, space, contact),
+        cache.mass_matrix(model, data, q_now, _WORLD),
+        cache.parents,
+        *kinematics(model, data, q_now, cache, contact),
         contact.constants,
         q_now,
         v_now,
@@ -221,8 +213,8 @@ def impact(
     if not 0 <= outcome[0] <= LOCKED:
         if outcome[0] == kernel.SINGULAR_MASS:
             raise singular_mass(model, outcome[1])
-        finite_array("q", q, space.q_shape)
-        finite_array("v", v, space.v_shape)
+        finite_array("q", q, cache.q_shape)
+        finite_array("v", v, cache.v_shape)
         solve_inputs(hit._inputs())
     return hit
 
@@ -273,28 +265,28 @@ def impacts(
         ModelError: The mass matrix is not positive definite.
     """
     model = model_of(model)
-    space = workspace(model, data)
+    cache = data_cache(model, data)
     check_contact("contact", contact)
     count = np.shape(q)[0] if np.ndim(q) == 2 else 0
-    q = float_array("q", q, (count, *space.q_shape))
-    v = float_array("v", v, (count, *space.v_shape))
+    q = float_array("q", q, (count, *cache.q_shape))
+    v = float_array("v", v, (count, *cache.v_shape))
     mu = _per_row("friction", contact.friction if friction is None else friction, count)
     law = contact.restitution if restitution is None else restitution
     e = None if callable(law) else _per_row("restitution", law, count)
     found = Hits(
-        np.full((count, space.nv), np.nan),
+        np.full((count, cache.nv), np.nan),
         np.full((count, 3), np.nan),
         np.full(count, int(Status.INVALID_NUMBERS)),
         np.zeros(count, dtype=np.int64),
     )
-    answer = np.empty(space.nv + kernel.SIZE)
+    answer = np.empty(cache.nv + kernel.SIZE)
     for row in range(count):
-        if not np.isfinite(q[row]).all() or (space.curved and not pin.isNormalized(model, q[row], 1e-8)):
+        if not np.isfinite(q[row]).all() or (cache.curved and not pin.isNormalized(model, q[row], 1e-8)):
             continue
         outcome = kernel.reset(
-            pin.crba(model, data, q[row], pin.Convention.WORLD),
-            space.parents,
-            *kinematics(model, data, q[row], space, contact),
+            cache.mass_matrix(model, data, q[row], _WORLD),
+            cache.parents,
+            *kinematics(model, data, q[row], cache, contact),
             contact.constants,
             q[row],
             v[row],
@@ -307,7 +299,7 @@ def impacts(
             raise singular_mass(model, outcome[1])
         found.status[row] = outcome[0]
         if outcome[0] <= LOCKED:
-            hit = Hit(answer, space.nv, outcome, contact, 0.0)
+            hit = Hit(answer, cache.nv, outcome, contact, 0.0)
             found.v[row] = hit.v
             found.impulse_world[row] = hit.impulse_world
             found.flags[row] = outcome[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,8 +11,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
+from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.names import frame_id
+from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
 from ..robot.surfaces import contact_axes
 from ._kernels import advance, contact_forces, contact_modes, dynamics, workspace
 from ._kernels.contact_forces import HELD, SLIP
@@ -23,8 +24,6 @@ from .scene import JointLimit, Scene
 from .step import Segment, Step
 
 Array = NDArray[np.float64]
-
-_WORLD = pin.Convention.WORLD
 
 
 def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array, Array]:
@@ -93,7 +92,6 @@ class Flow:
         self,
         scene: Scene,
         model: pin.Model,
-        data: pin.Data,
         contacts: Sequence[Contact],
         held: Sequence[Contact],
         limits: Sequence[JointLimit],
@@ -104,28 +102,24 @@ class Flow:
         self.contacts = (*contacts, *held)
         self.limits = tuple(limits)
         self.control = None if "control" in without else scene.control
-        self.failure: BaseException | None = None
-        self._q, self._v, self._tau = pin.neutral(model), np.zeros(nv), np.zeros(nv)
+        robot = robot_dynamics(model)
+        self._q, self._v = robot.q, robot.v
         self._given, self._clock = np.zeros(nv), np.zeros(1)
-        pin.aba(model, data, self._q, self._v, self._tau, _WORLD)
-        pin.computeMinverse(model, data)
         # by address from the kernels, so these and all arrays must live as long as this
         self._calls = (
-            *(pin.aba, (model, data, self._q, self._v, self._tau, _WORLD)),
-            *(pin.computeMinverse, (model, data)),
-            *(pin.forwardKinematics, (model, data, self._q, self._v)),
-            *(self._take_least_norm, ()),
-            *(self._ask_control, ()),
+            *(robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics),
+            *(Call(self._take_least_norm, ()), Call(self._ask_control, ())),
         )
-        calls = np.array([id(item) for item in self._calls])
+        self._robot = robot
+        calls = call_addresses(self._calls)
         if self.control is None:
             calls[dynamics.CONTROL] = 0
         dry = scene.joint_friction * ("joint friction" not in without)
         self.tree = (
-            *(calls, self._q, self._v, self._tau, self._given, self._clock),
-            *(data.ddq, data.Minv.reshape(nv, nv)),
-            *(_rows_of(items) for items in (data.oMi, data.v, data.ov, data.oa_gf)),
-            *(data.J.reshape(6, nv), scene.joint_damping * ("joint damping" not in without)),
+            *(calls, robot.q, robot.v, robot.tau, self._given, self._clock),
+            *(robot.acceleration, robot.minverse, robot.placements, robot.local_velocities),
+            *(robot.velocities, robot.accelerations, robot.joint_jacobian),
+            scene.joint_damping * ("joint damping" not in without),
             *(dry, np.zeros(nv)),
         )
         count = len(self.contacts)
@@ -197,48 +191,43 @@ class Flow:
         return bool(jammed)
 
     def _ask_control(self) -> None:
-        """Take the control's forces; an error is kept, for a kernel cannot pass it on."""
+        """Take the control's forces."""
+        t = float(self._clock[0])
         try:
-            t = float(self._clock[0])
             tau = np.asarray(self.control(t, self._q.copy(), self._v.copy()), dtype=float)  # type: ignore[misc]
-            if tau.shape != (self.nv,):
-                raise SimulationError(
-                    f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; "
-                    f"({self.nv},) expected",
-                    field="control",
-                    value=tau,
-                )
-            if not math.isfinite(tau.dot(tau)):
-                raise SimulationError(
-                    f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
-                    field="control",
-                    value=tau,
-                )
-            self._given[:] = tau
-        except BaseException as error:
-            self.failure = error
-            self.state[FAILED] = 1.0
+        except Exception as error:
+            raise SimulationError(
+                f"control: {type(error).__name__} at t = {t:.6g} s: {error}", field="control"
+            ) from error
+        if tau.shape != (self.nv,):
+            raise SimulationError(
+                f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; ({self.nv},) expected",
+                field="control",
+                value=tau,
+            )
+        if not math.isfinite(tau.dot(tau)):
+            raise SimulationError(
+                f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
+                field="control",
+                value=tau,
+            )
+        self._given[:] = tau
 
     def _take_least_norm(self) -> None:
         """Solve for the forces of least norm, without forces that pull where none need to."""
-        try:
-            count, size = self.machine[workspace.MODES, 1], self.machine[workspace.TARGET, 1]
-            modes, system, target, solution = (
-                self._closed[k - workspace.WHICH]
-                for k in (workspace.MODES, workspace.SYSTEM, workspace.TARGET, workspace.SOLUTION)
-            )
-            system = system.ravel()[: size * size].reshape(size, size)
-            solution[:size] = least_norm(system, target[:size], modes[:count])
-        except BaseException as error:
-            self.failure = error
-            self.state[FAILED] = 1.0
+        count, size = self.machine[workspace.MODES, 1], self.machine[workspace.TARGET, 1]
+        modes, system, target, solution = (
+            self._closed[k - workspace.WHICH]
+            for k in (workspace.MODES, workspace.SYSTEM, workspace.TARGET, workspace.SOLUTION)
+        )
+        system = system.ravel()[: size * size].reshape(size, size)
+        solution[:size] = least_norm(system, target[:size], modes[:count])
 
     def check(self) -> None:
         """Raise what went wrong in a call from a kernel, if anything did."""
         if self.state[FAILED]:
             self.state[FAILED] = 0.0
-            failure, self.failure = self.failure, None
-            raise failure or KeyboardInterrupt
+            raise_kept_error()
 
     @property
     def evaluations(self) -> int:
@@ -337,25 +326,3 @@ def _addresses(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
         [(array.__array_interface__["data"][0], *array.shape, *(1,) * (3 - array.ndim)) for array in arrays],
         dtype=np.int64,
     )
-
-
-def _rows_of(items: Sequence[Any]) -> Array:
-    """Return (n, 12) or (n, 6) rows: a view of the placements or motions that Pinocchio keeps in a vector."""
-
-    def numbers(item: Any) -> tuple[Array, Array]:
-        if isinstance(item, pin.SE3):
-            return item.rotation, np.concatenate([item.rotation.T.ravel(), item.translation])
-        return item.vector, item.vector
-
-    first, row = numbers(items[0])
-    shape = len(items), len(row)
-    address = first.__array_interface__["data"][0]
-    rows = np.ctypeslib.as_array((ctypes.c_double * (shape[0] * shape[1])).from_address(address))
-    rows = rows.reshape(shape)
-    for k in (0, -1):
-        if not np.array_equal(rows[k], numbers(items[k])[1]):
-            raise SimulationError(
-                "model: this Pinocchio lays out its data in another way than the kernels read it",
-                field="model",
-            )
-    return rows

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
-from ..robot.names import configuration, workspace
+from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import advance, dynamics, step_dop853, step_radau
 from .scene import Scene
 from .state import Instant
@@ -112,7 +112,7 @@ class _Run:
         self.model = model
         self.data = model.createData()
         try:
-            q = configuration(workspace(model, self.data), model, q0).copy()
+            q = checked_configuration(data_cache(model, self.data), model, q0).copy()
         except InputError as error:
             raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
         v = finite_array("v0", v0, (model.nv,)).copy()
@@ -150,25 +150,21 @@ class _Run:
                     progress(now.t, self.duration)
         except KeyboardInterrupt:
             return self._trajectory("Interrupted from the keyboard.", False, kept)
-        except Exception as error:
+        except PinimpactError as error:
             self._stop(error, kept)
         return self._trajectory("The duration is covered.", True, self._kept())
 
-    def _stop(self, error: Exception, kept: tuple[Any, ...]) -> None:
+    def _stop(self, error: PinimpactError, kept: tuple[Any, ...]) -> None:
         partial = self._trajectory(f"Stopped: {error}", False, kept)
         reached = partial.t[-1]
         if isinstance(error, SimulationError):
             error.partial = partial
             raise error
-        if isinstance(error, PinimpactError):
-            field, value = error.field, error.value
-        else:
-            field, value = "control", None
         raise SimulationError(
-            f"{field}: the simulation stops at t = {reached:.6g} s: {type(error).__name__}: {error}",
+            f"{error.field}: the simulation stops at t = {reached:.6g} s: {type(error).__name__}: {error}",
             partial=partial,
-            field=field,
-            value=value,
+            field=error.field,
+            value=error.value,
         ) from error
 
     def _kept(self) -> tuple[Any, ...]:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError, SimulationError
-from ..robot.contact import Contact, contact_matrices
+from ..robot.contact import Contact
+from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
+from ..robot.pinocchio_bridge import check_inertia
 from ..robot.robot_impact import Hit, impact
 from ._kernels import contact_modes, dynamics
 from ._kernels.contact_forces import HELD, SLIP, STICK
@@ -77,7 +79,8 @@ class Instant:
         self.rest = resting_speed if self.sustained else 0.0
         self.quiet = 1e-9 * resting_speed  # an approach slower than this is rounding
 
-        self.flow = Flow(scene, model, data, contacts, self.held, limits)
+        check_inertia(model, data, q)
+        self.flow = Flow(scene, model, contacts, self.held, limits)
         self.names = [contact.label for contact in self.flow.contacts] + [limit.name for limit in limits]
         self.flow.state[dynamics.STILL] = STILL_FRACTION * resting_speed
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)

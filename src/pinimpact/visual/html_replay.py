@@ -15,7 +15,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..robot.contact import Contact, contact_geometry
+from ..robot.contact import Contact
+from ..robot.matrices import contact_geometry
 from ..robot.surfaces import Plane, contact_axes
 from .collada import one_material_per_mesh
 

@@ -2,26 +2,79 @@
 
 The interpreter's lock is held while a kernel runs, and its C interface is linked by name as numba's own code
 links it. Neither function nor arguments are made anew, so a call costs what it costs from Python, less the
-interpreter.
+interpreter. A kernel cannot pass an error on: it is kept, and `raise_kept_error` raises it when the kernel
+has come back.
 """
 
 from __future__ import annotations
 
-from numba import types
+import ctypes
+
+from llvmlite import binding, ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from ..._numeric.jit import inner
 
+_KEPT = "pinimpact_kept_error"
+_kept = (ctypes.c_void_p * 3)()  # type, value and traceback, as PyErr_Fetch hands them out
+binding.add_symbol(_KEPT, ctypes.addressof(_kept))
+
 _call_object = types.ExternalFunction("PyObject_CallObject", types.intp(types.intp, types.intp))
 _release = types.ExternalFunction("Py_DecRef", types.void(types.intp))
-_forget_error = types.ExternalFunction("PyErr_Clear", types.void())
 
 
-@inner
-def call(function, arguments):
-    """Call a Python object with a tuple of arguments, both given by address; return False if it raises."""
+@intrinsic
+def _keep_error(typing_context):
+    """Move the interpreter's error to where it is kept, in place of one that nobody has asked for."""
+
+    def generate(context, builder, signature, arguments):
+        word, i32 = context.get_value_type(types.intp), ir.IntType(32)
+        fetch = _declared(builder, "PyErr_Fetch", [word.as_pointer()] * 3)
+        release = _declared(builder, "Py_DecRef", [word])
+        kept = context.get_c_value(builder, ir.ArrayType(word, 3), _KEPT)
+        places = [builder.gep(kept, [i32(0), i32(k)]) for k in range(3)]
+        forgotten = [builder.load(place) for place in places]
+        builder.call(fetch, places)
+        for item in forgotten:
+            builder.call(release, [item])
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+def _declared(builder, name, arguments):
+    return cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), arguments), name)
+
+
+def _call(function, arguments):
+    """Call a Python object with a tuple of arguments, both given by address; return False if it raises.
+
+    With the JIT off an error passes through at once.
+    """
     result = _call_object(function, arguments)
     if result == 0:
-        _forget_error()
+        _keep_error()
         return False
     _release(result)
     return True
+
+
+def _call_in_python(function, arguments):
+    called, given = (ctypes.cast(int(item), ctypes.py_object).value for item in (function, arguments))
+    called(*given)
+    return True
+
+
+call = _call_in_python if config.DISABLE_JIT else inner(_call)
+
+
+def raise_kept_error():
+    """Raise the error that a call from a kernel has kept, if there is one."""
+    error = tuple(_kept)
+    if error[0] is not None:
+        _kept[:] = [None, None, None]
+        restore = ctypes.pythonapi.PyErr_Restore
+        restore.argtypes, restore.restype = (ctypes.c_void_p,) * 3, None
+        restore(*error)  # takes the references over; ctypes raises what it finds set

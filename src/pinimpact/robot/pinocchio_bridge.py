@@ -1,0 +1,394 @@
+"""All that is taken for granted about Pinocchio beyond what its documentation says, and the check of it.
+
+An impact takes microseconds and kernels evaluate dynamics thousands of times, so they read Pinocchio's
+results in place and take several of them from one call. That presumes:
+
+- `crba` and `aba` in the world convention leave ``data.J`` and ``data.oMi`` behind, `aba` also ``data.ov``
+  and ``data.oa_gf``, and `computeMinverse` without a configuration goes on from there;
+- a result stays at one address as long as its Data live, and the placements and motions of the joints stand
+  one after another in memory;
+- a Python object is called by its address and that of its tuple of arguments.
+
+None of it is promised. Once for each model it is compared with what documented calls give on Data of their
+own; addresses are compared for each Data before anything is read by them. Where anything disagrees, as it
+may in another version of Pinocchio, the same results come from documented calls and are copied, which takes
+longer, and a `PinocchioLayoutWarning` says so once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import warnings
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from ._kernels import tree
+from .names import singular_mass
+
+Array = NDArray[np.float64]
+_WORLD = pin.Convention.WORLD
+
+AGREEMENT = 1e-6
+"""Relative difference up to which two ways agree. Another layout differs by as much as the numbers
+themselves; rounding stays far below, for the check gives every link a well-conditioned inertia."""
+
+
+class PinocchioLayoutWarning(UserWarning):
+    """This Pinocchio leaves its results elsewhere than where they are read in place; they are copied."""
+
+
+class Call(NamedTuple):
+    """A function and its arguments, which kernels call by their addresses."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def call_addresses(calls: Sequence[Call]) -> NDArray[np.int64]:
+    """Return (2 n,) the addresses of n functions and of their arguments, in turn, for `python_calls.call`.
+
+    Whoever uses them keeps the calls alive.
+    """
+    return np.array([id(item) for call in calls for item in call], dtype=np.int64)
+
+
+# ---- impacts
+
+
+class MassAndColumns:
+    """The mass matrix and the joint Jacobian of a Data, from one call.
+
+    Attributes:
+        columns: (6, nv) ``data.J`` in place, column by column: motion of the world's origin, as if fixed to
+            what each velocity moves, in world axes; it does not keep the Data alive. None for a model with
+            mimic joints, where ``data.J`` has columns of its own.
+        mass_matrix: Called with model, data, q and the world convention, returns M (nv, nv) and brings
+            `columns` and ``data.oMi`` to q.
+        joint_jacobian: Called with model, data and q, brings `columns` and ``data.oMi`` to q.
+    """
+
+    __slots__ = ("columns", "joint_jacobian", "mass_matrix")
+
+    def __init__(self, model: pin.Model, data: pin.Data) -> None:
+        self.columns: Array | None = None
+        self.mass_matrix: Callable[..., Array] = pin.crba
+        self.joint_jacobian: Callable[..., Any] = pin.computeJointJacobians
+        if model.nv == 0:
+            self.mass_matrix = self.joint_jacobian = _refuse
+            return
+        whole = data.J.size == 6 * model.nv
+        if _trusted(model, _disagreement_of_crba):
+            if whole:
+                self.columns = _unowned(data.J, (6, model.nv))
+            return
+        self.mass_matrix, self.joint_jacobian = self._mass_matrix_alone, self._joint_jacobian_copied
+        if whole:
+            self.columns = np.zeros((6, model.nv), order="F")
+
+    def _mass_matrix_alone(self, model: pin.Model, data: pin.Data, q: Array, _: Any) -> Array:
+        mass = np.array(pin.crba(model, data, q))
+        self._joint_jacobian_copied(model, data, q)
+        return mass
+
+    def _joint_jacobian_copied(self, model: pin.Model, data: pin.Data, q: Array) -> None:
+        pin.forwardKinematics(model, data, q)
+        jacobian = pin.computeJointJacobians(model, data, q)
+        if self.columns is not None:
+            self.columns[:] = jacobian.reshape(6, -1)
+
+
+def _disagreement_of_crba(model: pin.Model) -> str | None:
+    """Return what `crba` does not leave behind, or None."""
+    model, q, _, _ = _probe(model)
+    data = model.createData()
+    whole = data.J.size == 6 * model.nv
+    before = data.J.__array_interface__["data"][0]
+    mass = pin.crba(model, data, q, _WORLD)
+    if not _agree(mass, pin.crba(model, model.createData(), q)):
+        return "crba in the world convention"
+    if whole and not _agree(data.J.reshape(6, -1), _columns(model, q)):
+        return "data.J after crba"
+    if whole and not (data.J.__array_interface__["data"][0] == before and _by_column(data.J)):
+        return "the address of data.J"
+    other = model.createData()
+    pin.forwardKinematics(model, other, q)
+    if not all(_agree(a.homogeneous, b.homogeneous) for a, b in zip(data.oMi, other.oMi, strict=True)):
+        return "data.oMi after crba"
+    return None
+
+
+def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
+    """Refuse a configuration in which a joint moves no inertia, for its acceleration would be infinite.
+
+    Raises:
+        ModelError: The mass matrix is not positive definite.
+    """
+    mass = pin.crba(model, data, q)
+    parents = np.array(data.parents_fromRow, dtype=np.int64)
+    stopped = tree.factor(mass, parents, np.zeros_like(mass))
+    if stopped >= 0:
+        raise singular_mass(model, stopped)
+
+
+# ---- scenes
+
+
+class RobotDynamics:
+    """Forward dynamics of a robot for kernels: calls that read buffers and leave arrays, on Data of its own.
+
+    Attributes:
+        model: The robot's model.
+        q, v, tau: (nq,), (nv,), (nv,) buffers that the calls read: state, generalized forces.
+        forward_dynamics: Leaves `acceleration`, `placements`, `velocities`, `accelerations` and
+            `joint_jacobian`.
+        inverse_mass: Leaves `minverse`; only after `forward_dynamics` at the same state.
+        forward_kinematics: Leaves `placements` and `local_velocities`.
+        acceleration: (nv,) v̇.
+        minverse: (nv, nv) M⁻¹.
+        placements: (nj, 12) of the joints, the world first: rotation column by column, translation.
+        local_velocities: (nj, 6) of the joints in their own axes, linear over angular.
+        velocities: (nj, 6) of the joints, spatial, in world axes at the world's origin.
+        accelerations: (nj, 6) likewise, less the acceleration of gravity.
+        joint_jacobian: (6, nv) in world axes at the world's origin; Fortran-contiguous.
+    """
+
+    forward_dynamics: Call
+    inverse_mass: Call
+    forward_kinematics: Call
+    acceleration: Array
+    minverse: Array
+    placements: Array
+    local_velocities: Array
+    velocities: Array
+    accelerations: Array
+    joint_jacobian: Array
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model = model
+        self.q, self.v, self.tau = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+
+
+def robot_dynamics(model: pin.Model) -> RobotDynamics:
+    """Return the forward dynamics of a robot, its results in place where this Pinocchio lets them be read.
+
+    Raises:
+        ModelError: No joints, or mimic joints, for which Pinocchio has no forward dynamics.
+    """
+    _check_joints(model)
+    if _trusted(model, _disagreement_of_dynamics):
+        with contextlib.suppress(_ElsewhereError):
+            return _InPlace(model)
+    return _Copied(model)
+
+
+class _ElsewhereError(Exception):
+    """Results do not stand as kernels read them."""
+
+
+class _InPlace(RobotDynamics):
+    """The arrays are Pinocchio's own."""
+
+    def __init__(self, model: pin.Model) -> None:
+        super().__init__(model)
+        nv = model.nv
+        data = self._data = model.createData()
+        self.forward_dynamics = Call(pin.aba, (model, data, self.q, self.v, self.tau, _WORLD))
+        self.inverse_mass = Call(pin.computeMinverse, (model, data))
+        self.forward_kinematics = Call(pin.forwardKinematics, (model, data, self.q, self.v))
+        for call in (self.forward_dynamics, self.inverse_mass):  # so that all has the size it will have
+            call.function(*call.arguments)
+        if not (_by_column(data.ddq) and _by_column(data.J) and _by_row(data.Minv)):
+            raise _ElsewhereError("ddq, J or Minv")
+        self.placements, self.local_velocities = _rows(data, "oMi"), _rows(data, "v")
+        self.velocities, self.accelerations = _rows(data, "ov"), _rows(data, "oa_gf")
+        self.acceleration = data.ddq.reshape(nv)
+        self.minverse = data.Minv.reshape(nv, nv)
+        self.joint_jacobian = data.J.reshape(6, nv, order="F")
+
+
+class _Copied(RobotDynamics):
+    """The arrays are copies of what documented calls give, each on Data that no other call writes."""
+
+    def __init__(self, model: pin.Model) -> None:
+        super().__init__(model)
+        nj, nv = model.njoints, model.nv
+        self.forward_dynamics = Call(self._copy_dynamics, ())
+        self.inverse_mass = Call(self._copy_inverse, ())
+        self.forward_kinematics = Call(self._copy_kinematics, ())
+        self._accelerated, self._moving, self._turning, self._inverted = (
+            model.createData() for _ in range(4)
+        )
+        self.acceleration, self.minverse = np.zeros(nv), np.zeros((nv, nv))
+        self.placements = np.zeros((nj, 12))
+        self.local_velocities, self.velocities, self.accelerations = np.zeros((3, nj, 6))
+        self.joint_jacobian = np.zeros((6, nv), order="F")
+
+    def _copy_dynamics(self) -> None:
+        model, data = self.model, self._moving
+        self.acceleration[:] = pin.aba(model, self._accelerated, self.q, self.v, self.tau)
+        pin.forwardKinematics(model, data, self.q, self.v, self.acceleration)
+        self._copy_placements()
+        for i, (placement, v, a) in enumerate(zip(data.oMi, data.v, data.a, strict=True)):
+            self.velocities[i] = placement.act(v).vector
+            self.accelerations[i] = (placement.act(a) - model.gravity).vector
+        self.joint_jacobian[:] = pin.computeJointJacobians(model, self._turning, self.q).reshape(6, -1)
+
+    def _copy_inverse(self) -> None:
+        self.minverse[:] = pin.computeMinverse(self.model, self._inverted, self.q)
+
+    def _copy_kinematics(self) -> None:
+        pin.forwardKinematics(self.model, self._moving, self.q, self.v)
+        self._copy_placements()
+        self.local_velocities[:] = [motion.vector for motion in self._moving.v]
+
+    def _copy_placements(self) -> None:
+        self.placements[:, :9] = [placement.rotation.T.ravel() for placement in self._moving.oMi]
+        self.placements[:, 9:] = [placement.translation for placement in self._moving.oMi]
+
+
+def _disagreement_of_dynamics(model: pin.Model) -> str | None:
+    """Return what stands elsewhere, or has another value, where it is read in place; or None."""
+    model, q, v, tau = _probe(model)
+    try:
+        found, expected = _InPlace(model), _Copied(model)
+    except _ElsewhereError as place:
+        return f"the place of {place} in memory"
+    for dynamics in (found, expected):
+        dynamics.q[:], dynamics.v[:], dynamics.tau[:] = q, v, tau
+    left = ["acceleration", "placements", "velocities", "accelerations", "joint_jacobian"]
+    for name, arrays in (
+        ("forward_dynamics", left),
+        ("inverse_mass", ["minverse", *left]),
+        ("forward_kinematics", ["placements", "local_velocities"]),
+    ):
+        for dynamics in (found, expected):
+            call: Call = getattr(dynamics, name)
+            call.function(*call.arguments)
+        for array in arrays:
+            if not _agree(getattr(found, array), getattr(expected, array)):
+                return f"{array} after {getattr(found, name).function.__name__}"
+    return None
+
+
+def _refuse(model: pin.Model, *_: Any) -> Any:
+    """Refuse a model without joints."""
+    raise ModelError(
+        f"model: {model.name!r} has no joints, so nothing can move; a body that flies freely has a "
+        "free-flyer joint (load_robot(…, free_flyer=True))",
+        field="model",
+        value=model.name,
+    )
+
+
+def _check_joints(model: pin.Model) -> None:
+    if model.nv == 0:
+        _refuse(model)
+    mimics = [model.names[j] for j in range(1, model.njoints) if "Mimic" in model.joints[j].shortname()]
+    if mimics:
+        raise ModelError(
+            f"model: Pinocchio has no forward dynamics of mimic joints ({', '.join(mimics)}), so they cannot "
+            "move in a scene; load the robot without them (load_robot(…, mimic=False)), or give impacts only",
+            field="model",
+            value=mimics,
+        )
+
+
+# ---- the check
+
+
+_verdicts: dict[tuple[int, Any], tuple[Any, tuple[int, int, int], bool]] = {}
+_warned = False
+
+
+def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) -> bool:
+    """Return whether results may be read in place, found out once for a model and again if it grows."""
+    global _warned
+    key, sizes = (id(model), disagreement.__name__), (model.njoints, model.nq, model.nv)
+    known = _verdicts.get(key)
+    if known is not None and known[0]() is model and known[1] == sizes:
+        return known[2]
+    found = disagreement(model)
+    _verdicts[key] = weakref.ref(model, _forget(key)), sizes, found is None
+    if found is not None and not _warned:
+        _warned = True
+        warnings.warn(
+            f"Pinocchio {pin.__version__} differs from what is known of it in {found}; its results are "
+            "copied, which gives the same answers in more time",
+            PinocchioLayoutWarning,
+            stacklevel=2,
+        )
+    return found is None
+
+
+def _forget(key: tuple[int, Any]) -> Any:
+    forget = _verdicts.pop  # bound now: at exit the module may be gone before the model
+    return lambda _: forget(key, None)
+
+
+def _probe(model: pin.Model) -> tuple[pin.Model, Array, Array, Array]:
+    """Return a copy whose links all have a well-conditioned inertia, and q, v and τ at random."""
+    model = model.copy()
+    for joint in range(1, model.njoints):
+        model.inertias[joint] = pin.Inertia(1.0, np.array([0.1, 0.2, 0.3]), np.diag([0.4, 0.5, 0.6]))
+    model.armature = np.zeros(model.nv)
+    rng = np.random.default_rng(0)
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.0, 1.0, model.nv))
+    return model, q, rng.normal(size=model.nv), rng.normal(size=model.nv)
+
+
+def _columns(model: pin.Model, q: Array) -> Array:
+    return pin.computeJointJacobians(model, model.createData(), q).reshape(6, -1)
+
+
+def _agree(one: Array, other: Array) -> bool:
+    return one.shape == other.shape and bool(
+        np.abs(one - other).max(initial=0.0) <= AGREEMENT * (1.0 + np.abs(other).max(initial=0.0))
+    )
+
+
+def _by_column(array: Array) -> bool:
+    return array.dtype == np.float64 and (array.ndim == 1 or bool(array.flags.f_contiguous))
+
+
+def _by_row(array: Array) -> bool:
+    return array.dtype == np.float64 and (array.ndim == 1 or bool(array.flags.c_contiguous))
+
+
+def _rows(data: pin.Data, name: str) -> Array:
+    """Return (n, 12) placements or (n, 6) motions of a Data in place.
+
+    Raises:
+        _ElsewhereError: They do not stand in rows.
+    """
+    items, again = list(getattr(data, name)), list(getattr(data, name))  # copies would have two addresses
+    first = _parts(items[0])
+    width = sum(part.size for part in first)
+    start = first[0].__array_interface__["data"][0]
+    for taken in (items, again):
+        for k, item in enumerate(taken):
+            place = start + 8 * width * k
+            for part in _parts(item):
+                if part.__array_interface__["data"][0] != place or not _by_column(part):
+                    raise _ElsewhereError(f"data.{name}")
+                place += part.nbytes
+    return _at(start, len(items) * width).reshape(len(items), width)
+
+
+def _parts(item: Any) -> tuple[Array, Array]:
+    return (item.rotation, item.translation) if isinstance(item, pin.SE3) else (item.linear, item.angular)
+
+
+def _at(address: int, size: int) -> Array:
+    return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
+
+
+def _unowned(array: Array, shape: tuple[int, int]) -> Array:
+    """Return a view of an array, column by column, that does not keep its owner alive."""
+    return _at(array.__array_interface__["data"][0], array.size).reshape(shape, order="F")

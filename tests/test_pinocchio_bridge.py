@@ -1,0 +1,356 @@
+"""What is read in place of Pinocchio's results, against its documented calls, and the way without it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import weakref
+
+import numba
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact.robot import pinocchio_bridge as bridge
+from pinimpact.robot._kernels.python_calls import call, raise_kept_error
+
+from . import robot_cases as cases
+from .scene_models import UP, ball, pendulum
+
+FLOOR = Plane()
+
+
+@pytest.fixture
+def rng(request):
+    return np.random.default_rng(list(request.node.name.encode()))
+
+
+@pytest.fixture(params=["in place", "copied"])
+def way(request, monkeypatch):
+    """Either way to Pinocchio's results; a warning tells of the second."""
+    if request.param == "copied":
+        monkeypatch.setattr(bridge, "_trusted", lambda *_: False)
+    return request.param
+
+
+@pytest.fixture
+def other_version(monkeypatch):
+    """A Pinocchio whose world convention leaves no Jacobian behind."""
+
+    def aba(model, data, *arguments):
+        found = pin.aba(model, data, *arguments)
+        data.J[:] = 0.0
+        return found
+
+    def crba(model, data, *arguments):
+        found = pin.crba(model, data, *arguments)
+        data.J[:] = 0.0
+        return found
+
+    class Other:
+        """The module with two other functions."""
+
+        def __getattr__(self, name):
+            return {"aba": aba, "crba": crba}.get(name) or getattr(pin, name)
+
+    monkeypatch.setattr(bridge, "pin", Other())
+    monkeypatch.setattr(bridge, "_verdicts", {})
+    monkeypatch.setattr(bridge, "_warned", False)
+
+
+def moved(model, rng):
+    q, v = cases.random_state(model, rng)
+    return q, v, rng.normal(size=model.nv)
+
+
+@pytest.mark.parametrize("name", ["panda", "kinova", "solo12", "talos", "double_pendulum"])
+def test_the_arrays_hold_what_documented_calls_give(name, way, rng):
+    model = pinimpact.load_robot(name).model
+    robot = bridge.robot_dynamics(model)
+    arrays = (robot.placements, robot.velocities, robot.minverse)
+    for _ in range(2):
+        q, v, tau = moved(model, rng)
+        robot.q[:], robot.v[:], robot.tau[:] = q, v, tau
+        for step in (robot.forward_dynamics, robot.inverse_mass):
+            step.function(*step.arguments)
+        data = model.createData()
+        mass = cases.mass_by_rnea(model, q)
+        expected = np.linalg.solve(mass, tau - pin.rnea(model, data, q, v, np.zeros(model.nv)))
+        scale = 1e-13 * np.linalg.cond(mass)
+        assert robot.acceleration == pytest.approx(expected, abs=scale * np.abs(expected).max())
+        assert np.abs(robot.minverse @ mass - np.eye(model.nv)).max() < scale
+        pin.forwardKinematics(model, data, q, v, robot.acceleration)
+        jacobian = pin.computeJointJacobians(model, model.createData(), q).reshape(6, -1)
+        assert np.abs(robot.joint_jacobian - jacobian).max() < 1e-13
+        for i in range(model.njoints):
+            placement = data.oMi[i]
+            R, p = robot.placements[i, :9].reshape(3, 3).T, robot.placements[i, 9:]
+            assert np.abs(R - placement.rotation).max() < 1e-14
+            assert np.abs(p - placement.translation).max() < 1e-14
+            v_world, a_world = placement.act(data.v[i]).vector, placement.act(data.a[i]).vector
+            assert np.abs(robot.velocities[i] - v_world).max() < 1e-12 * (1 + np.abs(v_world).max())
+            a_world = a_world - model.gravity.vector
+            assert np.abs(robot.accelerations[i] - a_world).max() < 1e-11 * (1 + np.abs(a_world).max())
+        step = robot.forward_kinematics
+        step.function(*step.arguments)
+        assert np.abs(robot.local_velocities - [motion.vector for motion in data.v]).max() < 1e-12
+        assert arrays == (robot.placements, robot.velocities, robot.minverse)  # kernels hold these
+    assert robot.joint_jacobian.flags.f_contiguous
+    assert robot.minverse.flags.c_contiguous
+
+
+def test_the_arrays_outlive_the_model_and_all_goes_with_them(way):
+    model = cases.load("panda")[0]
+    robot, gone = bridge.robot_dynamics(model), weakref.ref(model)
+    del model
+    gc.collect()
+    step = robot.forward_dynamics
+    step.function(*step.arguments)
+    assert np.isfinite(robot.acceleration).all()
+    del robot, step
+    gc.collect()
+    assert gone() is None
+
+
+def test_impacts_are_the_same_either_way(rng, monkeypatch):
+    for name, frame in cases.FRAMES.items():
+        model, data = cases.load(name)
+        body = model.frames[1].name
+        for carrier in (None, body):
+            q, v = cases.random_state(model, rng)
+            contact = cases.random_contact(frame, rng, cases.random_plane(rng, carrier))
+            v = cases.approaching(model, data, q, v, contact)
+            hit = pinimpact.impact(model, data, q, v, contact)
+            with monkeypatch.context() as patch:
+                patch.setattr(bridge, "_trusted", lambda *_: False)
+                other = pinimpact.impact(model, model.createData(), q, v, contact)
+                many = pinimpact.impacts(model, model.createData(), [q], [v], contact)
+            assert np.abs(other.v - hit.v).max() < 1e-9 * np.abs(v).max()
+            assert np.abs(many.v[0] - other.v).max() == 0.0
+
+
+def test_a_scene_is_the_same_either_way(way):
+    e, height = 0.5, 0.5
+    scene = Scene(ball(), [Contact("center", FLOOR, friction=0.3, restitution=e, radius=0.1)])
+    trajectory = simulate(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 1.5)
+    assert trajectory.impacts[0].time == pytest.approx(np.sqrt(2 * height / 9.81), rel=1e-12)
+    zeno = np.sqrt(2 * height / 9.81) * (1 + e) / (1 - e)
+    assert trajectory.modes[0].start == pytest.approx(zeno, abs=2e-3)
+    assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-13)
+    assert trajectory.energy.residual[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_another_version_is_found_out_said_once_and_answered_alike(other_version, rng):
+    model, data = cases.load("panda")
+    q, v = cases.random_state(model, rng)
+    contact = cases.random_contact("panda_hand_tcp", rng)
+    with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"data\.J after crba"):
+        matrices = pinimpact.contact_matrices(model, data, q, contact)
+    # once is enough
+    trajectory = simulate(Scene(model, without=["joint limits", "gravity"]), q, v, 0.01)
+    assert trajectory.energy.residual[-1] == pytest.approx(0.0, abs=1e-6)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bridge, "pin", pin)
+        patch.setattr(bridge, "_verdicts", {})
+        expected = pinimpact.contact_matrices(model, model.createData(), q, contact)
+    assert np.abs(matrices.jacobian - expected.jacobian).max() < 1e-13
+    assert np.abs(expected.jacobian).max() > 0.1
+
+
+def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
+    model = cases.load("panda")[0]
+    monkeypatch.setattr(bridge, "_verdicts", {})
+    monkeypatch.setattr(bridge, "_warned", False)
+    monkeypatch.setattr(bridge, "list", lambda items: list(items)[::-1], raising=False)
+    with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"data\.oMi in memory"):
+        assert type(bridge.robot_dynamics(model)) is bridge._Copied
+
+
+def test_the_check_is_made_once_for_a_model_and_again_when_it_grows(monkeypatch):
+    checked = []
+    monkeypatch.setattr(bridge, "_verdicts", {})
+    known = bridge._disagreement_of_crba
+
+    def disagreement(model):
+        checked.append(model.njoints)
+        return known(model)
+
+    monkeypatch.setattr(bridge, "_disagreement_of_crba", disagreement)
+    model = cases.load("ur5")[0]
+    contact = Contact("tool0", FLOOR)
+    for _ in range(3):
+        contact.gap(model, model.createData(), pin.neutral(model))
+    assert checked == [7]
+    model.addJoint(6, pin.JointModelRX(), pin.SE3.Identity(), "more")
+    contact.gap(model, model.createData(), pin.neutral(model))
+    assert checked == [7, 8]
+
+
+# ---- errors of what kernels call
+
+
+@numba.njit
+def calls(function, arguments):
+    """Call from compiled code."""
+    return call(function, arguments)
+
+
+def called(function, *arguments):
+    """Call by address; raise what the call has raised."""
+    step = bridge.Call(function, arguments)
+    addresses = bridge.call_addresses([step])
+    assert calls(*addresses) or raise_kept_error() or pytest.fail("an error was lost")
+
+
+def test_an_error_in_a_call_from_a_kernel_is_kept_whole():
+    def fail(value):
+        raise LookupError(value)
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    called(list, (1, 2))
+    raise_kept_error()  # nothing is kept
+    with pytest.raises(LookupError, match="lost") as caught:
+        called(fail, "lost")
+    assert caught.traceback[-1].name == "fail"
+    raise_kept_error()  # nor any more
+    with pytest.raises(KeyboardInterrupt):
+        called(interrupt)
+    model = cases.load("panda")[0]
+    with pytest.raises(ValueError, match="size"):
+        called(pin.aba, model, model.createData(), np.zeros(2), np.zeros(9), np.zeros(9))
+
+
+def test_kept_errors_are_released():
+    class LostError(Exception):
+        """An error that can be watched."""
+
+    def fail():
+        error = LostError()
+        seen.append(weakref.ref(error))
+        raise error
+
+    seen = []
+    step = bridge.Call(fail, ())
+    addresses = bridge.call_addresses([step])
+    for _ in range(2):  # the first is never asked for
+        assert not calls(*addresses)
+    with pytest.raises(LostError):
+        raise_kept_error()
+    gc.collect()
+    assert [error() for error in seen] == [None, None]
+
+
+def test_an_error_inside_pinocchio_is_the_one_that_is_seen(monkeypatch):
+    def broken(*_):
+        raise MemoryError("no room")
+
+    known = bridge.robot_dynamics
+
+    def robot_dynamics(model):
+        robot = known(model)
+        robot.forward_dynamics = bridge.Call(broken, ())
+        return robot
+
+    monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
+    with pytest.raises(MemoryError, match="no room"):
+        simulate(Scene(pendulum()), [1.0], [0.0], 1.0)
+
+
+def test_an_error_in_progress_is_not_the_controls():
+    def progress(t, duration):
+        raise ZeroDivisionError("progress")
+
+    with pytest.raises(ZeroDivisionError, match=r"^progress$"):
+        simulate(Scene(pendulum()), [1.0], [0.0], 1.0, progress=progress)
+
+
+def test_an_interrupt_in_the_control_ends_the_run_gently():
+    def control(t, q, v):
+        if t > 0.5:
+            raise KeyboardInterrupt
+        return np.zeros(1)
+
+    trajectory = simulate(Scene(pendulum(), control=control), [1.0], [0.0], 1.0, max_step=0.1)
+    assert not trajectory.complete
+    assert "Interrupted" in trajectory.termination
+    assert 0.3 <= trajectory.duration <= 0.5
+
+
+def test_an_error_of_the_control_is_told_with_its_cause():
+    with pytest.raises(pinimpact.SimulationError, match=r"control: KeyError at t = 0 s") as caught:
+        simulate(Scene(pendulum(), control=lambda *_: {}["torque"]), [1.0], [0.0], 1.0)
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_a_massless_joint_in_a_scene_is_named_as_in_an_impact():
+    model = pendulum()
+    model.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "bare")
+    q, v = np.zeros(2), np.zeros(2)
+    told = r"joint 'bare' \(velocity 1\) moves no inertia"
+    with pytest.raises(pinimpact.ModelError, match=told):
+        pinimpact.impact(model, model.createData(), q, v, Contact("tip", FLOOR))
+    with pytest.raises(pinimpact.ModelError, match=told):
+        simulate(Scene(model, [Contact("tip", Plane(point=(0, 0, -2.0)))]), q, v, 1.0)
+
+
+def test_what_has_no_forward_dynamics_is_told():
+    with pytest.raises(pinimpact.ModelError, match="no joints"):
+        simulate(Scene(pin.Model()), np.zeros(0), np.zeros(0), 1.0)
+
+
+def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
+    robots, compared = [], []
+    known = bridge.robot_dynamics
+
+    def robot_dynamics(model):
+        robots.append(known(model))
+        return robots[-1]
+
+    def impact(*arguments, **options):
+        names = ("joint_jacobian", "placements", "minverse")
+        before = [getattr(robots[-1], name).copy() for name in names]
+        hit = pinimpact.impact(*arguments, **options)
+        compared.append(
+            [np.array_equal(a, getattr(robots[-1], b)) for a, b in zip(before, names, strict=True)]
+        )
+        return hit
+
+    monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
+    monkeypatch.setattr("pinimpact.scene.state.impact", impact)
+    floor = Plane(point=(0, 0, -0.9))
+    simulate(Scene(pendulum(), [Contact("tip", floor, restitution=0.5)]), [1.0], [0.0], 0.5)
+    assert compared
+    assert all(compared)
+
+
+SCRIPT = """
+import numpy as np
+from pinimpact.robot import pinocchio_bridge as bridge
+from pinimpact.robot._kernels.python_calls import call, raise_kept_error
+import pinocchio as pin
+model = pin.buildSampleModelManipulator()
+robot = bridge.robot_dynamics(model)
+robot.tau[:] = 1.0
+assert call(*bridge.call_addresses([robot.forward_dynamics]))
+other = pin.aba(model, model.createData(), robot.q, robot.v, robot.tau)
+assert np.allclose(robot.acceleration, other, rtol=1e-10)
+try:
+    call(*bridge.call_addresses([bridge.Call(int, ("x",))]))
+except ValueError:
+    raise_kept_error()
+    print("passed on")
+"""
+
+
+def test_without_the_jit_calls_are_plain_python():
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=False
+    )
+    assert (run.stdout, run.stderr) == ("passed on\n", "")
