@@ -14,7 +14,7 @@ from ..errors import SimulationError
 from ..robot.contact import Contact, contact_geometry
 from ..robot.loading import load_robot
 from ..robot.names import frame_id
-from ..robot.surfaces import Plane
+from ..robot.plane import Plane
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import ImpactRecord, Trajectory
