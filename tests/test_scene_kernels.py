@@ -15,10 +15,10 @@ from pinimpact.scene.joint_charts import joint_table
 
 
 @numba.njit
-def curvature(columns, points, placement, peak, h):
-    """Return the bound for the first contact; `contact_motion.curvature` is called from kernels only."""
+def bounds(columns, points, placement, peak, h):
+    """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
     constants, ends, signs, group = points[:4]
-    return contact_motion.curvature(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
+    return contact_motion.bounds(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
 
 
 def curved_model():
@@ -119,5 +119,5 @@ def test_the_bound_of_the_curvature_holds():
         closed = flow.probe(0.0, q, v, [0])
         a = closed.joints
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
-        size, _ = curvature(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
+        size, *_ = bounds(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
         assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from .robot.loading import load_robot
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
+    from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
-    from .robot.surfaces import Plane
     from .scene.scene import Scene
     from .scene.simulation import simulate
     from .scene.trajectory import Trajectory
@@ -97,11 +97,11 @@ _HOMES = {
     "contact_space.problem": ("ImpactProblem",),
     "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
     "robot.loading": ("load_robot",),
+    "robot.plane": ("Plane",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
     "contact_space.solve": ("solve_impact",),
-    "robot.surfaces": ("Plane",),
     "scene.trajectory": ("Trajectory",),
     "visual.html_replay": ("replay",),
 }

@@ -1,8 +1,8 @@
 """The solution of least norm of a small dense system, square or not, regular or not.
 
-A complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections: columns are pivoted, what
-is left of them below a part of the first pivot is zero, and x = Π Z [T⁻¹(Qᵀb); 0]. (G. Golub, C. Van Loan,
-Matrix Computations, 4th edition, section 5.4.7)
+A complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections: columns are pivoted,
+what is left of them below a part of the first pivot is zero, and x = Π Z [T⁻¹(Qᵀb); 0]. (G. Golub,
+C. Van Loan, Matrix Computations, 4th edition, section 5.4.7)
 """
 
 from __future__ import annotations

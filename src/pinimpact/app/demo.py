@@ -15,7 +15,7 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
-from ..robot.surfaces import Plane
+from ..robot.plane import Plane
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import ImpactRecord, Trajectory

@@ -19,7 +19,7 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
-from ..robot.surfaces import Plane
+from ..robot.plane import Plane
 from ..scene.scene import Control, Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory

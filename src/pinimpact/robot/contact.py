@@ -14,9 +14,10 @@ from ..checks import at_least_zero, coefficient
 from ..contact_space.problem import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
+from ._kernels.constants import AXES, KIND, POINT, RADIUS, TIP
 from .data_cache import checked_configuration, data_cache
-from .names import model_of
-from .surfaces import Plane, Vector, check_frame_key, vector
+from .names import frame_id, model_of
+from .surfaces import Surface, Vector, check_frame_key, vector
 
 Array = NDArray[np.float64]
 _placement = pin.updateFramePlacement
@@ -24,14 +25,14 @@ _placement = pin.updateFramePlacement
 
 @dataclass(frozen=True)
 class Contact:
-    """A point of a robot that may meet a plane, with its friction and restitution.
+    """A point of a robot that may meet a surface, with its friction and restitution.
 
     The contact point is the frame's origin + `offset` (in the frame's axes) − `radius`·n, so a sphere of
-    that radius about the offset touches the plane where the gap is zero.
+    that radius about the offset touches the surface where the gap is zero.
 
     Attributes:
         frame: Frame that carries the point, by name or id.
-        plane: The surface it meets.
+        plane: The surface it meets, a `Plane` or another `Surface`.
         friction: Coulomb coefficient μ ≥ 0.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
@@ -45,7 +46,7 @@ class Contact:
     """
 
     frame: str | int
-    plane: Plane
+    plane: Surface
     friction: float = 0.0
     restitution: float | Callable[[float], float] = 0.0
     law: str = "poisson"
@@ -57,8 +58,8 @@ class Contact:
 
     def __post_init__(self) -> None:
         check_frame_key("frame", self.frame)
-        if not isinstance(self.plane, Plane):
-            raise InputError(f"plane: {self.plane!r} is not a Plane", field="plane", value=self.plane)
+        if not isinstance(self.plane, Surface):
+            raise InputError(f"plane: {self.plane!r} is not a surface", field="plane", value=self.plane)
         keep = object.__setattr__
         keep(self, "friction", at_least_zero("friction", self.friction))
         if not callable(self.restitution):
@@ -66,10 +67,7 @@ class Contact:
         keep(self, "law_code", law_code(self.law))
         keep(self, "offset", vector("offset", self.offset))
         keep(self, "radius", at_least_zero("radius", self.radius))
-        plane = self.plane
-        constants = np.array(
-            [*self.offset, self.radius, *plane.point, *plane.normal, *plane.velocity, *plane.angular_velocity]
-        )
+        constants = np.array([*self.offset, self.radius, *self.plane.constants])
         constants.setflags(write=False)
         keep(self, "constants", constants)
 
@@ -78,7 +76,7 @@ class Contact:
         """The name, or what stands in for it."""
         if self.name is not None:
             return self.name
-        return f"{self.frame} on {'plane' if self.plane.body is None else self.plane.body}"
+        return f"{self.frame} on {self.plane.kind if self.plane.body is None else self.plane.body}"
 
     def restitution_at(self, speed: float) -> float:
         """Return e for an approach speed [m/s].
@@ -91,7 +89,7 @@ class Contact:
         return self.restitution
 
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
-        """Return the signed distance of the contact point from the plane [m], negative inside.
+        """Return the signed distance of the contact point from the surface [m], negative inside.
 
         Changes ``data.oMi``, ``data.liMi`` and the two frames' ``data.oMf``.
 
@@ -107,6 +105,29 @@ class Contact:
         if self.plane.body is not None:
             carrier = _placement(model, data, cache.frame(self.plane.body, "body")).homogeneous
         return float(contact_kinematics.locate(frame, carrier, self.constants)[0])
+
+
+def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array, Array]:
+    """Return a contact's joints (of the tip, of the surface), its constants in their axes, and signs.
+
+    The signs (nv,) are 1 for a velocity that moves the tip alone, −1 the surface alone, else 0.
+    """
+    frame = model.frames[frame_id(model, contact.frame)]
+    tip, base, carrier = frame.parentJoint, 0, pin.SE3.Identity()
+    if contact.plane.body is not None:
+        body = model.frames[frame_id(model, contact.plane.body, "body")]
+        base, carrier = body.parentJoint, body.placement
+    k = contact.constants.copy()
+    k[TIP:RADIUS] = frame.placement.act(k[TIP:RADIUS])
+    k[POINT:AXES] = carrier.act(k[POINT:AXES])
+    directions = k[AXES:KIND].reshape(-1, 3)
+    directions[:] = directions @ carrier.rotation.T
+    signs = np.zeros(model.nv)
+    for joint, sign in ((tip, 1.0), (base, -1.0)):
+        for support in list(model.supports[joint])[1:]:
+            i = model.idx_vs[support]
+            signs[i : i + model.nvs[support]] += sign
+    return tip, base, k, signs
 
 
 def check_contact(field: str, value: Any) -> None:

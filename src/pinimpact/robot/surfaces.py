@@ -1,9 +1,11 @@
-"""The surface that a contact meets: a plane, in the world or carried by a body."""
+"""The surfaces that contacts meet: what all of them are, and their axes."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,37 +16,68 @@ from ..errors import InputError
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Plane:
-    """A plane fixed in the world, moving at a given rate, or carried by a body.
+class Surface(ABC):
+    """What a contact meets: a surface in the world or carried by a body.
 
-    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in that frame's
-    axes, `point` is from its origin, and the plane moves with the frame; `velocity` and
-    `angular_velocity` are then what the surface does beyond that (a belt, a turntable on the body).
+    A kind of surface is one class of this, a frozen dataclass, and one kernel module with its signed
+    distance.
+    All vectors are in the axes of what carries the surface.
 
     Attributes:
-        point: A point of the plane [m].
-        normal: Points from the surface into free space; any length but zero. Kept as a unit vector.
-        velocity: Velocity of the surface's material at `point` [m/s].
-        angular_velocity: Angular velocity of the surface's material about `point` [rad/s].
-        body: Frame that carries the plane, by name or id; None for the world.
-
-    The velocities are rates of this instant: they do not move `point` or turn `normal`.
-
-    Raises:
-        InputError: A vector that is not three finite numbers, or a normal of zero length.
+        code: What the kernels know the kind by, see `pinimpact.robot._kernels.constants`.
+        velocity: Velocity of the surface's material at `origin`, beyond its carrier's [m/s].
+        angular_velocity: Angular velocity of the surface's material, beyond its carrier's [rad/s].
+        body: Frame that carries the surface, by name or id; None for the world.
     """
 
-    point: Vector = (0.0, 0.0, 0.0)
-    normal: Vector = (0.0, 0.0, 1.0)
-    velocity: Vector = (0.0, 0.0, 0.0)
-    angular_velocity: Vector = (0.0, 0.0, 0.0)
-    body: str | int | None = None
+    code: ClassVar[int]
+    velocity: Vector
+    angular_velocity: Vector
+    body: str | int | None
 
-    def __post_init__(self) -> None:
-        for field in ("point", "velocity", "angular_velocity"):
+    @property
+    @abstractmethod
+    def origin(self) -> Vector:
+        """The point that the surface's material turns about [m]."""
+
+    @property
+    @abstractmethod
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) axes t₁, t₂, n somewhere on the surface, as rows: a scene's contact axes start from here."""
+
+    @property
+    def size(self) -> float:
+        """The number that a kind needs beyond its place and axes; 0 if none."""
+        return 0.0
+
+    @abstractmethod
+    def distance(self, point: ArrayLike) -> float:
+        """Return the signed distance of a point from the surface, negative inside [m]."""
+
+    @abstractmethod
+    def departure(self) -> str | None:
+        """Return in words how the material leaves the surface's place, or None if it keeps to it."""
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """The surface's part of the constants of a contact, see `pinimpact.robot._kernels.constants`."""
+        axes = self.axes.ravel().tolist()
+        return *self.origin, *axes, *self.velocity, *self.angular_velocity, float(self.code), self.size
+
+    @property
+    def kind(self) -> str:
+        """What reports call such a surface."""
+        return type(self).__name__.lower()
+
+    def at_rest(self) -> Surface:
+        """Return the surface with its material at rest on its carrier."""
+        still: Any = self  # subclasses are dataclasses
+        return cast(Surface, replace(still, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)))
+
+    def _check(self) -> None:
+        """Check the fields that all surfaces have, and keep them as numbers."""
+        for field in ("velocity", "angular_velocity"):
             object.__setattr__(self, field, vector(field, getattr(self, field)))
-        object.__setattr__(self, "normal", unit_vector("normal", self.normal))
         check_frame_key("body", self.body, optional=True)
 
 

@@ -11,11 +11,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
+from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
-from ..robot.contact import Contact
-from ..robot.names import frame_id
+from ..robot.contact import Contact, contact_constants
 from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
-from ..robot.surfaces import contact_axes
 from ._kernels import advance, contact_forces, contact_modes, dynamics, workspace
 from ._kernels.contact_forces import HELD, SLIP
 from ._kernels.dynamics import ALLOWANCE, EVALUATIONS, FAILED, LEAST_MARGIN, MARGIN, STIFFNESS, UNIQUE
@@ -24,38 +23,6 @@ from .scene import JointLimit, Scene
 from .step import Segment, Step
 
 Array = NDArray[np.float64]
-
-
-def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array, Array]:
-    """Return a contact's joints (tip, plane), its constants and the signs of the velocities that move it.
-
-    The constants are those of `contact_motion`; the signs (nv,) are 1 for a velocity that moves
-    the tip alone, −1 for the plane alone, else 0.
-    """
-    frame = model.frames[frame_id(model, contact.frame)]
-    plane = contact.plane
-    tip, base = frame.parentJoint, 0
-    carrier = pin.SE3.Identity()
-    if plane.body is not None:
-        body = model.frames[frame_id(model, plane.body, "body")]
-        base, carrier = body.parentJoint, body.placement
-    R = carrier.rotation
-    constants = np.concatenate(
-        [
-            frame.placement.act(np.array(contact.offset)),
-            [contact.radius],
-            carrier.act(np.array(plane.point)),
-            (contact_axes(plane.normal) @ R.T).ravel(),
-            R @ plane.velocity,
-            R @ plane.angular_velocity,
-        ]
-    )
-    signs = np.zeros(model.nv)
-    for joint, sign in ((tip, 1.0), (base, -1.0)):
-        for support in list(model.supports[joint])[1:]:
-            i = model.idx_vs[support]
-            signs[i : i + model.nvs[support]] += sign
-    return tip, base, constants, signs
 
 
 class Probe(NamedTuple):
@@ -126,7 +93,7 @@ class Flow:
         parts = [contact_constants(model, contact) for contact in self.contacts]
         self._kept = np.zeros(count)
         self.points = (
-            np.array([constants for _, _, constants, _ in parts]).reshape(-1, 22),
+            np.array([constants for _, _, constants, _ in parts]).reshape(-1, CONSTANTS),
             np.array([(tip, base) for tip, base, _, _ in parts], dtype=np.int64).reshape(-1, 2),
             np.array([signs for _, _, _, signs in parts]).reshape(-1, nv),
             np.repeat(np.arange(model.njoints), np.array(model.nvs)),

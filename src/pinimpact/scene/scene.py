@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from ..robot.contact import Contact
 from ..robot.names import frame_id, free_velocities, model_of
-from ..robot.surfaces import Plane
 from .effects import Plan, check_names, make_plan
 
 Array = NDArray[np.float64]
@@ -167,15 +166,13 @@ class Scene:
                 continue
             joint = model.frames[frame_id(model, contact.frame)].parentJoint
             support = list(model.supports[joint])
-            root = model.jointPlacements[support[1]].translation if len(support) > 1 else np.zeros(3)
-            normal, point = np.array(contact.plane.normal), np.array(contact.plane.point)
-            height = float(normal @ (root - point))
             if len(support) == 1:
                 frame = model.frames[frame_id(model, contact.frame)].placement
-                height += float(normal @ frame.act(np.array(contact.offset))) - contact.radius
-                if height > 0.0:
-                    names.append(contact.label)
-            elif height - span(model, links, contact) - travel(model, contact) > 0.0:
+                gap = contact.plane.distance(frame.act(np.array(contact.offset))) - contact.radius
+            else:
+                root = model.jointPlacements[support[1]].translation
+                gap = contact.plane.distance(root) - span(model, links, contact) - travel(model, contact)
+            if gap > 0.0:
                 names.append(contact.label)
         return tuple(names)
 
@@ -222,21 +219,16 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
         plane = contact.plane
         if plane.body is not None:
             frame_id(model, plane.body, "body")
-        _check_surface_motion(field, contact, plane)
+        _check_surface_motion(field, contact)
     return contacts
 
 
-def _check_surface_motion(field: str, contact: Contact, plane: Plane) -> None:
-    normal = np.array(plane.normal)
-    rise = float(normal @ plane.velocity)
-    tilt = float(np.linalg.norm(np.cross(normal, plane.angular_velocity)))
-    speed = float(np.linalg.norm(plane.velocity))
-    spin = float(np.linalg.norm(plane.angular_velocity))
-    if abs(rise) > 1e-12 * speed or tilt > 1e-12 * spin:
+def _check_surface_motion(field: str, contact: Contact) -> None:
+    departure = contact.plane.departure()
+    if departure is not None:
         raise InputError(
-            f"{field}: the plane of {contact.label!r} moves along its normal at {rise:.6g} m/s or tilts at "
-            f"{tilt:.6g} rad/s; in a scene a surface may only move within itself, for it stays where it is; "
-            "let a body carry the plane instead",
+            f"{field}: the {contact.plane.kind} of {contact.label!r} {departure}; in a scene a surface may "
+            "only move within itself, for it stays where it is; let a body carry it instead",
             field=field,
             value=contact,
         )

@@ -376,8 +376,7 @@ def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
     if "restitution" in without:
         contact = replace(contact, restitution=0.0)
     if "moving surfaces" in without:
-        still = (0.0, 0.0, 0.0)
-        contact = replace(contact, plane=replace(contact.plane, velocity=still, angular_velocity=still))
+        contact = replace(contact, plane=contact.plane.at_rest())
     return contact
 
 

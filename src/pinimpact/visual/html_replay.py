@@ -6,7 +6,7 @@ import base64
 import html
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..robot.contact import Contact
 from ..robot.matrices import contact_geometry
-from ..robot.surfaces import Plane, contact_axes
+from ..robot.plane import Plane
+from ..robot.surfaces import Surface, contact_axes
 from .collada import one_material_per_mesh
 
 Array = NDArray[np.float64]
@@ -106,9 +107,9 @@ def replay(
     ]
     animation = _animation(names, *_placements(model, visual_model, configurations), rate)
     points = _contact_points(model, configurations, contacts)
-    for index, plane in enumerate({contact.plane for contact in contacts if contact.plane.body is None}):
-        met = np.vstack([points[contact.label] for contact in contacts if contact.plane == plane])
-        _draw_surface(view[f"surfaces/{index}"], plane, met)
+    for index, surface in enumerate({contact.plane for contact in contacts if contact.plane.body is None}):
+        met = np.vstack([points[contact.label] for contact in contacts if contact.plane == surface])
+        _draw_surface(view[f"surfaces/{index}"], surface, met)
     drawn = [hit for hit in trajectory.impacts if hit.source in points]
     largest = max((float(np.linalg.norm(hit.solution.impulse)) for hit in drawn), default=0.0)
     for index, hit in enumerate(drawn):
@@ -242,8 +243,17 @@ def _middle(model: pin.Model, configurations: list[Array]) -> tuple[Array, float
     return 0.5 * (low + high), max(0.5, float(np.linalg.norm(high - low)))
 
 
-def _draw_surface(node: Any, plane: Plane, points: Array) -> None:
-    """Draw the part of a plane that the contacts come over, as a thin plate with a margin."""
+def _draw_surface(node: Any, surface: Surface, points: Array) -> None:
+    """Draw a surface where the contact points (m, 3) come over it."""
+    import meshcat.geometry as shapes
+
+    shape, placement = _SOLIDS[type(surface)](surface, points)
+    node.set_object(shape, shapes.MeshLambertMaterial(color=0xB08D57, opacity=0.75, transparent=True))
+    node.set_transform(placement)
+
+
+def _plate(plane: Plane, points: Array) -> tuple[Any, Array]:
+    """Return the part of a plane that the points come over, as a thin plate with a margin; its placement."""
     import meshcat.geometry as shapes
 
     axes = contact_axes(plane.normal)
@@ -254,11 +264,11 @@ def _draw_surface(node: Any, plane: Plane, points: Array) -> None:
     placement = np.eye(4)
     placement[:3, :3] = axes.T
     placement[:3, 3] = np.asarray(plane.point) + centre @ axes
-    node.set_object(
-        shapes.Box([high[0] - low[0], high[1] - low[1], thickness]),
-        shapes.MeshLambertMaterial(color=0xB08D57, opacity=0.75, transparent=True),
-    )
-    node.set_transform(placement)
+    return shapes.Box([high[0] - low[0], high[1] - low[1], thickness]), placement
+
+
+_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[Any, Array]]] = {Plane: _plate}
+"""What each kind of surface is drawn as: (surface, points) -> shape, placement."""
 
 
 def _draw_arrow(node: Any, tail: Array, arrow: Array) -> None:

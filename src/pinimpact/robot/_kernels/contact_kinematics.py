@@ -1,14 +1,18 @@
-"""Contact axes, and the contact point, gap and Jacobian in them.
+"""Where a contact is: its axes, point, gap and Jacobian, for impacts and for scenes alike.
 
-The 16 `constants` of a contact are its offset (3) and radius, then point, normal, velocity and angular
-velocity (3 each) of its plane.
+The tip is a sphere (or a point) about c, the surface is anything with a signed distance d. With n = ∇d at c
+the gap is d(c) − r and the contact point p = c − r n. Placements are twelve numbers, see `placement`; k are
+the constants of the contact, see `constants`.
 """
 
 from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
+from . import surfaces
+from .constants import AXES, POINT, RADIUS, SPIN, TIP, VELOCITY
+from .placement import cross, direction, place, pose, rotate, rotate_back
 
 
 @jit
@@ -26,63 +30,81 @@ def contact_axes(nx, ny, nz):
     return 1.0 - f * u1 * u1, -f * u1 * u2, -nx, -f * u1 * u2, 1.0 - f * u2 * u2, -ny
 
 
+@inner
+def carried_axes(k, n1, n2, n3):
+    """Return t₁ and t₂ (3 + 3) in the carrier's axes: where the smallest rotation a₃ → n takes a₁ and a₂.
+
+    a₁, a₂, a₃ are the axes in the constants. So a scene's axes move with the surface and along it without a
+    jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
+    """
+    a1, a2, a3 = k[AXES], k[AXES + 1], k[AXES + 2]
+    b1, b2, b3 = k[AXES + 3], k[AXES + 4], k[AXES + 5]
+    e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
+    w = 1.0 + e1 * n1 + e2 * n2 + e3 * n3
+    f, g = (a1 * n1 + a2 * n2 + a3 * n3) / w, (b1 * n1 + b2 * n2 + b3 * n3) / w
+    m1, m2, m3 = e1 + n1, e2 + n2, e3 + n3
+    return a1 - f * m1, a2 - f * m2, a3 - f * m3, b1 - g * m1, b2 - g * m2, b3 - g * m3
+
+
+@inner
+def carried_spin(k, n1, n2, n3, m1, m2, m3):
+    """Return the angular velocity (3) of `carried_axes` with n, for ṅ = m.
+
+    It is n × ṅ − n (a₃·(n × ṅ))/(1 + a₃·n), for the axis of their rotation stays at right angles to a₃.
+    """
+    e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
+    w1, w2, w3 = cross(n1, n2, n3, m1, m2, m3)
+    f = (e1 * w1 + e2 * w2 + e3 * w3) / (1.0 + e1 * n1 + e2 * n2 + e3 * n3)
+    return w1 - f * n1, w2 - f * n2, w3 - f * n3
+
+
+@inner
+def relative(R, S, k):
+    """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3)."""
+    c1, c2, c3 = place(R, k, TIP)
+    x1, x2, x3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
+    return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
+
+
+@inner
+def at_contact(R, S, k):
+    """Return the gap, n (3) and the contact point (3), in world axes."""
+    c1, c2, c3, x1, x2, x3 = relative(R, S, k)
+    d, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
+    n1, n2, n3 = rotate(S, n1, n2, n3)
+    r = k[RADIUS]
+    return d - r, n1, n2, n3, c1 - r * n1, c2 - r * n2, c3 - r * n3
+
+
+@inner
+def material_velocity(S, k, y1, y2, y3):
+    """Return the velocity (3) that the surface's material has beyond its carrier's, and its spin (3).
+
+    y is from the surface's point; all in world axes.
+    """
+    u1, u2, u3 = direction(S, k, VELOCITY)
+    o1, o2, o3 = direction(S, k, SPIN)
+    a1, a2, a3 = cross(o1, o2, o3, y1, y2, y3)
+    return u1 + a1, u2 + a2, u3 + a3, o1, o2, o3
+
+
+@inner
+def column(J, j, p1, p2, p3):
+    """Return the velocity (3) of a point for column j of a (6, nv) Jacobian at the world's origin."""
+    a1, a2, a3 = cross(J[3, j], J[4, j], J[5, j], p1, p2, p3)
+    return J[0, j] + a1, J[1, j] + a2, J[2, j] + a3
+
+
 @jit
 def locate(frame, carrier, constants):
-    """Place the contact in the world.
+    """Return the gap, n (3) and the contact point (3), in world axes.
 
     Args:
         frame: (4, 4) placement of the contact's frame.
-        carrier: (4, 4) placement of the frame that carries the plane; None for the world.
-        constants: (16,) of the contact.
-
-    Returns:
-        The signed distance, n (3), the contact point (3), all in world axes.
+        carrier: (4, 4) placement of the frame that carries the surface; None for the world.
+        constants: Of the contact, in these frames' axes.
     """
-    f, k = frame, constants
-    n1, n2, n3 = k[7], k[8], k[9]
-    o1, o2, o3 = k[4], k[5], k[6]
-    if carrier is not None:
-        s = carrier
-        n1, n2, n3 = (
-            s[0, 0] * n1 + s[0, 1] * n2 + s[0, 2] * n3,
-            s[1, 0] * n1 + s[1, 1] * n2 + s[1, 2] * n3,
-            s[2, 0] * n1 + s[2, 1] * n2 + s[2, 2] * n3,
-        )
-        o1, o2, o3 = (
-            s[0, 3] + s[0, 0] * o1 + s[0, 1] * o2 + s[0, 2] * o3,
-            s[1, 3] + s[1, 0] * o1 + s[1, 1] * o2 + s[1, 2] * o3,
-            s[2, 3] + s[2, 0] * o1 + s[2, 1] * o2 + s[2, 2] * o3,
-        )
-    x1 = f[0, 3] + f[0, 0] * k[0] + f[0, 1] * k[1] + f[0, 2] * k[2] - k[3] * n1
-    x2 = f[1, 3] + f[1, 0] * k[0] + f[1, 1] * k[1] + f[1, 2] * k[2] - k[3] * n2
-    x3 = f[2, 3] + f[2, 0] * k[0] + f[2, 1] * k[1] + f[2, 2] * k[2] - k[3] * n3
-    return n1 * (x1 - o1) + n2 * (x2 - o2) + n3 * (x3 - o3), n1, n2, n3, x1, x2, x3
-
-
-@jit
-def surface_velocity(carrier, constants, x1, x2, x3):
-    """Return the velocity at (x₁, x₂, x₃) that the surface has beyond its carrier's, in world axes."""
-    k = constants
-    if carrier is None:
-        y1, y2, y3 = x1 - k[4], x2 - k[5], x3 - k[6]
-        return (
-            k[10] + k[14] * y3 - k[15] * y2,
-            k[11] + k[15] * y1 - k[13] * y3,
-            k[12] + k[13] * y2 - k[14] * y1,
-        )
-    s = carrier
-    x1, x2, x3 = x1 - s[0, 3], x2 - s[1, 3], x3 - s[2, 3]
-    y1 = s[0, 0] * x1 + s[1, 0] * x2 + s[2, 0] * x3 - k[4]
-    y2 = s[0, 1] * x1 + s[1, 1] * x2 + s[2, 1] * x3 - k[5]
-    y3 = s[0, 2] * x1 + s[1, 2] * x2 + s[2, 2] * x3 - k[6]
-    w1 = k[10] + k[14] * y3 - k[15] * y2
-    w2 = k[11] + k[15] * y1 - k[13] * y3
-    w3 = k[12] + k[13] * y2 - k[14] * y1
-    return (
-        s[0, 0] * w1 + s[0, 1] * w2 + s[0, 2] * w3,
-        s[1, 0] * w1 + s[1, 1] * w2 + s[1, 2] * w3,
-        s[2, 0] * w1 + s[2, 1] * w2 + s[2, 2] * w3,
-    )
+    return at_contact(pose(frame), pose(carrier), constants)
 
 
 @jit
@@ -94,34 +116,30 @@ def jacobian(frame, frame_columns, frame_support, carrier, carrier_columns, carr
         frame_columns: (6, nv) motion of the world's origin, as if fixed to what each velocity moves, linear
             over angular, in world axes.
         frame_support: (nv,) booleans: the velocities that move the frame.
-        carrier: (4, 4) placement of the frame that carries the plane; None for the world.
+        carrier: (4, 4) placement of the frame that carries the surface; None for the world.
         carrier_columns: (6, nv) for the carrier, likewise.
         carrier_support: (nv,) likewise.
-        constants: (16,) of the contact.
+        constants: Of the contact, in these frames' axes.
         out: (3, nv) takes J.
 
     Returns:
         t₁, t₂, n (9) in world axes, and what the surface does beyond its carrier (3), in contact axes.
     """
-    _, n1, n2, n3, x1, x2, x3 = locate(frame, carrier, constants)
+    S = pose(carrier)
+    _, n1, n2, n3, p1, p2, p3 = at_contact(pose(frame), S, constants)
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
-    f = frame_columns
     for j in range(out.shape[1]):
         u1 = u2 = u3 = 0.0
         if frame_support[j]:
-            u1 = f[0, j] + f[4, j] * x3 - f[5, j] * x2
-            u2 = f[1, j] + f[5, j] * x1 - f[3, j] * x3
-            u3 = f[2, j] + f[3, j] * x2 - f[4, j] * x1
-        if carrier is not None:
-            c = carrier_columns
-            if carrier_support[j]:
-                u1 -= c[0, j] + c[4, j] * x3 - c[5, j] * x2
-                u2 -= c[1, j] + c[5, j] * x1 - c[3, j] * x3
-                u3 -= c[2, j] + c[3, j] * x2 - c[4, j] * x1
+            u1, u2, u3 = column(frame_columns, j, p1, p2, p3)
+        if carrier is not None and carrier_support[j]:
+            c1, c2, c3 = column(carrier_columns, j, p1, p2, p3)
+            u1, u2, u3 = u1 - c1, u2 - c2, u3 - c3
         out[0, j] = a1 * u1 + a2 * u2 + a3 * u3
         out[1, j] = b1 * u1 + b2 * u2 + b3 * u3
         out[2, j] = n1 * u1 + n2 * u2 + n3 * u3
-    w1, w2, w3 = surface_velocity(carrier, constants, x1, x2, x3)
+    o1, o2, o3 = place(S, constants, POINT)
+    w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
     return (
         *(a1, a2, a3, b1, b2, b3, n1, n2, n3),
         a1 * w1 + a2 * w2 + a3 * w3,

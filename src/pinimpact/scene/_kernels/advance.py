@@ -28,15 +28,15 @@ from .dynamics import (
     release,
     take,
 )
-from .event_location import ALONG, FORCE, GAP, LIMIT, RATE, curvatures, first_crossing, root, sample
-from .gap_bounds import clear
+from .event_location import ALONG, FORCE, GAP, LIMIT, RATE, first_crossing, root, sample
+from .gap_bounds import clear, curvatures
 from .workspace import d1, d2, d3, f2, i1, i2, put
 
 MODE_CHANGE = np.int64(-1)
 """Number of an event that is no contact's or limit's."""
 
 SAFETY = 1.5
-"""Factor on the bounds of a gap's second derivative, which come from the stages of the step."""
+"""Factor on the bounds of a tip's motion, which come from the stages of the step."""
 
 LOOKS = 10
 """Parts of a step at which forces are looked at where its stages saw them leave their bounds."""
@@ -225,11 +225,11 @@ def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
     found, number = math.inf, int(MODE_CHANGE)
     count = len(seen)
     mode, shut = i1(mem, at.STANDING), i1(mem, at.STANDING)[count:]
-    bounds = np.empty((count, 2))
+    bounds = np.empty((count, 4))
     for i in range(count):  # before a sample moves the kinematics
         if mode[i] == FREE:
             tip = i2(mem, at.ENDS)[i, 0]
-            bounds[i, 0], bounds[i, 1] = contact_motion.curvature(
+            size, change, speed, radius = contact_motion.bounds(
                 f2(mem, at.COLUMNS),
                 d2(mem, at.WEIGHTS)[i],
                 i1(mem, at.GROUP),
@@ -238,31 +238,30 @@ def first_event(t, h, floor, tolerated, seen, later, velocity, mem):
                 peak,
                 h,
             )
+            bounds[i, 0], bounds[i, 1] = SAFETY * size, SAFETY * change
+            bounds[i, 2], bounds[i, 3] = SAFETY * speed, radius
     for i in range(count):
         if mode[i] != FREE:
             continue
-        size, change = SAFETY * bounds[i, 0], SAFETY * bounds[i, 1]
         gap, rate = later[i, 0], later[i, 1]
-        fall, _ = curvatures(seen[i, 1], rate, h, size, change)
+        fall, _ = curvatures(seen[i, 0], seen[i, 1], gap, rate, h, bounds[i])
         base = min(seen[i, 0], 0.0)
         if not clear(seen[i, 0] - base, seen[i, 1], gap - base, rate, fall, h, floor):
             if found < math.inf:
                 gap, rate = sample(GAP, i, end, t, h, mem)
-            time = first_crossing(
-                GAP, i, t, end, seen[i, 0], seen[i, 1], gap, rate, size, change, floor, h, mem
-            )
+            time = first_crossing(GAP, i, t, end, seen[i, 0], seen[i, 1], gap, rate, bounds[i], floor, h, mem)
             if time <= end:
                 found, end, number = time, time, i
     index = i1(mem, at.INDEX_V)
     for k in range(len(index)):
         gap, rate = limit_gap(mem, k, q0, v0)
         end_gap, end_rate = limit_gap(mem, k, q1, v1)
-        size, change = SAFETY * peak[1, index[k]], SAFETY * peak[3, index[k]]
+        bound = np.array([SAFETY * peak[1, index[k]], SAFETY * peak[3, index[k]], 0.0, math.inf])
         base = min(gap, 0.0)
-        if shut[k] != 0 or clear(gap - base, rate, end_gap - base, end_rate, size, h, floor):
+        if shut[k] != 0 or clear(gap - base, rate, end_gap - base, end_rate, bound[0], h, floor):
             continue
         end_gap, end_rate = sample(LIMIT, k, end, t, h, mem)
-        time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, size, change, floor, h, mem)
+        time = first_crossing(LIMIT, k, t, end, gap, rate, end_gap, end_rate, bound, floor, h, mem)
         if time <= end:
             found, end, number = time, time, count + k
     sliding = d1(mem, at.SLIDING)

@@ -15,7 +15,7 @@ from ..._numeric.jit import inner
 from . import stages
 from . import workspace as at
 from .dynamics import MARGIN, evaluate, kinematics, limit_gap, look
-from .gap_bounds import clear
+from .gap_bounds import clear, curvatures
 from .workspace import d1, d2, i2
 
 GAP, LIMIT, ALONG, RATE, FORCE = np.arange(5)  # as variables, for literals would be compiled one by one
@@ -48,14 +48,7 @@ def sample(kind, i, t, start, h, mem):
 
 
 @inner
-def curvatures(rate, later_rate, width, size, change):
-    """Return the largest downward curvature between two times, and the largest in either direction."""
-    mean = (later_rate - rate) / width
-    return max(min(size, change - mean), 0.0), min(size, change + abs(mean))
-
-
-@inner
-def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, floor, h, mem):
+def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, bounds, floor, h, mem):
     """Return the first time in (a, b] at which a gap closes, or NaN.
 
     Between two times the gap stays above both parabolas that its values, its rates and the curvature allow
@@ -69,7 +62,7 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
         gap, rate: The gap and its rate at a; a gap below zero is where all gaps of the step are counted from,
             for a correction of others may have left it there.
         end_gap, end_rate: The same at b.
-        size, change: Bounds of the second derivative's size, and of its variation.
+        bounds: (4,) see `gap_bounds.curvatures`.
         floor: A gap above −floor counts as none (rounding).
         h: Length of the step.
         mem: The table of `memory`.
@@ -81,7 +74,7 @@ def first_crossing(kind, i, a, b, gap, rate, end_gap, end_rate, size, change, fl
     time, gap = a, gap - base
     while depth >= 0:
         width = later[depth] - time
-        fall, bend = curvatures(rate, later_rate[depth], width, size, change)
+        fall, bend = curvatures(gap, rate, later_gap[depth], later_rate[depth], width, bounds)
         if clear(gap, rate, later_gap[depth], later_rate[depth], fall, width, floor):
             time, gap, rate = later[depth], max(later_gap[depth], 0.0), later_rate[depth]
             depth -= 1

@@ -2,7 +2,39 @@
 
 from __future__ import annotations
 
+import math
+
 from ..._numeric.jit import inner
+
+
+@inner
+def curvatures(gap, rate, later_gap, later_rate, width, bounds):
+    """Return the largest downward curvature of a gap between two times, and the largest in either direction.
+
+    With y the tip's centre seen from the surface's carrier and ρ = gap + the radius below, the gap's second
+    derivative is n·ÿ, plus at most |ẏ|²/ρ and at least nothing where the surface bends away from the tip. So
+    the downward curvature needs no bound of ρ. The other one is infinite where the tip might come to the
+    centre of curvature.
+
+    Args:
+        gap, rate, later_gap, later_rate: The gap and its rate at both times.
+        width: The time between.
+        bounds: (4,) the largest |ÿ|, how much ÿ varies, the largest |ẏ|; and the least radius of curvature of
+            the surface the tip's radius off the true one, infinite for a flat one.
+    """
+    size, change, speed, radius = bounds[0], bounds[1], bounds[2], bounds[3]
+    mean = (later_rate - rate) / width
+    most = size
+    if radius < math.inf:
+        least = radius + 0.5 * (gap + later_gap - speed * width)
+        if least > 0.0:
+            bend = speed / least
+            most += bend * speed
+            # of n·ÿ, as n turns, and of |ẏ_t|²/ρ: |d/dt| ≤ 2 |ẏ||ÿ|/ρ + 3 |ẏ_t|²|ẏ_n|/ρ²
+            change += width * bend * (3.0 * size + 1.2 * bend * speed)
+        else:
+            most = change = math.inf
+    return max(min(size, change - mean), 0.0), min(most, change + abs(mean))
 
 
 @inner

@@ -14,7 +14,7 @@ the buffers that these read; `GIVEN` (nv,) and `CLOCK` (1,) what the control ret
 where Pinocchio leaves v̇, M⁻¹, oMi, v, ov, oa_gf and J. `DAMPING`, `DRY` (nv,) friction of the joints, and
 `SLIDING` (nv,) the dry one with its sign where a joint slides.
 
-All contacts (see `touch`): `CONSTANTS` (n, 22); `ENDS` (n, 2) the joints of tip and plane; `WEIGHTS` (n, nv);
+All contacts (see `touch`): `CONSTANTS` (n, 24); `ENDS` (n, 2) the joints of tip and plane; `WEIGHTS` (n, nv);
 `GROUP` (nv,) the joint that each velocity belongs to; `FRICTION` (n,); `KEPT` (n,) the gap that each keeps
 when closed; `BILATERAL` (n,) 1 for a held one. Joint limits: `INDEX_Q`, `INDEX_V`, `SIGN`, `BOUND` (nl,).
 

@@ -1,0 +1,61 @@
+"""Vectors and points moved by a placement.
+
+A placement is twelve numbers, the rotation column by column and then the translation: a tuple, or a row of
+the array in which Pinocchio keeps its placements.
+"""
+
+from __future__ import annotations
+
+from ..._numeric.jit import inner
+
+
+@inner
+def pose(matrix):
+    """Return the placement that a homogeneous (4, 4) matrix stands for; None is the world's own."""
+    if matrix is None:
+        return 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    m = matrix
+    return (
+        *(m[0, 0], m[1, 0], m[2, 0]),
+        *(m[0, 1], m[1, 1], m[2, 1]),
+        *(m[0, 2], m[1, 2], m[2, 2]),
+        *(m[0, 3], m[1, 3], m[2, 3]),
+    )
+
+
+@inner
+def cross(a1, a2, a3, b1, b2, b3):
+    return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
+
+
+@inner
+def rotate(R, a, b, c):
+    """Return a vector in the axes that R is given in."""
+    return (
+        R[0] * a + R[3] * b + R[6] * c,
+        R[1] * a + R[4] * b + R[7] * c,
+        R[2] * a + R[5] * b + R[8] * c,
+    )
+
+
+@inner
+def rotate_back(R, a, b, c):
+    """Return a vector in the axes that R places."""
+    return (
+        R[0] * a + R[1] * b + R[2] * c,
+        R[3] * a + R[4] * b + R[5] * c,
+        R[6] * a + R[7] * b + R[8] * c,
+    )
+
+
+@inner
+def direction(R, k, i):
+    """Rotate the vector that stands at k[i:i + 3]."""
+    return rotate(R, k[i], k[i + 1], k[i + 2])
+
+
+@inner
+def place(R, k, i):
+    """Move the point that stands at k[i:i + 3]."""
+    a, b, c = rotate(R, k[i], k[i + 1], k[i + 2])
+    return a + R[9], b + R[10], c + R[11]

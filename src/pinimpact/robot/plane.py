@@ -1,0 +1,69 @@
+"""A plane, in the world or carried by a body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._kernels.constants import PLANE
+from .surfaces import Surface, Vector, contact_axes, unit_vector, vector
+
+
+@dataclass(frozen=True)
+class Plane(Surface):
+    """A plane fixed in the world, moving at a given rate, or carried by a body.
+
+    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in that frame's
+    axes, `point` is from its origin, and the plane moves with the frame; `velocity` and
+    `angular_velocity` are then what the surface does beyond that (a belt, a turntable on the body).
+
+    Attributes:
+        point: A point of the plane [m].
+        normal: Points from the surface into free space; any length but zero. Kept as a unit vector.
+        velocity: Velocity of the surface's material at `point` [m/s].
+        angular_velocity: Angular velocity of the surface's material about `point` [rad/s].
+        body: Frame that carries the plane, by name or id; None for the world.
+
+    The velocities are rates of this instant: they do not move `point` or turn `normal`.
+
+    Raises:
+        InputError: A vector that is not three finite numbers, or a normal of zero length.
+    """
+
+    code: ClassVar[int] = PLANE
+    point: Vector = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
+    velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
+    body: str | int | None = None
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "point", vector("point", self.point))
+        object.__setattr__(self, "normal", unit_vector("normal", self.normal))
+
+    @property
+    def origin(self) -> Vector:
+        """The point of the plane."""
+        return self.point
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) contact axes of the normal."""
+        return contact_axes(self.normal)
+
+    def distance(self, point: ArrayLike) -> float:
+        """Return the signed distance of a point from the plane, negative below it [m]."""
+        return float(np.dot(self.normal, np.subtract(point, self.point)))
+
+    def departure(self) -> str | None:
+        """Return how the material rises or tilts, None for a belt or a turntable."""
+        rise = float(np.dot(self.normal, self.velocity))
+        tilt = float(np.linalg.norm(np.cross(self.normal, self.angular_velocity)))
+        speed, spin = np.linalg.norm(self.velocity), np.linalg.norm(self.angular_velocity)
+        if abs(rise) <= 1e-12 * speed and tilt <= 1e-12 * spin:
+            return None
+        return f"moves along its normal at {rise:.6g} m/s or tilts at {tilt:.6g} rad/s"
