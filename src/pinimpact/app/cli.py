@@ -70,7 +70,7 @@ def demo(robot: str, out: Path) -> None:
 @plain_errors
 def plan(scene: Path) -> None:
     """Print which effects a scene file calls for, and why each other one is left out."""
-    from .scene_file import load_scene
+    from .scene_loader import load_scene
 
     click.echo(str(load_scene(scene).scene.plan()))
 
@@ -88,7 +88,7 @@ def run(scene: Path, out: Path) -> None:
     from rich.progress import Progress
 
     from .report import run_report
-    from .scene_file import load_scene
+    from .scene_loader import load_scene
 
     loaded = load_scene(scene)
     stopped: PinimpactError | None = None
@@ -144,7 +144,7 @@ def cost(
         time_cap=time_cap,
         progress=lambda name: click.echo(f"measuring {name}", err=True),
     )
-    click.echo(report.table() if target is None else report.answer(target))
+    click.echo(report.table() if target is None else report.advice(target))
     out.mkdir(parents=True, exist_ok=True)
     report.plot(out / "cost.png")
     report.save(out / "cost.json")
