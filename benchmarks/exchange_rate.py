@@ -16,6 +16,6 @@ if __name__ == "__main__":
     FIGURES.mkdir(parents=True, exist_ok=True)
     report.save(FIGURES / "work_precision.json")
     report.plot(FIGURES / "work_precision.png")
-    answers = "\n\n".join(report.answer(target) for target in TARGETS)
+    answers = "\n\n".join(report.advice(target) for target in TARGETS)
     (FIGURES / "cheapest.txt").write_text(answers + "\n", encoding="utf-8")
     print(report.table(), answers, sep="\n\n")

@@ -47,14 +47,16 @@ def test_demo(robot: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("robot", sorted(SWINGS))
 def test_every_robot_strikes_as_planned(robot: str) -> None:
     shown = run_demo(robot)
-    hit = shown.hit
+    impact = shown.impact
     free = shown.robot.model.joints[1].nv == 6
-    np.testing.assert_allclose(hit.problem.velocity, FREE_BASE if free else FIXED_BASE, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        impact.problem.velocity, FREE_BASE if free else FIXED_BASE, rtol=1e-4, atol=1e-4
+    )
     model, data = shown.robot.model, shown.robot.model.createData()
-    change = pin.computeKineticEnergy(model, data, hit.q, hit.v_after)
-    change -= pin.computeKineticEnergy(model, data, hit.q, hit.v_before)
-    assert hit.solution.work.total == pytest.approx(change, rel=1e-6)
-    assert hit.solution.work.friction < 0.0
+    change = pin.computeKineticEnergy(model, data, impact.q, impact.v_after)
+    change -= pin.computeKineticEnergy(model, data, impact.q, impact.v_before)
+    assert impact.solution.work.total == pytest.approx(change, rel=1e-6)
+    assert impact.solution.work.friction < 0.0
 
 
 def test_demo_of_an_unknown_robot() -> None:
@@ -93,6 +95,22 @@ def test_run_keeps_what_was_computed_when_it_cannot_go_on(tmp_path: Path) -> Non
     assert (tmp_path / "out" / "trajectory.npz").is_file()
 
 
+@pytest.mark.parametrize("verb", [("demo",), ("run", str(SCENES / "ball_on_conveyor.toml")), ("cost",)])
+def test_a_folder_that_cannot_be_made_is_said_before_anything_is_computed(
+    verb: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compute(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    for name in ("app.demo.run_demo", "app.scene_loader.simulate", "studies.cost.run_cost"):
+        monkeypatch.setattr(f"pinimpact.{name}", compute)
+    (tmp_path / "file").write_text("not a folder", encoding="utf-8")
+    result = call(*verb, "-o", str(tmp_path / "file" / "out"))
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: ")
+    assert str(tmp_path / "file") in result.output.replace("\n", "")
+
+
 def test_cost_answers_what_reaches_an_error(tmp_path: Path) -> None:
     args = ("cost", "--robot", "two_link_arm", "--method", "exact", "--target", "1e-9", "--time-cap", "0.01")
     result = call(*args, "-o", str(tmp_path))
@@ -109,6 +127,6 @@ def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Progress, "update", interrupt)
     result = call("run", str(SCENES / "ball_on_conveyor.toml"), "-o", str(tmp_path))
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 130, result.output
     assert "Interrupted" in result.output
     assert (tmp_path / "trajectory.npz").is_file()

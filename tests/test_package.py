@@ -37,6 +37,16 @@ def test_an_impact_draws_nothing() -> None:
     assert not loaded & {"matplotlib", "meshcat", "pinocchio", "pydantic", "rich"}
 
 
+def test_pictures_are_reached_after_a_plain_import() -> None:
+    loaded = modules_after("import pinimpact; pinimpact.visual.plots.impact_figure; pinimpact.replay")
+    assert "pinimpact.visual.plots" in loaded
+    assert not loaded & {"matplotlib", "meshcat"}
+    assert "visual" in dir(pinimpact)
+    assert "plots" in dir(pinimpact.visual)
+    with pytest.raises(AttributeError, match="'plot'"):
+        _ = pinimpact.visual.plot
+
+
 def test_every_public_name_resolves() -> None:
     assert sorted(pinimpact.__all__) == sorted(set(pinimpact.__all__))
     for name in pinimpact.__all__:

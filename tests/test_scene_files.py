@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact.app.scene_file import load_scene
+from pinimpact.app.scene_loader import load_scene
 from pinimpact.app.units import quantity
 from pinimpact.robot.merging import Placed, assemble
 

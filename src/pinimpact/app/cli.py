@@ -22,14 +22,18 @@ OUT = click.option(
 )
 
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Say what is wrong with the input in one message, without a traceback."""
+    """Say what is wrong with the input, or with a file, in one message without a traceback."""
 
     @functools.wraps(command)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
         try:
             return command(*args, **kwargs)
-        except PinimpactError as error:
+        except (PinimpactError, OSError) as error:
             raise click.ClickException(str(error)) from error
 
     return wrapped
@@ -54,12 +58,13 @@ def demo(robot: str, out: Path) -> None:
     from .demo import run_demo
     from .report import impact_report
 
-    shown = run_demo(robot)
-    hit = shown.hit
-    Console().print(impact_report(shown.robot.model, shown.contact, hit))
     out.mkdir(parents=True, exist_ok=True)
-    title = f"{robot}: {shown.contact.label}, μ = {shown.contact.friction:g}, e = {hit.problem.restitution:g}"
-    figure = save_figure(impact_figure(hit.problem, hit.solution, title), out / "hodograph.png")
+    shown = run_demo(robot)
+    impact = shown.impact
+    Console().print(impact_report(shown.robot.model, shown.contact, impact))
+    contact, e = shown.contact, impact.problem.restitution
+    title = f"{robot}: {contact.label}, μ = {contact.friction:g}, e = {e:g}"
+    figure = save_figure(impact_figure(impact.problem, impact.solution, title), out / "hodograph.png")
     click.echo(f"Hodograph: {figure}")
     page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=shown.contacts, speed=0.2)
     click.echo(f"Replay (five times slower, open in a browser): {page}")
@@ -70,7 +75,7 @@ def demo(robot: str, out: Path) -> None:
 @plain_errors
 def plan(scene: Path) -> None:
     """Print which effects a scene file calls for, and why each other one is left out."""
-    from .scene_file import load_scene
+    from .scene_loader import load_scene
 
     click.echo(str(load_scene(scene).scene.plan()))
 
@@ -82,15 +87,16 @@ def plan(scene: Path) -> None:
 def run(scene: Path, out: Path) -> None:
     """Simulate a scene file: print what happened, write trajectory, replay and pictures.
 
-    Ctrl-C ends the run early; what was computed until then is written all the same.
+    Ctrl-C ends the run early, with exit status 130; what was computed until then is written all the same.
     """
     from rich.console import Console
     from rich.progress import Progress
 
     from .report import run_report
-    from .scene_file import load_scene
+    from .scene_loader import load_scene
 
     loaded = load_scene(scene)
+    out.mkdir(parents=True, exist_ok=True)
     stopped: PinimpactError | None = None
     with Progress(transient=True) as bar:
         task = bar.add_task("simulating", total=loaded.file.duration)
@@ -101,11 +107,12 @@ def run(scene: Path, out: Path) -> None:
                 raise
             trajectory, stopped = error.partial, error
     Console().print(run_report(trajectory))
-    out.mkdir(parents=True, exist_ok=True)
     for what, path in loaded.write(trajectory, out):
         click.echo(f"{what}: {path}")
     if stopped is not None:
         raise stopped
+    if not trajectory.complete:
+        raise SystemExit(INTERRUPTED)
 
 
 @main.command()
@@ -133,19 +140,19 @@ def cost(
     """Measure error against time, method by method: a table, a diagram, the raw figures."""
     from ..studies.cost import run_cost
 
+    out.mkdir(parents=True, exist_ok=True)
     problems = None
     if robot is not None:
         from .demo import run_demo
 
-        problems = {robot: run_demo(robot).hit.problem}
+        problems = {robot: run_demo(robot).impact.problem}
     report = run_cost(
         problems,
         methods or None,
         time_cap=time_cap,
         progress=lambda name: click.echo(f"measuring {name}", err=True),
     )
-    click.echo(report.table() if target is None else report.answer(target))
-    out.mkdir(parents=True, exist_ok=True)
+    click.echo(report.table() if target is None else report.advice(target))
     report.plot(out / "cost.png")
     report.save(out / "cost.json")
     click.echo(f"Diagram: {out / 'cost.png'}\nFigures: {out / 'cost.json'}")

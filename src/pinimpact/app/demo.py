@@ -80,15 +80,15 @@ class Demo:
         return self.contacts[0]
 
     @property
-    def hit(self) -> ImpactRecord:
+    def impact(self) -> ImpactRecord:
         """The first impact of the contact on the table.
 
         Raises:
             SimulationError: It never struck.
         """
-        for hit in self.trajectory.impacts:
-            if hit.source == self.contact.label:
-                return hit
+        for impact in self.trajectory.impacts:
+            if impact.source == self.contact.label:
+                return impact
         raise SimulationError(
             f"{self.contact.label}: no impact in {self.trajectory.duration:.3g} s",
             partial=self.trajectory,
@@ -110,7 +110,7 @@ def run_demo(name: str) -> Demo:
     swing = SWINGS.get(name, Swing())
     frame = model.frames[model.nframes - 1].name if swing.frame is None else swing.frame
     free_base = model.njoints > 1 and model.joints[1].nv == 6
-    q, v = touch(robot, swing, frame, free_base)
+    q, v = state_at_touch(robot, swing, frame, free_base)
     point = contact_geometry(model, model.createData(), q, Contact(frame, Plane())).point
     table = Plane(point=tuple(point.tolist()))
     contacts = tuple(
@@ -119,13 +119,13 @@ def run_demo(name: str) -> Demo:
     )
     data = model.createData()
 
-    def keep_speeds(_: float, q: Array, v: Array) -> Any:
+    def hold_speeds(_: float, q: Array, v: Array) -> Any:
         return pin.nonLinearEffects(model, data, q, v)
 
     scene = Scene(
         model,
         contacts,
-        control=None if free_base else keep_speeds,
+        control=None if free_base else hold_speeds,
         record=True,
         without=("joint limits", "joint damping", "joint friction"),
     )
@@ -136,7 +136,7 @@ def run_demo(name: str) -> Demo:
     return Demo(robot, contacts, simulate(scene, start, v, BEFORE + AFTER))
 
 
-def touch(robot: pin.RobotWrapper, swing: Swing, frame: str, free_base: bool) -> tuple[Array, Array]:
+def state_at_touch(robot: pin.RobotWrapper, swing: Swing, frame: str, free_base: bool) -> tuple[Array, Array]:
     """Return configuration and velocity at the touch.
 
     A free base moves as a whole at the chosen velocity; a fixed one with the least joint speeds that give it.

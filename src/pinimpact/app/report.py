@@ -20,13 +20,13 @@ LONGEST = 40
 """Rows that a table shows at most."""
 
 
-def impact_report(model: pin.Model, contact: Contact, hit: ImpactRecord) -> RenderableType:
+def impact_report(model: pin.Model, contact: Contact, impact: ImpactRecord) -> RenderableType:
     """Return an impact as tables: velocities before and after, segments, impulse, energy, effects."""
-    solution = hit.solution
-    before = np.asarray(hit.problem.velocity)
+    solution = impact.solution
+    before = np.asarray(impact.problem.velocity)
     heading = (
-        f"{contact.label}: friction {contact.friction:g}, restitution {hit.problem.restitution:g} "
-        f"({contact.law}), at t = {hit.time:.4f} s"
+        f"{contact.label}: friction {contact.friction:g}, restitution {impact.problem.restitution:g} "
+        f"({contact.law}), at t = {impact.time:.4f} s"
     )
     return Group(
         Text(heading, style="bold"),
@@ -38,15 +38,15 @@ def impact_report(model: pin.Model, contact: Contact, hit: ImpactRecord) -> Rend
         _columns(
             "Joint velocities [rad/s or m/s]",
             ("", "before", "after"),
-            zip(velocity_names(model), hit.v_before, hit.v_after, strict=True),
+            zip(velocity_names(model), impact.v_before, impact.v_after, strict=True),
         ),
         _columns(
             "Segments",
             ("mode", "phase", "P₃ from", "to [N s]"),
             [(s.mode, s.phase, f"{s.start:.6f}", f"{s.end:.6f}") for s in solution.segments],
         ),
-        _columns("Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(hit.impulse_world)]),
-        _energy(model, hit),
+        _columns("Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(impact.impulse_world)]),
+        _energy(model, impact),
         Text("Effects computed: " + (", ".join(solution.effects) or "none")),
         *(Text(sentence) for sentence in (str(solution.status), *solution.flags.describe())),
     )
@@ -62,7 +62,7 @@ def run_report(trajectory: Trajectory) -> RenderableType:
         _columns(
             f"Impacts: {len(trajectory.impacts)}" + _cut(trajectory.impacts),
             ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]", "special"),
-            [_impact_row(hit) for hit in trajectory.impacts[:LONGEST]],
+            [_impact_row(impact) for impact in trajectory.impacts[:LONGEST]],
         ),
         _columns(
             f"Sustained contact: {len(trajectory.modes)}" + _cut(trajectory.modes),
@@ -80,15 +80,17 @@ def _cut(rows: Sequence[Any]) -> str:
     return f", the first {LONGEST}" if len(rows) > LONGEST else ""
 
 
-def _impact_row(hit: ImpactRecord) -> tuple[Any, ...]:
-    special = [word for word, on in (("resting", hit.resting), ("simultaneous", hit.simultaneous)) if on]
-    special += [effect for effect in ("stick", "resumed slip", "jam") if effect in hit.solution.effects]
+def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:
+    special = [
+        word for word, on in (("resting", impact.resting), ("simultaneous", impact.simultaneous)) if on
+    ]
+    special += [effect for effect in ("stick", "resumed slip", "jam") if effect in impact.solution.effects]
     return (
-        f"{hit.time:.6f}",
-        hit.source,
-        -float(np.asarray(hit.problem.velocity)[2]),
-        float(np.linalg.norm(hit.solution.impulse)),
-        hit.solution.work.total,
+        f"{impact.time:.6f}",
+        impact.source,
+        -float(np.asarray(impact.problem.velocity)[2]),
+        float(np.linalg.norm(impact.solution.impulse)),
+        impact.solution.work.total,
         ", ".join(special),
     )
 
@@ -101,12 +103,12 @@ def velocity_names(model: pin.Model) -> Iterator[str]:
             yield model.names[joint] + (f"[{k}]" if count > 1 else "")
 
 
-def _energy(model: pin.Model, hit: ImpactRecord) -> Table:
+def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
     data = model.createData()
-    mass = pin.crba(model, data, hit.q)
+    mass = pin.crba(model, data, impact.q)
     mass = np.triu(mass) + np.triu(mass, 1).T
-    kinetic = [0.5 * float(v @ mass @ v) for v in (hit.v_before, hit.v_after)]
-    work = hit.solution.work
+    kinetic = [0.5 * float(v @ mass @ v) for v in (impact.v_before, impact.v_after)]
+    work = impact.solution.work
     rows: list[tuple[Any, ...]] = [("kinetic energy before", kinetic[0])]
     rows += [(cause, getattr(work, cause)) for cause in CAUSES if cause != "surface" or work.surface != 0.0]
     rows += [("sum of the works", work.total), ("kinetic energy after", kinetic[1])]

@@ -1,36 +1,22 @@
-"""Scenes as TOML files: robots, planes, contacts, the start, what is computed and what is written."""
+"""What a scene file may say: robots, planes, contacts, the start, what is computed and what is written."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ..errors import InputError, PinimpactError, UnknownNameError
-from ..robot.contact import Contact
-from ..robot.loading import load_robot
-from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
-from ..robot.plane import Plane
-from ..scene.scene import Control, Scene
-from ..scene.simulation import simulate
-from ..scene.trajectory import Trajectory
 from .units import quantity
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-Array = NDArray[np.float64]
 
 
 def _of(kind: str) -> BeforeValidator:
@@ -80,7 +66,10 @@ class PlaneTable(_Table):
 
 
 class ContactTable(_Table):
-    """``[[contact]]``: a point of a robot and the plane it may meet; see `Contact`."""
+    """``[[contact]]``: a point of a robot and the plane it may meet; see `Contact`.
+
+    Without a name it is called "frame on plane", by their names in the file.
+    """
 
     frame: FrameKey
     plane: str
@@ -143,93 +132,13 @@ class SceneFile(_Table):
     output: OutputTable = OutputTable()
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedScene:
-    """A scene file made ready to run.
-
-    Attributes:
-        file: What the file says.
-        robot: The robot, or all of them in one.
-        scene: The scene.
-        q: (nq,) configuration at the start.
-        v: (nv,) velocity at the start.
-    """
-
-    file: SceneFile
-    robot: pin.RobotWrapper
-    scene: Scene
-    q: Array
-    v: Array
-
-    def run(self, progress: Any = None) -> Trajectory:
-        """Simulate the scene for its duration; errors as in `simulate`."""
-        file = self.file
-        return simulate(
-            self.scene,
-            self.q,
-            self.v,
-            file.duration,
-            rtol=file.rtol,
-            atol=file.atol,
-            max_impacts=file.max_impacts,
-            progress=progress,
-        )
-
-    def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
-        """Write what ``[output]`` asks for, and yield what each file is and its path."""
-        from ..visual.html_replay import replay
-        from ..visual.plots import energy_figure, impact_figure, save_figure
-
-        trajectory.save(folder / "trajectory.npz")
-        yield "Trajectory", folder / "trajectory.npz"
-        output = self.file.output
-        if output.plots:
-            yield "Energy", save_figure(energy_figure(trajectory, self.file.title), folder / "energy.png")
-            contacts = {contact.label for contact in self.scene.contacts}
-            hits = [hit for hit in trajectory.impacts if hit.source in contacts]
-            if hits:
-                hit = max(hits, key=lambda hit: float(hit.solution.impulse[2]))
-                title = f"{hit.source}, t = {hit.time:.4f} s: the strongest impact"
-                figure = impact_figure(hit.problem, hit.solution, title)
-                yield "Strongest impact", save_figure(figure, folder / "impact.png")
-        if output.replay:
-            page = folder / "replay.html"
-            speed = output.replay_speed
-            yield "Replay", replay(self.robot, trajectory, page, contacts=self.scene.contacts, speed=speed)
-
-
-def load_scene(path: str | Path) -> LoadedScene:
-    """Read a scene file. Paths in it are relative to the file.
+def read_scene_file(path: Path) -> SceneFile:
+    """Return the checked tables of a scene file; paths in it are as they stand there.
 
     Raises:
         InputError: No such file, no TOML, a key with a bad value; the message names the key.
-        UnknownNameError: A key, plane, joint, frame or robot that does not exist; near matches are offered.
-        ModelError: A robot that cannot be used.
+        UnknownNameError: A key that does not exist; near matches are offered.
     """
-    path = Path(path)
-    file = read_scene_file(path)
-    robot, v0 = _robots(file, path.parent)
-    model = robot.model
-    if file.gravity is not None:
-        model.gravity.linear = np.array(file.gravity)
-    q, v = _start(file.start, robot, v0)
-    contacts = [(table.held, _contact(index, table, file)) for index, table in enumerate(file.contact)]
-    scene = Scene(
-        model,
-        [contact for held, contact in contacts if not held],
-        control=None if file.control is None else _control(file.control, model, q),
-        held=[contact for held, contact in contacts if held],
-        locked=file.locked,
-        limit_restitution=file.limit_restitution,
-        resting_speed=file.resting_speed,
-        record=file.output.plots,
-        without=file.without,
-    )
-    return LoadedScene(file, robot, scene, q, v)
-
-
-def read_scene_file(path: Path) -> SceneFile:
-    """Return the checked tables of a scene file; errors as in `load_scene`."""
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -271,109 +180,3 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
     return InputError(
         f"{key}: {complaint['input']!r} given in {path.name}; {message}", field=key, value=complaint["input"]
     )
-
-
-def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
-    """Return all robots in one, and their velocities by their bases."""
-    parts, speeds = [], []
-    for index, table in enumerate(file.robot):
-        key = f"robot[{index}]"
-        if (table.name is None) == (table.urdf is None):
-            raise InputError(f"{key}: give either name = ... or urdf = ...", field=key, value=table.name)
-        source = table.name if table.name is not None else folder / str(table.urdf)
-        robot = load_robot(source, table.free_flyer)
-        rotation = pin.rpy.rpyToMatrix(*(table.rpy or (0.0, 0.0, 0.0)))
-        pose = pin.SE3(rotation, np.array(table.position or (0.0, 0.0, 0.0)))
-        v = np.zeros(robot.model.nv)
-        if robot.model.njoints > 1 and robot.model.joints[1].shortname() == "JointModelFreeFlyer":
-            if table.position or table.rpy:
-                robot.q0[:7] = pin.SE3ToXYZQUAT(pose)
-            inverse = pin.XYZQUATToSE3(robot.q0[:7]).rotation.T
-            v[:6] = [*(inverse @ table.velocity), *(inverse @ table.angular_velocity)]
-            pose = pin.SE3.Identity()
-        elif any((*table.velocity, *table.angular_velocity)):
-            raise InputError(
-                f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or leave it out",
-                field=f"{key}.velocity",
-                value=table.velocity,
-            )
-        parts.append(Placed(robot, table.prefix, pose))
-        speeds.append(v)
-    return assemble(parts), np.concatenate(speeds)
-
-
-def _start(start: StartTable, robot: pin.RobotWrapper, v0: Array) -> tuple[Array, Array]:
-    model = robot.model
-    q = np.array(robot.q0 if start.q is None else start.q, dtype=float)
-    v = np.array(v0 if start.v is None else start.v, dtype=float)
-    for key, vector, size in (("start.q", q, model.nq), ("start.v", v, model.nv)):
-        if vector.shape != (size,):
-            raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", field=key, value=vector)
-    for name, value in start.joints.items():
-        joint, straight = _single_joint(model, "start.joints", name)
-        number = _quantity(f"start.joints.{name}", value, "length" if straight else "angle")
-        at = model.idx_qs[joint]
-        q[at : at + model.nqs[joint]] = number if model.nqs[joint] == 1 else (np.cos(number), np.sin(number))
-    for name, value in start.speeds.items():
-        joint, straight = _single_joint(model, "start.speeds", name)
-        number = _quantity(f"start.speeds.{name}", value, "speed" if straight else "angular speed")
-        v[model.idx_vs[joint]] = number
-    return q, v
-
-
-def _single_joint(model: pin.Model, key: str, name: str) -> tuple[int, bool]:
-    """Return the id of a joint with one degree of freedom, and whether it is prismatic."""
-    joint = model.getJointId(name)
-    if joint == model.njoints:
-        names = list(model.names)[1:]
-        raise UnknownNameError(
-            f"{key}: no joint is called {name!r}; {near_matches(name, names)}", field=key, value=name
-        )
-    if model.nvs[joint] != 1:
-        raise InputError(
-            f"{key}: {name} has {model.nvs[joint]} degrees of freedom; set them with start.q and start.v, "
-            "or those of a free base in its [[robot]] table",
-            field=key,
-            value=name,
-        )
-    return joint, model.joints[joint].shortname().startswith("JointModelP")
-
-
-def _quantity(key: str, value: float | str, kind: str) -> float:
-    try:
-        return quantity(value, kind)
-    except ValueError as error:
-        raise InputError(f"{key}: {error}", field=key, value=value) from None
-
-
-def _contact(index: int, table: ContactTable, file: SceneFile) -> Contact:
-    key = f"contact[{index}]"
-    if table.plane not in file.plane:
-        raise UnknownNameError(
-            f"{key}.plane: no [plane.{table.plane}] in the file; {near_matches(table.plane, file.plane)}",
-            field=f"{key}.plane",
-            value=table.plane,
-        )
-    try:
-        plane = Plane(**file.plane[table.plane].model_dump())
-        return Contact(plane=plane, **table.model_dump(exclude={"plane", "held"}))
-    except InputError as error:
-        raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
-    except UnknownNameError as error:
-        raise UnknownNameError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
-
-
-def _control(table: ControlTable, model: pin.Model, start: Array) -> Control:
-    data = model.createData()
-    driven = np.ones(model.nv)
-    for joint in range(1, model.njoints):
-        if model.nvs[joint] == 6:
-            driven[model.idx_vs[joint] : model.idx_vs[joint] + 6] = 0.0
-
-    def control(_: float, q: Array, v: Array) -> Array:
-        force = -table.stiffness * pin.difference(model, start, q) - table.damping * v
-        if table.cancel_gravity:
-            force += pin.nonLinearEffects(model, data, q, v)
-        return driven * force
-
-    return control

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from ..errors import InputError, UnknownNameError
+from ..robot.contact import Contact
 from ..robot.names import near_matches
-
-if TYPE_CHECKING:
-    from .scene import Scene
 
 SWITCHABLE = (
     "gravity",
@@ -112,17 +110,40 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
     return tuple(without)
 
 
-def make_plan(scene: Scene) -> Plan:
-    """Derive the plan of a scene from its data."""
-    model = scene.model
-    contacts = scene.contacts
-    unreachable = scene.unreachable()
+def make_plan(
+    model: pin.Model,
+    contacts: Sequence[Contact],
+    held: Sequence[Contact],
+    *,
+    unreachable: tuple[str, ...],
+    limits: int,
+    limit_restitution: float,
+    controlled: bool,
+    locked: Sequence[str | int],
+    resting_speed: float,
+    record: bool,
+    without: Sequence[str],
+) -> Plan:
+    """Derive a plan from what a scene is made of.
+
+    Args:
+        model: The robot.
+        contacts: Its contacts.
+        held: Its held contacts.
+        unreachable: Names of the contacts that can never reach their surface.
+        limits: How many joint limits there are.
+        limit_restitution: Restitution of the joint limits.
+        controlled: Whether there is a control.
+        locked: Joints that are locked during impacts.
+        resting_speed: Bounce speed below which a contact is taken as resting [m/s].
+        record: Whether paths of impacts are recorded.
+        without: Effects to leave out.
+    """
     watched = len(contacts) - len(unreachable)
-    damping, dry, rotor = scene.joint_damping, scene.joint_friction, np.asarray(model.armature)
+    damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
     rubbing = [c.label for c in contacts if c.friction > 0.0]
     bouncing = [c.label for c in contacts if callable(c.restitution) or c.restitution > 0.0]
     moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
-    limits = scene.limits()
     g = float(np.linalg.norm(model.gravity.linear))
 
     def count(number: int, what: str) -> str:
@@ -130,7 +151,7 @@ def make_plan(scene: Scene) -> Plan:
 
     called_for: dict[str, tuple[bool, str, str]] = {
         "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
-        "control": (scene.control is not None, "a control callback is given", "no control callback is given"),
+        "control": (controlled, "a control callback is given", "no control callback is given"),
         "joint damping": (
             bool(damping.any()),
             f"{count(int((damping != 0).sum()), 'velocity')} damped".replace("velocitys", "velocities"),
@@ -165,8 +186,8 @@ def make_plan(scene: Scene) -> Plan:
             else "there are no contacts",
         ),
         "sustained contact": (
-            watched > 0 or bool(limits),
-            f"a bounce slower than {scene.rest:.3g} m/s is taken as rest",
+            watched > 0 or limits > 0,
+            f"a bounce slower than {resting_speed:.3g} m/s is taken as rest",
             "nothing can touch",
         ),
         "moving surfaces": (
@@ -175,39 +196,39 @@ def make_plan(scene: Scene) -> Plan:
             "no surface moves by itself",
         ),
         "joint limits": (
-            bool(limits),
-            f"{count(len(limits), 'finite bound')}, one-sided impacts with e = {scene.limit_restitution:g}",
+            limits > 0,
+            f"{count(limits, 'finite bound')}, one-sided impacts with e = {limit_restitution:g}",
             "no joint has a finite bound",
         ),
         "held contacts": (
-            bool(scene.held),
-            f"held: {', '.join(c.label for c in scene.held)}",
+            bool(held),
+            f"held: {', '.join(c.label for c in held)}",
             "no contact is held",
         ),
         "locked joints": (
-            bool(scene.locked),
-            f"locked during impacts: {', '.join(map(str, scene.locked))}",
+            bool(locked),
+            f"locked during impacts: {', '.join(map(str, locked))}",
             "no joint is locked",
         ),
-        "recorded path": (scene.record, "record=True", "record=False"),
+        "recorded path": (record, "record=True", "record=False"),
     }
     effects = []
     for name, (present, reason, absence) in called_for.items():
         if not present:
             effects.append(Effect(name, False, absence))
-        elif name in scene.without:
+        elif name in without:
             effects.append(
                 Effect(name, False, f"switched off against the plan: {reason}", name != "recorded path")
             )
         else:
             effects.append(Effect(name, True, reason))
-    touching = watched > 0 and "contact guards" not in scene.without
+    touching = watched > 0 and "contact guards" not in without
     for name, reason in (
         ("normal-tangential coupling", "each impact computes it unless its W has none (b = 0)"),
         ("spatial slip", "each impact integrates it unless its slip keeps its direction"),
     ):
         slipping = touching and (
-            name != "spatial slip" or (bool(rubbing) and "contact friction" not in scene.without)
+            name != "spatial slip" or (bool(rubbing) and "contact friction" not in without)
         )
         effects.append(
             Effect(
@@ -220,4 +241,4 @@ def make_plan(scene: Scene) -> Plan:
                 else "no contact can touch",
             )
         )
-    return Plan(tuple(effects), scene.rest, unreachable)
+    return Plan(tuple(effects), resting_speed, unreachable)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import at_least_zero, coefficient
 from ..errors import InputError
-from ..robot.contact import Contact
+from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
 from .effects import Plan, check_names, make_plan
+from .reach import chain_length, link_lengths, out_of_reach
 
 Array = NDArray[np.float64]
 Control = Callable[[float, Array, Array], ArrayLike]
@@ -48,12 +51,16 @@ class JointLimit:
 class Scene:
     """A robot among surfaces.
 
+    Contacts without a name of their own whose labels would be the same are numbered: "foot on plane 1",
+    "foot on plane 2". Reports use the labels of `contacts` and `held` as they are here.
+
     Attributes:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
         contacts: The points that may meet their planes.
         control: control(t, q, v) -> (nv,) generalized forces; None for none.
-        held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop.
+        held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
+            start at their surfaces, see `simulate`.
         locked: Joints, by name or id, whose velocity an impact does not change (stiff position control).
         limit_restitution: Restitution e of the joint limits, which act as one-sided impacts.
         resting_speed: Bounce speed [m/s] below which a contact is taken as resting; None for 10⁻⁴ √(g L),
@@ -62,7 +69,8 @@ class Scene:
         without: Effects to leave out, by the names in `plan`.
 
     Raises:
-        InputError: Numbers out of range, two contacts of one name, a plane that moves along its normal.
+        InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
+            limit or of a joint with dry friction as that of a contact, a plane that moves along its normal.
         UnknownNameError: A frame, joint or effect that does not exist.
     """
 
@@ -77,11 +85,38 @@ class Scene:
     without: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        keep = object.__setattr__
-        keep(self, "model", model_of(self.model))
-        for field in ("contacts", "held"):
-            keep(self, field, _contacts(field, getattr(self, field), self.model))
-        labels = [contact.label for contact in (*self.contacts, *self.held)]
+        assign = object.__setattr__
+        assign(self, "model", model_of(self.model))
+        contacts, held = (
+            _contacts(field, getattr(self, field), self.model) for field in ("contacts", "held")
+        )
+        named = _named([*contacts, *held])
+        assign(self, "contacts", tuple(named[: len(contacts)]))
+        assign(self, "held", tuple(named[len(contacts) :]))
+        self._check_names([contact.label for contact in named])
+        assign(self, "locked", (self.locked,) if isinstance(self.locked, (str, int)) else tuple(self.locked))
+        free_velocities(self.model, self.locked)
+        assign(self, "without", check_names(self.without))
+        if self.control is not None and not callable(self.control):
+            raise InputError(
+                f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
+            )
+        assign(self, "limit_restitution", coefficient("limit_restitution", self.limit_restitution))
+        if self.resting_speed is not None and not at_least_zero("resting_speed", self.resting_speed) > 0.0:
+            raise InputError(
+                f"resting_speed: {self.resting_speed!r} given, a speed > 0 [m/s] expected",
+                field="resting_speed",
+                value=self.resting_speed,
+            )
+
+    def _check_names(self, labels: list[str]) -> None:
+        """Refuse names that stand for two things in what is told of a run."""
+        limits = {limit.name for limit in self.limits()}
+        rubbing = {
+            name
+            for name, start, count in zip(self.model.names, self.model.idx_vs, self.model.nvs, strict=True)
+            if self.joint_friction[start : start + count].any()
+        }
         for label in labels:
             if labels.count(label) > 1:
                 raise InputError(
@@ -89,30 +124,29 @@ class Scene:
                     field="contacts",
                     value=label,
                 )
-        keep(self, "locked", (self.locked,) if isinstance(self.locked, (str, int)) else tuple(self.locked))
-        free_velocities(self.model, self.locked)
-        keep(self, "without", check_names(self.without))
-        if self.control is not None and not callable(self.control):
-            raise InputError(
-                f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
-            )
-        if not 0.0 <= self.limit_restitution <= 1.0:
-            raise InputError(
-                f"limit_restitution: {self.limit_restitution!r} given, a number from 0 to 1 expected",
-                field="limit_restitution",
-                value=self.limit_restitution,
-            )
-        speed = self.resting_speed
-        if speed is not None and not (math.isfinite(speed) and speed > 0.0):
-            raise InputError(
-                f"resting_speed: {self.resting_speed!r} given, a speed > 0 [m/s] expected",
-                field="resting_speed",
-                value=self.resting_speed,
-            )
+            if label in limits | rubbing:
+                raise InputError(
+                    f"contacts: {label!r} is the name of a contact and of a joint "
+                    f"{'limit' if label in limits else 'with dry friction'}; give the contact another name=",
+                    field="contacts",
+                    value=label,
+                )
 
     def plan(self) -> Plan:
         """Return the effects that this scene calls for, and why each other one is left out."""
-        return make_plan(self)
+        return make_plan(
+            self.model,
+            self.contacts,
+            self.held,
+            unreachable=self.unreachable(),
+            limits=len(self.limits()),
+            limit_restitution=self.limit_restitution,
+            controlled=self.control is not None,
+            locked=self.locked,
+            resting_speed=self.rest,
+            record=self.record,
+            without=self.without,
+        )
 
     @property
     def rest(self) -> float:
@@ -136,7 +170,7 @@ class Scene:
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
         links = link_lengths(self.model)
-        chains = [span(self.model, links, contact) for contact in (*self.contacts, *self.held)]
+        chains = [chain_length(self.model, links, contact) for contact in (*self.contacts, *self.held)]
         return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
 
     def limits(self) -> tuple[JointLimit, ...]:
@@ -160,61 +194,60 @@ class Scene:
 
     def unreachable(self) -> tuple[str, ...]:
         """Return the names of the contacts that can never reach their plane, whatever the joints do."""
-        model, links, names = self.model, link_lengths(self.model), []
-        for contact in self.contacts:
-            if contact.plane.body is not None:
-                continue
-            joint = model.frames[frame_id(model, contact.frame)].parentJoint
-            support = list(model.supports[joint])
-            if len(support) == 1:
-                frame = model.frames[frame_id(model, contact.frame)].placement
-                gap = contact.plane.distance(frame.act(np.array(contact.offset))) - contact.radius
-            else:
-                root = model.jointPlacements[support[1]].translation
-                gap = contact.plane.distance(root) - span(model, links, contact) - travel(model, contact)
-            if gap > 0.0:
-                names.append(contact.label)
-        return tuple(names)
+        limited = "joint limits" not in self.without
+        return tuple(c.label for c in self.contacts if out_of_reach(self.model, c, limited))
+
+    def sources(self) -> tuple[str, ...]:
+        """Return the names of what impacts and modes can be of: contacts, joint limits and joints."""
+        contacts = (contact.label for contact in (*self.contacts, *self.held))
+        limits = (limit.name for limit in self.limits())
+        return tuple(dict.fromkeys((*contacts, *limits, *list(self.model.names)[1:])))
 
 
-def link_lengths(model: pin.Model) -> list[float]:
-    """Return each joint's distance from the joint before it [m], zero where that is the world."""
-    parents = list(model.parents)
+def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
+    """Return labels, with those that stand in for a name numbered where they are not the only ones.
+
+    Args:
+        labels: One of each contact.
+        default: Whether each stands in for a name.
+    """
+    taken, result = set(labels), []
+    for label, free in zip(labels, default, strict=True):
+        if free and labels.count(label) > 1:
+            numbers = itertools.count(1)
+            label = next(name for name in (f"{label} {k}" for k in numbers) if name not in taken)
+            taken.add(label)
+        result.append(label)
+    return result
+
+
+def _named(contacts: Sequence[Contact]) -> list[Contact]:
+    """Return contacts with labels that tell them apart, as far as they have no names of their own."""
+    for k, contact in enumerate(contacts):
+        if contact in contacts[:k]:
+            raise InputError(
+                f"contacts: {contact.label!r} is given twice; leave one out, or give each its own name=",
+                field="contacts",
+                value=contact,
+            )
+    labels = numbered([c.label for c in contacts], [c.name is None for c in contacts])
     return [
-        math.hypot(*placement.translation.tolist()) if parent > 0 else 0.0
-        for parent, placement in zip(parents, model.jointPlacements, strict=True)
+        contact if contact.label == label else replace(contact, name=label)
+        for contact, label in zip(contacts, labels, strict=True)
     ]
-
-
-def span(model: pin.Model, links: list[float], contact: Contact) -> float:
-    """Return the length of the chain from a contact's first joint to its point, joints at zero travel [m]."""
-    frame = model.frames[frame_id(model, contact.frame)]
-    tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
-    return tip + contact.radius + sum(links[joint] for joint in list(model.supports[frame.parentJoint])[2:])
-
-
-def travel(model: pin.Model, contact: Contact) -> float:
-    """Return how far the joints of a contact's chain can slide in all [m]; infinite where one has no end."""
-    total = 0.0
-    for joint in list(model.supports[model.frames[frame_id(model, contact.frame)].parentJoint])[1:]:
-        kind = model.joints[joint].shortname()
-        if any(word in kind for word in ("RX", "RY", "RZ", "RUB", "Revolute", "Spherical", "Universal")):
-            continue
-        i = model.idx_qs[joint]
-        bound = max(abs(float(model.lowerPositionLimit[i])), abs(float(model.upperPositionLimit[i])))
-        if not any(word in kind for word in ("PX", "PY", "PZ", "Prismatic")) or not 0.0 < bound < 1e300:
-            return math.inf
-        total += bound
-    return total
 
 
 def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...]:
     if isinstance(contacts, Contact):
         contacts = (contacts,)
-    contacts = tuple(contacts)
+    try:
+        contacts = tuple(contacts)
+    except TypeError:
+        raise InputError(
+            f"{field}: {contacts!r} is no sequence of contacts", field=field, value=contacts
+        ) from None
     for contact in contacts:
-        if not isinstance(contact, Contact):
-            raise InputError(f"{field}: {contact!r} is not a Contact", field=field, value=contact)
+        check_contact(field, contact)
         frame_id(model, contact.frame)
         plane = contact.plane
         if plane.body is not None:

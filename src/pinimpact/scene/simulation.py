@@ -14,10 +14,11 @@ from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import advance, dynamics, step_dop853, step_radau
+from .records import Energy, ModeInterval
 from .scene import Scene
 from .state import Instant
 from .step import QUADRATURES, Segment
-from .trajectory import Energy, ModeInterval, Trajectory
+from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, float], None]
@@ -66,8 +67,8 @@ def simulate(
         progress: Called with the time reached and the duration, after every step.
 
     Raises:
-        InputError: A start below a surface or beyond a joint limit, a held contact that moves, numbers of
-            the wrong shape or range.
+        InputError: A start below a surface or beyond a joint limit, a held contact that moves or is further
+            from its surface than a thousandth of the robot's size, numbers of the wrong shape or range.
         ModelError: A joint that cannot be integrated.
         SimulationError: A run that cannot go on; its ``partial`` is the trajectory until then. A control that
             fails or returns nonsense, impacts beyond `max_impacts`, an impact without an answer.
@@ -121,6 +122,7 @@ class _Run:
         self.rtol, self.atol = rtol, atol
         self.drift = max(self.now.touch, atol)
         self.switched_off = scene.plan().switched_off if without else ()
+        self.sources = scene.sources()
         self.duration = duration
         self.max_step = max_step
         self.max_impacts = max_impacts
@@ -208,6 +210,7 @@ class _Run:
             complete,
             self.switched_off,
             {"steps": self.steps, "rejected": self.rejected, "evaluations": self.flow.evaluations},
+            self.sources,
         )
 
     def _sample(self) -> None:

@@ -23,8 +23,8 @@ from ..robot.robot_impact import Hit, impact
 from ._kernels import contact_modes, dynamics
 from ._kernels.contact_forces import HELD, SLIP, STICK
 from .dynamics import Flow
+from .records import ImpactRecord, ModeInterval, Note
 from .scene import STANDARD_GRAVITY, Scene
-from .trajectory import ImpactRecord, ModeInterval, Note
 
 Array = NDArray[np.float64]
 ContactSpace = Callable[[], tuple[ImpactProblem, Array]]
@@ -34,6 +34,9 @@ MODES = {SLIP: "slip", STICK: "stick", HELD: "held"}
 
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
+
+HELD_GAP = 1e-3
+"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
 
 STILL_FRACTION = 0.1
 """Slip slower than this part of the resting speed is none."""
@@ -98,7 +101,8 @@ class Instant:
         self.notes: list[Note] = []
         self.intervals: list[ModeInterval] = []
         self.standing: dict[str, tuple[str, float]] = {}
-        self._check_start()
+        self._check_start(extent)
+        self._keep_intervals()
 
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""
@@ -321,7 +325,7 @@ class Instant:
 
     # ---- the start
 
-    def _check_start(self) -> None:
+    def _check_start(self, extent: float) -> None:
         flow = self.flow
         count = len(flow.contacts)
         free = count - len(self.held)
@@ -346,6 +350,14 @@ class Instant:
             )
         if not self.held:
             return
+        for contact, gap in zip(flow.contacts[free:], gaps[free:count].tolist(), strict=True):
+            if abs(gap) > HELD_GAP * extent:
+                raise InputError(
+                    f"q0: the held contact {contact.label!r} starts {gap:.6g} m from its surface; start "
+                    "with it there, or put the surface where it is held",
+                    field="q0",
+                    value=gap,
+                )
         kept = np.zeros(count)
         kept[free:] = gaps[free:count]
         flow.anchor(kept)

@@ -32,6 +32,17 @@ SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
 TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": 3e-14}
 """What "exact" is compared with; every other method is compared with "exact"."""
 
+STYLES: dict[str, dict[str, Any]] = {
+    "exact": {"marker": "*", "color": "#d62728", "size": 12},
+    "euler": {"marker": "o", "color": "#1f77b4"},
+    "rk4": {"marker": "s", "color": "#2ca02c"},
+    "adaptive": {"marker": "D", "color": "#9467bd"},
+    "solve_ivp": {"marker": "x", "color": "#7f7f7f"},
+    "admm": {"marker": "P", "color": "#ff7f0e", "size": 6},
+    "pgs": {"marker": "X", "color": "#ff7f0e", "size": 6},
+}
+"""How methods, and other models, are drawn."""
+
 BATCH = 2e-4
 """Seconds that one timing lasts at least; shorter calls are repeated."""
 
@@ -159,7 +170,7 @@ class Report:
             best.append(min(good, key=lambda point: point.cost, default=None))
         return tuple(best)
 
-    def answer(self, target: float) -> str:
+    def advice(self, target: float) -> str:
         """Return in words which method and setting reaches `target` at the least cost."""
         lines = [f"cheapest within an error of {target:g}"]
         for problem, point in zip(self.problems, self.cheapest(target), strict=True):
@@ -179,10 +190,22 @@ class Report:
         Path(path).write_text(json.dumps(_nulls(raw), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
     def plot(self, path: str | Path) -> None:
-        """Draw the work-precision diagram as PNG."""
-        from ..visual.work_precision import draw
+        """Draw the work-precision diagram as PNG, a panel for each problem."""
+        from ..visual.work_precision import Curve, draw_work_precision
 
-        draw(self, path)
+        panels: dict[str, list[Curve]] = {}
+        for problem in self.problems:
+            curves = panels[problem] = []
+            for method in dict.fromkeys(point.method for point in self.points):
+                points = [p for p in self.points if (p.problem, p.method) == (problem, method)]
+                seconds, errors = [p.cost for p in points], [p.error for p in points]
+                curves.append(Curve(method, seconds, errors, **STYLES.get(method, {})))
+            for c in self.contrasts:
+                if c.problem == problem:
+                    label = f"Pinocchio {c.solver.upper()} (another model, e = 0)"
+                    error = max(c.velocity, c.impulse)
+                    curves.append(Curve(label, [c.call_seconds], [error], **STYLES[c.solver]))
+        draw_work_precision(panels, path)
 
 
 def run_cost(

@@ -28,16 +28,16 @@ def one_material_per_mesh(document: str) -> str:
             continue
         name = geometry.get("id", "")
         pieces[name] = []
-        for kept, primitive in enumerate(primitives):
+        for own, primitive in enumerate(primitives):
             piece = copy.deepcopy(geometry)
-            piece.set("id", f"{name}-{kept}")
+            piece.set("id", f"{name}-{own}")
             body = piece.find(f"{_TAG}mesh")
             assert body is not None
             for index, part in enumerate([part for part in body if part.tag in _PRIMITIVES]):
-                if index != kept:
+                if index != own:
                     body.remove(part)
             library.append(piece)
-            pieces[name].append((f"{name}-{kept}", primitive.get("material")))
+            pieces[name].append((f"{name}-{own}", primitive.get("material")))
         library.remove(geometry)
     for node in root.iter(f"{_TAG}node"):
         for instance in node.findall(f"{_TAG}instance_geometry"):

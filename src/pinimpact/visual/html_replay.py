@@ -68,7 +68,8 @@ def replay(
         robot: The robot with its visual geometry.
         trajectory: The `Trajectory`: its times, `at` and its impacts are used.
         path: The file to write; its folder must exist.
-        contacts: Contacts whose surfaces are drawn; those of the impacts also get an arrow along the impulse.
+        contacts: Contacts whose surfaces are drawn, as in ``scene.contacts``; their impacts also get an arrow
+            along the impulse.
         speed: Seconds of motion per second of replay, > 0; 0.1 is slow motion.
 
     Returns:
@@ -110,24 +111,24 @@ def replay(
     for index, surface in enumerate({contact.plane for contact in contacts if contact.plane.body is None}):
         met = np.vstack([points[contact.label] for contact in contacts if contact.plane == surface])
         _draw_surface(view[f"surfaces/{index}"], surface, met)
-    drawn = [hit for hit in trajectory.impacts if hit.source in points]
-    largest = max((float(np.linalg.norm(hit.solution.impulse)) for hit in drawn), default=0.0)
-    for index, hit in enumerate(drawn):
-        contact = next(contact for contact in contacts if contact.label == hit.source)
-        geometry = contact_geometry(model, model.createData(), hit.q, contact)
-        arrow = hit.solution.impulse @ geometry.axes * (ARROW_LENGTH / largest) if largest else np.zeros(3)
+    drawn = [impact for impact in trajectory.impacts if impact.source in points]
+    largest = max((float(np.linalg.norm(impact.solution.impulse)) for impact in drawn), default=0.0)
+    for index, impact in enumerate(drawn):
+        contact = next(contact for contact in contacts if contact.label == impact.source)
+        geometry = contact_geometry(model, model.createData(), impact.q, contact)
+        arrow = impact.solution.impulse @ geometry.axes * (ARROW_LENGTH / largest) if largest else np.zeros(3)
         if np.linalg.norm(arrow) > ARROW_RADIUS:
             _draw_arrow(view[f"impulses/{index}"], geometry.point, arrow)
-            animation.append(_appearance(f"impulses/{index}", times, hit.time, rate))
+            animation.append(_appearance(f"impulses/{index}", times, impact.time, rate))
     options = {"play": True, "repetitions": 1000}
-    recorder.keep({"type": "set_animation", "animations": animation, "options": options, "path": ""})
+    recorder.add({"type": "set_animation", "animations": animation, "options": options, "path": ""})
     path = Path(path)
     path.write_text(recorder.page(model.name, *_middle(model, configurations)), encoding="utf-8")
     return path
 
 
 class _Recorder:
-    """Stands where meshcat's Visualizer has its window to a server: it keeps what would be sent."""
+    """Stands where meshcat's Visualizer has its window to a server: it collects what would be sent."""
 
     web_url = None
 
@@ -139,9 +140,9 @@ class _Recorder:
         if message["type"] == "set_object" and message["object"]["object"].get("format") == "dae":
             mesh = message["object"]["object"]
             mesh["data"] = one_material_per_mesh(mesh["data"])
-        self.keep(message)
+        self.add(message)
 
-    def keep(self, message: dict[str, Any]) -> None:
+    def add(self, message: dict[str, Any]) -> None:
         import umsgpack  # with meshcat
 
         self.commands.append(base64.b64encode(umsgpack.packb(message)).decode("ascii"))
@@ -235,11 +236,11 @@ def _middle(model: pin.Model, configurations: list[Array]) -> tuple[Array, float
     """Return the centre and the size of the box that the joints stay in."""
     data = model.createData()
     few = configurations[:: max(1, len(configurations) // 20)]
-    seen = []
+    positions = []
     for q in few:
         pin.framesForwardKinematics(model, data, q)
-        seen += [placement.translation for placement in data.oMf]
-    low, high = np.min(seen, axis=0), np.max(seen, axis=0)
+        positions += [placement.translation for placement in data.oMf]
+    low, high = np.min(positions, axis=0), np.max(positions, axis=0)
     return 0.5 * (low + high), max(0.5, float(np.linalg.norm(high - low)))
 
 

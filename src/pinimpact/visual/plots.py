@@ -117,8 +117,8 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
         work = getattr(energy, name)
         if np.any(work):
             axes.plot(trajectory.t, work, ls="--", label=f"work of {name}")
-    for hit in trajectory.impacts:
-        axes.axvline(hit.time, color=FLOW, lw=0.6, zorder=0)
+    for impact in trajectory.impacts:
+        axes.axvline(impact.time, color=FLOW, lw=0.6, zorder=0)
     axes.set(xlabel="t [s]", ylabel="[J]", title=title)
     axes.legend(fontsize="small", loc="best")
     return figure

@@ -1,0 +1,247 @@
+"""Scene files made ready to run: robots put together, the start, contacts by name, control and output."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError, UnknownNameError
+from ..robot.contact import Contact
+from ..robot.loading import load_robot
+from ..robot.merging import Placed, assemble
+from ..robot.names import near_matches
+from ..robot.plane import Plane
+from ..scene.scene import Scene, numbered
+from ..scene.simulation import simulate
+from ..scene.trajectory import Trajectory
+from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, read_scene_file
+from .units import quantity
+
+Array = NDArray[np.float64]
+
+
+class JointControl:
+    """The control that ``[control]`` asks for: control(t, q, v) -> (nv,) generalized forces [N, N m].
+
+    Args:
+        table: What the motors do.
+        model: The robot.
+        start: (nq,) configuration towards which stiffness draws.
+    """
+
+    def __init__(self, table: ControlTable, model: pin.Model, start: Array) -> None:
+        self._table = table
+        self._model = model
+        self._data = model.createData()
+        self._start = start
+        self._driven = np.ones(model.nv)
+        for joint in range(1, model.njoints):
+            if model.nvs[joint] == 6:
+                self._driven[model.idx_vs[joint] : model.idx_vs[joint] + 6] = 0.0
+
+    def __call__(self, t: float, q: Array, v: Array) -> Array:
+        """Return the forces at a state; they do not depend on time."""
+        table, model = self._table, self._model
+        force = -table.stiffness * pin.difference(model, self._start, q) - table.damping * v
+        if table.cancel_gravity:
+            force += pin.nonLinearEffects(model, self._data, q, v)
+        return self._driven * force
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """A scene file made ready to run.
+
+    Attributes:
+        file: What the file says.
+        robot: The robot, or all of them in one.
+        scene: The scene.
+        q: (nq,) configuration at the start.
+        v: (nv,) velocity at the start.
+    """
+
+    file: SceneFile
+    robot: pin.RobotWrapper
+    scene: Scene
+    q: Array
+    v: Array
+
+    def run(self, progress: Any = None) -> Trajectory:
+        """Simulate the scene for its duration; errors as in `simulate`."""
+        file = self.file
+        return simulate(
+            self.scene,
+            self.q,
+            self.v,
+            file.duration,
+            rtol=file.rtol,
+            atol=file.atol,
+            max_impacts=file.max_impacts,
+            progress=progress,
+        )
+
+    def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
+        """Write what ``[output]`` asks for, and yield what each file is and its path."""
+        from ..visual.html_replay import replay
+        from ..visual.plots import energy_figure, impact_figure, save_figure
+
+        trajectory.save(folder / "trajectory.npz")
+        yield "Trajectory", folder / "trajectory.npz"
+        output = self.file.output
+        if output.plots:
+            yield "Energy", save_figure(energy_figure(trajectory, self.file.title), folder / "energy.png")
+            contacts = {contact.label for contact in self.scene.contacts}
+            impacts = [impact for impact in trajectory.impacts if impact.source in contacts]
+            if impacts:
+                strongest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))
+                title = f"{strongest.source}, t = {strongest.time:.4f} s: the strongest impact"
+                figure = impact_figure(strongest.problem, strongest.solution, title)
+                yield "Strongest impact", save_figure(figure, folder / "impact.png")
+        if output.replay:
+            page = folder / "replay.html"
+            speed = output.replay_speed
+            yield "Replay", replay(self.robot, trajectory, page, contacts=self.scene.contacts, speed=speed)
+
+
+def load_scene(path: str | Path) -> LoadedScene:
+    """Read a scene file. Paths in it are relative to the file.
+
+    Raises:
+        InputError: No such file, no TOML, a key with a bad value; the message names the key.
+        UnknownNameError: A key, plane, joint, frame or robot that does not exist; near matches are offered.
+        ModelError: A robot that cannot be used.
+    """
+    path = Path(path)
+    file = read_scene_file(path)
+    robot, v0 = _robots(file, path.parent)
+    model = robot.model
+    if file.gravity is not None:
+        model.gravity.linear = np.array(file.gravity)
+    q, v = _start(file.start, robot, v0)
+    contacts = list(zip((table.held for table in file.contact), _contacts(file), strict=True))
+    scene = Scene(
+        model,
+        [contact for held, contact in contacts if not held],
+        control=None if file.control is None else JointControl(file.control, model, q),
+        held=[contact for held, contact in contacts if held],
+        locked=file.locked,
+        limit_restitution=file.limit_restitution,
+        resting_speed=file.resting_speed,
+        record=file.output.plots,
+        without=file.without,
+    )
+    return LoadedScene(file, robot, scene, q, v)
+
+
+def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
+    """Return all robots in one, and their velocities by their bases."""
+    parts, speeds = [], []
+    for index, table in enumerate(file.robot):
+        key = f"robot[{index}]"
+        if (table.name is None) == (table.urdf is None):
+            raise InputError(f"{key}: give either name = ... or urdf = ...", field=key, value=table.name)
+        source = table.name if table.name is not None else folder / str(table.urdf)
+        robot = load_robot(source, table.free_flyer)
+        rotation = pin.rpy.rpyToMatrix(*(table.rpy or (0.0, 0.0, 0.0)))
+        pose = pin.SE3(rotation, np.array(table.position or (0.0, 0.0, 0.0)))
+        v = np.zeros(robot.model.nv)
+        if robot.model.njoints > 1 and robot.model.joints[1].shortname() == "JointModelFreeFlyer":
+            if table.position or table.rpy:
+                robot.q0[:7] = pin.SE3ToXYZQUAT(pose)
+            inverse = pin.XYZQUATToSE3(robot.q0[:7]).rotation.T
+            v[:6] = [*(inverse @ table.velocity), *(inverse @ table.angular_velocity)]
+            pose = pin.SE3.Identity()
+        elif any((*table.velocity, *table.angular_velocity)):
+            raise InputError(
+                f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or leave it out",
+                field=f"{key}.velocity",
+                value=table.velocity,
+            )
+        parts.append(Placed(robot, table.prefix, pose))
+        speeds.append(v)
+    return assemble(parts), np.concatenate(speeds)
+
+
+def _start(start: StartTable, robot: pin.RobotWrapper, v0: Array) -> tuple[Array, Array]:
+    model = robot.model
+    q = np.array(robot.q0 if start.q is None else start.q, dtype=float)
+    v = np.array(v0 if start.v is None else start.v, dtype=float)
+    for key, vector, size in (("start.q", q, model.nq), ("start.v", v, model.nv)):
+        if vector.shape != (size,):
+            raise InputError(f"{key}: {len(vector)} numbers given, {size} expected", field=key, value=vector)
+    for name, value in start.joints.items():
+        joint, straight = _single_joint(model, "start.joints", name)
+        number = _quantity(f"start.joints.{name}", value, "length" if straight else "angle")
+        at = model.idx_qs[joint]
+        q[at : at + model.nqs[joint]] = number if model.nqs[joint] == 1 else (np.cos(number), np.sin(number))
+    for name, value in start.speeds.items():
+        joint, straight = _single_joint(model, "start.speeds", name)
+        number = _quantity(f"start.speeds.{name}", value, "speed" if straight else "angular speed")
+        v[model.idx_vs[joint]] = number
+    return q, v
+
+
+def _single_joint(model: pin.Model, key: str, name: str) -> tuple[int, bool]:
+    """Return the id of a joint with one degree of freedom, and whether it is prismatic."""
+    joint = model.getJointId(name)
+    if joint == model.njoints:
+        names = list(model.names)[1:]
+        raise UnknownNameError(
+            f"{key}: no joint is called {name!r}; {near_matches(name, names)}", field=key, value=name
+        )
+    if model.nvs[joint] != 1:
+        raise InputError(
+            f"{key}: {name} has {model.nvs[joint]} degrees of freedom; set them with start.q and start.v, "
+            "or those of a free base in its [[robot]] table",
+            field=key,
+            value=name,
+        )
+    return joint, model.joints[joint].shortname().startswith("JointModelP")
+
+
+def _quantity(key: str, value: float | str, kind: str) -> float:
+    try:
+        return quantity(value, kind)
+    except ValueError as error:
+        raise InputError(f"{key}: {error}", field=key, value=value) from None
+
+
+def _contacts(file: SceneFile) -> list[Contact]:
+    """Return the contacts; one without a name is called "frame on plane", by the names in the file."""
+    tables = file.contact
+    for index, table in enumerate(tables):
+        if table in tables[:index]:
+            raise InputError(
+                f"contact[{index}]: the same as contact[{tables.index(table)}]; leave one out",
+                field=f"contact[{index}]",
+                value=table.frame,
+            )
+    labels = [table.name or f"{table.frame} on {table.plane}" for table in tables]
+    labels = numbered(labels, [not table.name for table in tables])
+    return [
+        _contact(index, table, file, label)
+        for index, (table, label) in enumerate(zip(tables, labels, strict=True))
+    ]
+
+
+def _contact(index: int, table: ContactTable, file: SceneFile, label: str) -> Contact:
+    key = f"contact[{index}]"
+    if table.plane not in file.plane:
+        raise UnknownNameError(
+            f"{key}.plane: no [plane.{table.plane}] in the file; {near_matches(table.plane, file.plane)}",
+            field=f"{key}.plane",
+            value=table.plane,
+        )
+    try:
+        plane = Plane(**file.plane[table.plane].model_dump())
+        return Contact(plane=plane, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
+    except InputError as error:
+        raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
+    except UnknownNameError as error:
+        raise UnknownNameError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None

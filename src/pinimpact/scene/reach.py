@@ -1,0 +1,70 @@
+"""How far a robot reaches: the lengths of its chains, and contacts that can never touch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from ..robot.contact import Contact
+from ..robot.names import frame_id
+
+
+def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
+    """Return whether a contact can never reach its surface, whatever the joints do.
+
+    False is the safe answer; it is given where the surface is carried by a body.
+
+    Args:
+        model: The robot.
+        contact: The contact.
+        limited: Whether the joint limits act.
+    """
+    surface = contact.plane
+    if surface.body is not None:
+        return False
+    tip = model.frames[frame_id(model, contact.frame)]
+    support = list(model.supports[tip.parentJoint])
+    if len(support) == 1:
+        return surface.distance(tip.placement.act(np.array(contact.offset))) - contact.radius > 0.0
+    reach = chain_length(model, link_lengths(model), contact) + sliding_travel(model, contact, limited)
+    return surface.distance(model.jointPlacements[support[1]].translation) - reach > 0.0
+
+
+def link_lengths(model: pin.Model) -> list[float]:
+    """Return each joint's distance from the joint before it [m], zero where that is the world."""
+    parents = list(model.parents)
+    return [
+        math.hypot(*placement.translation.tolist()) if parent > 0 else 0.0
+        for parent, placement in zip(parents, model.jointPlacements, strict=True)
+    ]
+
+
+def chain_length(model: pin.Model, links: list[float], contact: Contact) -> float:
+    """Return the length of the chain from a contact's first joint to its point, joints at zero travel [m]."""
+    frame = model.frames[frame_id(model, contact.frame)]
+    tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
+    return tip + contact.radius + sum(links[joint] for joint in list(model.supports[frame.parentJoint])[2:])
+
+
+def sliding_travel(model: pin.Model, contact: Contact, limited: bool) -> float:
+    """Return how far the joints of a contact's chain can slide in all [m]; infinite where one has no end.
+
+    Args:
+        model: The robot.
+        contact: The contact.
+        limited: Whether the joint limits act.
+    """
+    total = 0.0
+    for joint in list(model.supports[model.frames[frame_id(model, contact.frame)].parentJoint])[1:]:
+        kind = model.joints[joint].shortname()
+        if any(word in kind for word in ("RX", "RY", "RZ", "RUB", "Revolute", "Spherical", "Universal")):
+            continue
+        i = model.idx_qs[joint]
+        bound = max(abs(float(model.lowerPositionLimit[i])), abs(float(model.upperPositionLimit[i])))
+        straight = any(word in kind for word in ("PX", "PY", "PZ", "Prismatic"))
+        if not (straight and limited and 0.0 < bound < 1e300):
+            return math.inf
+        total += bound
+    return total

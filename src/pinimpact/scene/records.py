@@ -1,0 +1,130 @@
+"""What there is to tell of a run: its impacts, the modes of its contacts, its energy, and remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solution import Solution
+from ..contact_space.solve import solve_impact
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactRecord:
+    """One impact of a trajectory.
+
+    Attributes:
+        time: When [s].
+        source: Name of the contact, or of the joint limit.
+        q: (nq,) configuration.
+        v_before, v_after: (nv,) velocities.
+        resting: The bounce would have been slower than the resting speed, so restitution was left out.
+        simultaneous: Other impacts took place at the same instant.
+        record: Whether the solution has a path.
+        contact_space: Makes `problem` and `impulse_world`, which few ask for.
+    """
+
+    time: float
+    source: str
+    q: Array
+    v_before: Array
+    v_after: Array
+    resting: bool
+    simultaneous: bool
+    record: bool
+    contact_space: Callable[[], tuple[ImpactProblem, Array]]
+
+    @cached_property
+    def _contact_space(self) -> tuple[ImpactProblem, Array]:
+        return self.contact_space()
+
+    @property
+    def problem(self) -> ImpactProblem:
+        """The contact-space problem that was solved; of a joint limit only the normal row counts."""
+        return self._contact_space[0]
+
+    @property
+    def impulse_world(self) -> Array:
+        """(3,) impulse on the robot in world axes [N s]; zero for a joint limit."""
+        return self._contact_space[1]
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The full solution of the impact, made on first access."""
+        return solve_impact(self.problem, record=self.record)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # what can be made anew is left out, and what makes it is replaced by what it makes
+        state = {field.name: getattr(self, field.name) for field in fields(self)}
+        return state | {"contact_space": partial(tuple, self._contact_space)}
+
+
+@dataclass(frozen=True, slots=True)
+class ModeInterval:
+    """A time over which a contact, limit or joint stayed in one mode.
+
+    Attributes:
+        source: Name of the contact, joint limit or joint with dry friction.
+        mode: "slip", "stick" or "held" for a contact, "closed" for a limit, "stuck" for a joint.
+        start, end: Times [s].
+    """
+
+    source: str
+    mode: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something about a run that a reader should know.
+
+    Attributes:
+        time: When [s].
+        text: What, in a sentence.
+    """
+
+    time: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Energy:
+    """Energies and works at the samples [J], each (m,); works are counted from the start.
+
+    Attributes:
+        kinetic, potential: Of the robot, with rotor inertia.
+        control: Work of the control.
+        joints: Work of joint damping and dry friction, ≤ 0.
+        friction: Work of friction in sustained contacts, in the velocity relative to the surface, ≤ 0.
+        surface: Work of moving surfaces in sustained contacts.
+        impacts: Change of kinetic energy in impacts, moving surfaces included, and in contacts that came to
+            rest.
+    """
+
+    kinetic: Array
+    potential: Array
+    control: Array
+    joints: Array
+    friction: Array
+    surface: Array
+    impacts: Array
+
+    @property
+    def total(self) -> Array:
+        """(m,) kinetic and potential energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def residual(self) -> Array:
+        """(m,) change of the total energy less all works: zero to the tolerance of the run."""
+        works = self.control + self.joints + self.friction + self.surface + self.impacts
+        return self.total - self.total[0] - works

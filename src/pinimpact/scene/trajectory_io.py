@@ -1,0 +1,162 @@
+"""Trajectories as files: one .npz of numbers and text, nothing that runs when it is read."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact_space.problem import ImpactProblem
+from ..errors import InputError
+from .records import Energy, ImpactRecord, ModeInterval, Note
+from .step import QUADRATURES, Segment
+
+Array = NDArray[np.float64]
+
+FORMAT = 1
+
+
+def write_trajectory(
+    path: str | Path,
+    *,
+    segments: Sequence[Segment],
+    joints: NDArray[np.int64],
+    samples: tuple[Array, Array, Array],
+    impacts: Sequence[ImpactRecord],
+    modes: Sequence[ModeInterval],
+    energy: Energy,
+    notes: Sequence[Note],
+    termination: str,
+    complete: bool,
+    switched_off: Sequence[str],
+    statistics: dict[str, int],
+    sources: Sequence[str] | None,
+) -> None:
+    """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
+    t, q, v = samples
+    nq, nv = q.shape[1], v.shape[1]
+    meta = {
+        "format": FORMAT,
+        "termination": termination,
+        "complete": complete,
+        "switched_off": switched_off,
+        "statistics": statistics,
+        "notes": [[note.time, note.text] for note in notes],
+        "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
+        "sources": sources,
+        "impacts": [
+            [
+                i.time,
+                i.source,
+                i.problem.friction,
+                i.problem.restitution,
+                i.problem.law,
+                i.resting,
+                i.simultaneous,
+                i.record,
+            ]
+            for i in impacts
+        ],
+    }
+
+    def stack(rows: Sequence[Any], *shape: int) -> Array:
+        return np.array(rows, dtype=float).reshape(len(rows), *shape)
+
+    with open(path, "wb") as file:
+        np.savez_compressed(
+            file,
+            meta=np.array(json.dumps(meta)),
+            joints=joints,
+            t=t,
+            q=q,
+            v=v,
+            energy=np.array([getattr(energy, name) for name in Energy.__dataclass_fields__]),
+            segment_times=stack([(s.start, s.end, s.h) for s in segments], 3),
+            segment_q=stack([s.q for s in segments], nq),
+            segment_v=stack([s.v for s in segments], nv),
+            segment_w=stack([s.w for s in segments], QUADRATURES),
+            segment_dense=stack([s.coefficients for s in segments], 7, 2 * nv + QUADRATURES),
+            impact_q=stack([i.q for i in impacts], nq),
+            impact_v=stack([(i.v_before, i.v_after) for i in impacts], 2, nv),
+            impact_delassus=stack([i.problem.delassus for i in impacts], 3, 3),
+            impact_vectors=stack(
+                [(i.problem.velocity, i.problem.surface_velocity, i.impulse_world) for i in impacts], 3, 3
+            ),
+        )
+
+
+def read_trajectory(path: str | Path) -> dict[str, Any]:
+    """Return what `write_trajectory` wrote, by the names of its arguments.
+
+    A file that was written before the names of sources were stored has None for them.
+
+    Raises:
+        InputError: A file that is missing, or is no trajectory.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        meta = json.loads(str(arrays["meta"]))
+        if meta["format"] != FORMAT:
+            raise ValueError(f"format {meta['format']}")
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"path: {str(path)!r} is no readable trajectory ({error}); give a file that save() wrote",
+            field="path",
+            value=path,
+        ) from error
+    joints = arrays["joints"]
+    segments = []
+    for i, (start, end, h) in enumerate(arrays["segment_times"].tolist()):
+        segment = Segment(
+            start,
+            h,
+            arrays["segment_q"][i],
+            arrays["segment_v"][i],
+            arrays["segment_w"][i],
+            arrays["segment_dense"][i],
+            joints,
+        )
+        segment.end = end
+        segments.append(segment)
+    impacts = [
+        ImpactRecord(
+            time,
+            source,
+            arrays["impact_q"][i],
+            arrays["impact_v"][i, 0],
+            arrays["impact_v"][i, 1],
+            resting,
+            simultaneous,
+            record,
+            partial(_contact_space, arrays["impact_delassus"][i], arrays["impact_vectors"][i], (mu, e, law)),
+        )
+        for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
+    ]
+    return {
+        "segments": segments,
+        "joints": joints,
+        "samples": (arrays["t"], arrays["q"], arrays["v"]),
+        "impacts": impacts,
+        "modes": [ModeInterval(*row) for row in meta["modes"]],
+        "energy": Energy(*arrays["energy"]),
+        "notes": [Note(*row) for row in meta["notes"]],
+        "termination": meta["termination"],
+        "complete": meta["complete"],
+        "switched_off": meta["switched_off"],
+        "statistics": meta["statistics"],
+        "sources": meta.get("sources"),
+    }
+
+
+def _contact_space(
+    delassus: Array, vectors: Array, law: tuple[float, float, str]
+) -> tuple[ImpactProblem, Array]:
+    velocity, surface, impulse = vectors
+    return ImpactProblem(delassus, velocity, *law, surface), impulse
