@@ -10,15 +10,22 @@ import pytest
 from pinimpact import Contact, Plane, Scene, contact_matrices
 from pinimpact.robot._kernels import contact_motion
 from pinimpact.scene._kernels import lie_charts
-from pinimpact.scene.dynamics import Flow
+from pinimpact.scene.dynamics import SceneDynamics
 from pinimpact.scene.joint_charts import joint_table
 
 
 @numba.njit
-def bounds(columns, points, placement, peak, h):
+def bounds(work, peak, h):
     """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
-    constants, ends, signs, group = points[:4]
-    return contact_motion.bounds(columns, signs[0], group, placement[ends[0, 0]], constants[0], peak, h)
+    return contact_motion.bounds(
+        work.joint_jacobian,
+        work.velocity_signs[0],
+        work.velocity_joint,
+        work.placements[work.contact_joints[0, 0]],
+        work.contact_constants[0],
+        peak,
+        h,
+    )
 
 
 def curved_model():
@@ -77,16 +84,16 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     contact = Contact("frame5", plane, offset=(0.1, -0.2, 0.3), radius=radius)
     q, v, tau = random_state(model, 2)
     scene = Scene(model, [contact], control=lambda *_: tau)
-    flow = Flow(scene, model, [contact], [], [])
+    dynamics = SceneDynamics(scene, model, [contact], [], [])
 
     def evaluate(q, v):
-        found = flow.probe(0.0, q, v, [0])
+        found = dynamics.free_motion_at(0.0, q, v, [0])
         return found.joints, found.velocity[0], found.acceleration[0]
 
     def gap_and_rate(q, v):
-        return flow.look(q, v)[0]
+        return dynamics.gaps_at(q, v)[0]
 
-    closed = flow.probe(0.0, q, v, [0])
+    closed = dynamics.free_motion_at(0.0, q, v, [0])
     a, velocity, acceleration = evaluate(q, v)
     matrices = contact_matrices(model, other, q, contact)
     assert closed.gap[0] == pytest.approx(contact.gap(model, other, q), abs=1e-13)
@@ -94,8 +101,8 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     expected = matrices.velocity(v)
     assert velocity[2] == pytest.approx(expected[2], abs=1e-12)
     assert np.hypot(*velocity[:2]) == pytest.approx(np.hypot(*expected[:2]), rel=1e-11)
-    assert closed.rows[0, 2] == pytest.approx(matrices.h, abs=1e-12)
-    assert closed.rows[0] @ v - velocity == pytest.approx(closed.surface[0], abs=1e-12)
+    assert closed.jacobian[0, 2] == pytest.approx(matrices.h, abs=1e-12)
+    assert closed.jacobian[0] @ v - velocity == pytest.approx(closed.surface[0], abs=1e-12)
     gap, rate = gap_and_rate(q, v)
     assert gap == pytest.approx(closed.gap[0], abs=1e-13)
 
@@ -115,9 +122,9 @@ def test_the_bound_of_the_curvature_holds():
     for seed in range(20):
         q, v, tau = random_state(model, seed)
         scene = Scene(model, [contact], control=lambda *_, tau=tau: tau)
-        flow = Flow(scene, model, [contact], [], [])
-        closed = flow.probe(0.0, q, v, [0])
+        dynamics = SceneDynamics(scene, model, [contact], [], [])
+        closed = dynamics.free_motion_at(0.0, q, v, [0])
         a = closed.joints
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
-        size, *_ = bounds(flow.tree[12], flow.points, flow.tree[8], peak, 0.0)
+        size, *_ = bounds(dynamics.work, peak, 0.0)
         assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it

@@ -1,4 +1,4 @@
-"""The simulation: smooth flow up to the next event, the reset there, and so on to the end."""
+"""The simulation: smooth motion up to the next event, what happens there, and so on to the end."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
-from ._kernels import advance, dynamics, step_dop853, step_radau
+from ._kernels import step_dop853, step_radau
+from ._kernels.events.consequences import ARRIVAL
+from ._kernels.events.registry import EVENTS, gap
+from .dense_step import WORKS, DenseStep
 from .records import Energy, ModeInterval
 from .scene import Scene
-from .state import Instant
-from .step import QUADRATURES, Segment
+from .simulation_state import SimulationState
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -51,9 +53,9 @@ def simulate(
 ) -> Trajectory:
     """Simulate a scene from a state, for a time. (scenes.md)
 
-    Between events the flow is integrated on the configuration manifold to the tolerances; events are located
-    to rounding, and none is missed between steps. Impacts are resolved exactly. Ctrl-C ends the run early
-    and leaves what was computed.
+    Between events the motion is integrated on the configuration manifold to the tolerances; events are
+    located to rounding, and none is missed between steps. Impacts are resolved exactly. Ctrl-C ends the run
+    early and leaves what was computed.
 
     Args:
         scene: The robot, its contacts and what acts on it.
@@ -117,47 +119,48 @@ class _Run:
         except InputError as error:
             raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
         v = finite_array("v0", v0, (model.nv,)).copy()
-        self.now = Instant(scene, model, self.data, q, v)
-        self.flow = self.now.flow
+        self.state = SimulationState(scene, model, self.data, q, v)
+        self.dynamics = self.state.dynamics
+        self.work = self.dynamics.work
         self.rtol, self.atol = rtol, atol
-        self.drift = max(self.now.touch, atol)
+        self.largest_drift = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
         self.sources = scene.sources()
         self.duration = duration
         self.max_step = max_step
         self.max_impacts = max_impacts
-        self.w = np.zeros(QUADRATURES)
-        self.segments: list[Segment] = []
+        self.w = np.zeros(WORKS)
+        self.dense_steps: list[DenseStep] = []
         self.samples: list[tuple[float, Array, Array, Array, float]] = []
         self.steps = self.rejected = 0
         self.jams = 0
-        self.mark = 0, 0.0
-        self.told = False
-        self._later = np.empty((len(self.flow.contacts), 2))
+        self.last_progress = 0, 0.0
+        self.forces_were_unique = True
+        self.bounce = math.inf
 
     def go(self, progress: Progress | None) -> Trajectory:
         """Run to the end; return the trajectory, or raise with what there is of it."""
-        now = self.now
-        kept = self._kept()
+        state = self.state
+        consistent = self._lengths()
         try:
             self._sample()
-            kept = self._kept()
-            now.settle(starting=True)
-            self._restart()
-            h = self.flow.step.first_length(self.rtol, self.atol)
-            while now.t < self.duration:
+            consistent = self._lengths()
+            state.settle(starting=True)
+            self._begin_motion()
+            h = self.dynamics.first_length(self.rtol, self.atol)
+            while state.t < self.duration:
                 h = self._step(h)
-                kept = self._kept()
+                consistent = self._lengths()
                 if progress is not None:
-                    progress(now.t, self.duration)
+                    progress(state.t, self.duration)
         except KeyboardInterrupt:
-            return self._trajectory("Interrupted from the keyboard.", False, kept)
+            return self._trajectory("Interrupted from the keyboard.", False, consistent)
         except PinimpactError as error:
-            self._stop(error, kept)
-        return self._trajectory("The duration is covered.", True, self._kept())
+            self._stop(error, consistent)
+        return self._trajectory("The duration is covered.", True, self._lengths())
 
-    def _stop(self, error: PinimpactError, kept: tuple[Any, ...]) -> None:
-        partial = self._trajectory(f"Stopped: {error}", False, kept)
+    def _stop(self, error: PinimpactError, consistent: tuple[Any, ...]) -> None:
+        partial = self._trajectory(f"Stopped: {error}", False, consistent)
         reached = partial.t[-1]
         if isinstance(error, SimulationError):
             error.partial = partial
@@ -169,19 +172,20 @@ class _Run:
             value=error.value,
         ) from error
 
-    def _kept(self) -> tuple[Any, ...]:
-        """What is consistent now; an interrupt falls back to it."""
+    def _lengths(self) -> tuple[Any, ...]:
+        """How much of the run is consistent now; an interrupt falls back to it."""
+        state = self.state
         return (
-            len(self.segments),
+            len(self.dense_steps),
             len(self.samples),
-            len(self.now.impacts),
-            len(self.now.intervals),
-            dict(self.now.standing),
-            len(self.now.notes),
+            len(state.impacts),
+            len(state.modes.ended),
+            dict(state.modes.present),
+            len(state.notes),
         )
 
-    def _trajectory(self, termination: str, complete: bool, kept: tuple[Any, ...]) -> Trajectory:
-        segments, samples, impacts, intervals, standing, notes = kept
+    def _trajectory(self, termination: str, complete: bool, consistent: tuple[Any, ...]) -> Trajectory:
+        dense_steps, samples, impacts, intervals, present, notes = consistent
         rows = self.samples[: max(samples, 1)]
         t = np.array([row[0] for row in rows])
         q = np.array([row[1] for row in rows])
@@ -195,49 +199,49 @@ class _Run:
             )  # where the line before has put it
         impacts_work = np.array([row[4] for row in rows])
         energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
-        modes = self.now.intervals[:intervals] + [
-            ModeInterval(source, mode, start, float(t[-1])) for source, (mode, start) in standing.items()
+        modes = self.state.modes.ended[:intervals] + [
+            ModeInterval(source, mode, start, float(t[-1])) for source, (mode, start) in present.items()
         ]
         return Trajectory(
-            self.segments[:segments],
-            self.flow.step.joints,
+            self.dense_steps[:dense_steps],
+            self.work.joint_charts,
             (t, q, v),
-            self.now.impacts[:impacts],
+            self.state.impacts[:impacts],
             modes,
             energy,
-            self.now.notes[:notes],
+            self.state.notes[:notes],
             termination,
             complete,
             self.switched_off,
-            {"steps": self.steps, "rejected": self.rejected, "evaluations": self.flow.evaluations},
+            {"steps": self.steps, "rejected": self.rejected, "evaluations": self.work.evaluations},
             self.sources,
         )
 
     def _sample(self) -> None:
-        now = self.now
-        self.samples.append((now.t, now.q, now.v, self.w, now.work))
+        state = self.state
+        self.samples.append((state.t, state.q, state.v, self.w, state.impact_energy))
 
-    def _restart(self) -> None:
-        """Begin a smooth stretch at the present state."""
-        now, flow = self.now, self.flow
-        self.seen = np.empty_like(self._later)
-        error = self.atol + self.rtol * float(np.abs(now.v).max(initial=0.0))
-        flow.state[dynamics.SLOWEST] = min(CERTAIN * error, flow.state[dynamics.STILL])
+    def _begin_motion(self) -> None:
+        """Begin a smooth motion at the present state."""
+        state, work = self.state, self.work
+        error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
+        work.direction_speed = min(CERTAIN * error, work.stick_speed)
         # no step is taken far beyond the end of a bounce
-        self.horizon = 1.3 * flow.begin(now.t, now.q, now.v, now.touch, self.seen)
-        now.tolerated &= flow.doubtful
-        if not flow.unique and not self.told:
-            now.note("The forces of the closed contacts are not unique; those of least norm are taken.")
-        self.told = not flow.unique
+        self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
+        work.force_bound_ignored &= self.dynamics.forces_doubtful
+        unique = work.forces_unique
+        if self.forces_were_unique and not unique:
+            state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
+        self.forces_were_unique = unique
 
     def _step(self, h: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next."""
-        now, flow, t = self.now, self.flow, self.now.t
-        if self.steps - self.mark[0] > MAX_STALLED:
-            if t - self.mark[1] > STALLED * min(1.0, self.duration):
-                self.mark = self.steps, t
-            elif self._unstick():
-                return flow.step.first_length(self.rtol, self.atol)
+        state, work, t = self.state, self.work, self.state.t
+        if self.steps - self.last_progress[0] > MAX_STALLED:
+            if t - self.last_progress[1] > STALLED * min(1.0, self.duration):
+                self.last_progress = self.steps, t
+            elif self._stop_slip():
+                return self.dynamics.first_length(self.rtol, self.atol)
             else:
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -246,103 +250,107 @@ class _Run:
                 )
         left = self.duration - t
         natural = h
-        h = min(h, self.max_step, self.horizon)
+        h = min(h, self.max_step, self.bounce)
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                if self._unstick():
-                    return flow.step.first_length(self.rtol, self.atol)
+                if self._stop_slip():
+                    return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
                     field="rtol",
                     value=self.rtol,
                 )
-            explicit = trial * flow.stiffness <= step_radau.STIFF
+            explicit = trial * work.slip_stiffness <= step_radau.STIFF
             attempt = step_dop853.attempt if explicit else step_radau.attempt
-            error = attempt(t, trial, self.rtol, self.atol, flow.machine)
-            flow.check()
+            error = attempt(work, t, trial, self.rtol, self.atol)
+            self.dynamics.check()
             if error > 1.0:
                 self.rejected += 1
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
-            time, number, margin, drift, growth = advance.finish(
-                *(t, trial, error, explicit, now.floor, now.tolerated, self.seen, self._later, flow.machine)
-            )
-            flow.check()
-            if time >= t:
+            self.dynamics.finish(t, trial, error, explicit)
+            if work.event_time >= t:
                 break
             self.rejected += 1
             h = 0.5 * trial  # the slip turns too fast for a step of this length
         self.steps += 1
-        segment = flow.step.segment(t, trial, now.q, now.v, self.w)
-        self.segments.append(segment)
-        if now.tolerated:
-            ended = flow.end_of_modes(segment, min(time, segment.end))
-            if ended <= segment.end:
-                time, number = ended, advance.MODE_CHANGE
-        if time <= segment.end:
-            self._cut(segment, time, number, drift)
+        step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
+        self.dense_steps.append(step)
+        time, arriving = work.event_time, self._arriving()
+        if work.force_bound_ignored:
+            ended = self.dynamics.end_of_modes(step, min(time, step.end))
+            if ended <= step.end:
+                time, arriving = ended, None
+        if time <= step.end:
+            self._end_at_event(step, time, arriving)
             return natural
-        self.w = self.w + segment.coefficients[0, 2 * flow.nv :]
-        now.t = segment.end = self.duration if trial == left else segment.end
-        now.q, now.v = flow.step.q0.copy(), flow.step.v0.copy()
-        if now.tolerated and margin >= 0.0:
-            now.tolerated = False
-        if flow.constrained and (drift > self.drift or now.tolerated):
-            if now.tolerated:
+        self.w = self.w + step.coefficients[0, -WORKS:]
+        state.t = step.end = self.duration if trial == left else step.end
+        state.q, state.v = work.q0.copy(), work.v0.copy()
+        if work.force_bound_ignored and work.end_margin >= 0.0:
+            work.force_bound_ignored = False
+        if self.dynamics.constrained and (work.end_drift > self.largest_drift or work.force_bound_ignored):
+            if work.force_bound_ignored:
                 self._settle()
             else:
-                now.correct()
-            self._restart()
+                state.correct_drift()
+            self._begin_motion()
         else:
-            self.seen, self._later = self._later, self.seen
-            self.horizon = math.inf
+            self.bounce = math.inf
         self._sample()
-        return trial * growth
+        return trial * work.growth
 
-    def _unstick(self) -> bool:
+    def _arriving(self) -> int | None:
+        """Return the contact or, past those, the limit that arrives at the event last found, or None."""
+        event = EVENTS[self.work.event_kind]
+        if event.CONSEQUENCE != ARRIVAL:
+            return None
+        return self.work.event_index + (0 if event is gap else self.work.contacts)
+
+    def _stop_slip(self) -> bool:
         """Stop all slip where the motion does not go on; return False if nothing slips."""
-        if not self.now.jam(certain=True):
+        if not self.state.stop_jammed_slip(certain=True):
             return False
-        self.mark = self.steps, self.now.t
+        self.last_progress = self.steps, self.state.t
         self.jams += 1
         self._settle()
-        self._restart()
+        self._begin_motion()
         self._sample()
         return True
 
-    def _cut(self, segment: Segment, t: float, number: int, drift: float) -> None:
-        """End the step at an event and deal with it."""
-        now = self.now
-        segment.end = now.t = t
-        now.q, now.v = segment.at(t)
-        self.w = segment.works(t)
+    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> None:
+        """End a step at an event and deal with it: something arrives, or else modes change."""
+        state = self.state
+        step.end = state.t = t
+        state.q, state.v = step.at(t)
+        self.w = step.works(t)
         self._sample()
-        if drift > self.drift:
-            now.correct()
-        if number == advance.MODE_CHANGE:
-            now.jam(certain=False)
-        self._settle(None if number == advance.MODE_CHANGE else number)
-        self._restart()
+        if self.work.end_drift > self.largest_drift:
+            state.correct_drift()
+        if arriving is None:
+            state.stop_jammed_slip(certain=False)
+        self._settle(arriving)
+        self._begin_motion()
         self._sample()
 
-    def _settle(self, hit: int | None = None) -> None:
-        """Let the instant settle, within the number of impacts allowed."""
-        impacts = self.now.impacts
-        count = len(impacts)
-        self.now.settle(hit)
+    def _settle(self, arriving: int | None = None) -> None:
+        """Let impacts and modes of this instant settle, within the number of impacts allowed."""
+        impacts = self.state.impacts
+        before = len(impacts)
+        self.state.settle(arriving)
         for _ in range(JAMS):
-            if not self.now.jam(certain=False):
+            if not self.state.stop_jammed_slip(certain=False):
                 break
             self.jams += 1
-            self.now.settle()
-        if len(impacts) > count:  # `max_impacts` watches over these
-            self.mark = self.steps, self.now.t
+            self.state.settle()
+        if len(impacts) > before:  # `max_impacts` watches over these
+            self.last_progress = self.steps, self.state.t
         if len(impacts) + self.jams > self.max_impacts:
             last = f", the last at {impacts[-1].source!r}" if impacts else ""
             raise SimulationError(
-                f"max_impacts: {len(impacts) + self.jams} impacts until t = {self.now.t:.6g} s{last}; "
+                f"max_impacts: {len(impacts) + self.jams} impacts until t = {self.state.t:.6g} s{last}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
                 "otherwise raise max_impacts",
                 field="max_impacts",

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, UnknownNameError
 from ..robot.names import near_matches
+from .dense_step import DenseStep
 from .records import Energy, ImpactRecord, ModeInterval, Note
-from .step import Segment
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Trajectory:
 
     def __init__(
         self,
-        segments: Sequence[Segment],
+        segments: Sequence[DenseStep],
         joints: NDArray[np.int64],
         samples: tuple[Array, Array, Array],
         impacts: Sequence[ImpactRecord],

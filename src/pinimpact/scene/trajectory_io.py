@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
+from .dense_step import WORKS, DenseStep
 from .records import Energy, ImpactRecord, ModeInterval, Note
-from .step import QUADRATURES, Segment
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ FORMAT = 1
 def write_trajectory(
     path: str | Path,
     *,
-    segments: Sequence[Segment],
+    segments: Sequence[DenseStep],
     joints: NDArray[np.int64],
     samples: tuple[Array, Array, Array],
     impacts: Sequence[ImpactRecord],
@@ -80,8 +80,8 @@ def write_trajectory(
             segment_times=stack([(s.start, s.end, s.h) for s in segments], 3),
             segment_q=stack([s.q for s in segments], nq),
             segment_v=stack([s.v for s in segments], nv),
-            segment_w=stack([s.w for s in segments], QUADRATURES),
-            segment_dense=stack([s.coefficients for s in segments], 7, 2 * nv + QUADRATURES),
+            segment_w=stack([s.w for s in segments], WORKS),
+            segment_dense=stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
             impact_q=stack([i.q for i in impacts], nq),
             impact_v=stack([(i.v_before, i.v_after) for i in impacts], 2, nv),
             impact_delassus=stack([i.problem.delassus for i in impacts], 3, 3),
@@ -114,7 +114,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     joints = arrays["joints"]
     segments = []
     for i, (start, end, h) in enumerate(arrays["segment_times"].tolist()):
-        segment = Segment(
+        segment = DenseStep(
             start,
             h,
             arrays["segment_q"][i],

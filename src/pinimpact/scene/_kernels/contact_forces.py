@@ -1,4 +1,4 @@
-"""Forces of contacts that last: in given modes by a linear system, and which modes hold by sweeps.
+"""Forces of what is closed, in given modes, by a linear system.
 
 Contacts have three rows (t₁, t₂, n) each. Scalar rows are a joint at its limit (force within [0, ∞)) or a
 joint held by its dry friction (force within ±τ).
@@ -10,22 +10,25 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner
+from ..._numeric.loops import assign
 from ..._numeric.products import apply, products
 
 FREE, SLIP, STICK, HELD = range(4)
+"""Modes of a contact: open, sliding, at rest against its surface, held by the scene."""
+
 SINGULAR_STILL = 1e-7
-"""The same where singular values have been below `RANK`, lest a motion along the edge goes to and fro."""
+"""Like `RANK` where singular values have been below that, lest a motion along the edge goes to and fro."""
 
 RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
 
 
 @inner
-def slip_direction(velocity, reference, still):
+def slip_direction(velocity, reference, slowest):
     """Return the direction of slip, signed to agree with `reference`: smooth where the slip reverses."""
     s = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
-    if s <= still:
+    if s <= slowest:
         return reference[0], reference[1]
     if velocity[0] * reference[0] + velocity[1] * reference[1] < 0.0:
         s = -s
@@ -33,11 +36,18 @@ def slip_direction(velocity, reference, still):
 
 
 @inner
-def joint_forces(velocity, control, damping, dry, tau, powers):
+def joint_forces(work, powers):
     """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
+    velocity, control, damping, friction, tau = (
+        work.v,
+        work.control_force,
+        work.damping,
+        work.sliding_friction,
+        work.tau,
+    )
     given = taken = 0.0
     for j in range(len(velocity)):
-        lost = damping[j] * velocity[j] + dry[j]
+        lost = damping[j] * velocity[j] + friction[j]
         tau[j] = control[j] - lost
         given += control[j] * velocity[j]
         taken -= lost * velocity[j]
@@ -45,57 +55,33 @@ def joint_forces(velocity, control, damping, dry, tau, powers):
 
 
 @inner
-def assemble(
-    minverse,
-    acceleration,
-    jacobians,
-    free,
-    velocity,
-    mode,
-    mu,
-    reference,
-    still,
-    index,
-    directions,
-    rows,
-    response,
-    system,
-    target,
-):
-    """Set up the equations of the closed contacts and scalar rows.
+def set_up_equations(work, acceleration):
+    """Set up the equations of what is closed: `equation_rows`, `force_response`, `system`, `target`.
 
     Args:
-        minverse: (nv, nv) M⁻¹.
-        acceleration: (nv,) without contact forces.
-        jacobians: (nc, 3, nv) contact Jacobians.
-        free: (nc, 3) contact accelerations without contact forces.
-        velocity: (nc, 3) contact velocities.
-        mode: (nc,) `SLIP`, `STICK` or `HELD`.
-        mu: (nc,) friction coefficients.
-        reference: (nc, 2) directions of slip.
-        still: Speed [m/s] below which the direction of slip is `reference`.
-        index: (ns,) velocity index of each scalar row.
-        directions: (nc, 2) takes the directions of slip.
-        rows: (m, nv) takes the rows whose acceleration becomes zero: one of a slipping contact, else three.
-        response: (m, nv) takes M⁻¹ times the direction in which each row's force acts.
-        system: (m, m) takes the equations; target: (m,) their right-hand side.
+        work: The workspace, with M⁻¹ and the motion of the closed contacts without contact forces.
+        acceleration: (nv,) v̇ without contact forces.
 
     Returns:
         The least effective inverse inertia of a slipping contact over that without friction (at most zero:
         Painlevé's paradox).
     """
+    minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
+    mode, mu, directions = work.closed_mode, work.closed_friction, work.slip_direction
+    rows, response, system, target = work.equation_rows, work.force_response, work.system, work.target
+    index = work.scalar_velocity
     n, size = len(acceleration), len(rows)
     column = np.empty(n)
     least = 1.0
     m = 0
     for i in range(len(mode)):
         if mode[i] == SLIP:
-            s1, s2 = slip_direction(velocity[i], reference[i], still)
+            s1, s2 = slip_direction(work.contact_velocity[i], work.slip_reference[i], work.direction_speed)
             directions[i, 0], directions[i, 1] = s1, s2
             plain = effective = 0.0
             for j in range(n):
-                rows[m, j] = jacobians[i, 2, j]
-                column[j] = rows[m, j] - mu[i] * (s1 * jacobians[i, 0, j] + s2 * jacobians[i, 1, j])
+                rows[m, j] = jacobian[i, 2, j]
+                column[j] = rows[m, j] - mu[i] * (s1 * jacobian[i, 0, j] + s2 * jacobian[i, 1, j])
             for j in range(n):
                 total = along = 0.0
                 for k in range(n):
@@ -110,8 +96,7 @@ def assemble(
             m += 1
         else:
             for d in range(3):
-                for j in range(n):
-                    rows[m, j] = jacobians[i, d, j]
+                assign(rows[m], jacobian[i, d])
                 apply(minverse, rows[m], response[m])
                 target[m] = -free[i, d]
                 m += 1
@@ -128,43 +113,29 @@ def assemble(
         largest = max(largest, abs(system[a, a]))
     for a in range(size):
         if abs(system[a, a]) <= RIGID * largest:  # nothing moves this way (across a planar robot): no force
-            system[a, :] = 0.0
-            system[:, a] = 0.0
+            for b in range(size):
+                system[a, b] = system[b, a] = 0.0
             system[a, a] = largest
             target[a] = 0.0
     return least
 
 
 @inner
-def finish(
-    solution,
-    response,
-    directions,
-    velocity,
-    surface,
-    mode,
-    mu,
-    lower,
-    upper,
-    acceleration,
-    force,
-    scalar,
-    powers,
-):
-    """Add the accelerations that the forces cause, and fill the forces and their powers.
+def apply_forces(work, acceleration, powers):
+    """Take the forces from `solution`: add what they cause, fill `contact_force` and `scalar_force`.
 
     Args:
-        solution: (m,) forces of the rows; then as in `assemble`.
-        surface: (nc, 3) velocities of the surfaces.
-        lower, upper: (ns,) bounds of the scalar forces.
+        work: The workspace, with the equations set up and solved.
         acceleration: (nv,) updated.
-        force: (nc, 3) takes the contact forces in contact axes [N].
-        scalar: (ns,) takes the forces of the scalar rows.
         powers: (2,) takes the powers of sliding friction and of moving surfaces [W].
 
     Returns:
-        By how much the forces keep within Coulomb's law and the bounds; below zero, they do not.
+        By how much the forces keep within Coulomb's law and the bounds [N]; below zero, they do not.
     """
+    solution, response, directions = work.solution, work.force_response, work.slip_direction
+    velocity, surface = work.contact_velocity, work.surface_velocity
+    mode, mu, force = work.closed_mode, work.closed_friction, work.contact_force
+    lower, upper, scalar = work.scalar_lower, work.scalar_upper, work.scalar_force
     for m in range(len(solution)):
         for j in range(len(acceleration)):
             acceleration[j] += response[m, j] * solution[m]
@@ -194,101 +165,3 @@ def finish(
         m += 1
     powers[0], powers[1] = rubbed, carried
     return margin
-
-
-@jit
-def decide(delassus, free, velocity, mu, held, lower, upper, force, scalar_force, sweeps, tolerance):
-    """Find forces that obey Coulomb's law at acceleration level, by projected sweeps.
-
-    Args:
-        delassus: (3 nc + ns, 3 nc + ns) of all contacts that touch, then the scalar rows.
-        free: (3 nc + ns,) accelerations without forces.
-        velocity: (nc, 2) velocities of slip, zero for a contact that may stick.
-        mu: (nc,) friction coefficients.
-        held: (nc,) True for bilateral contacts.
-        lower, upper: (ns,) bounds of the scalar forces.
-        force: (nc, 3) start, and takes the forces.
-        scalar_force: (ns,) likewise.
-        sweeps: Their largest number.
-        tolerance: Change of the forces, relative to the largest, at which to stop.
-
-    Returns:
-        The sweeps taken (or −1: they did not converge), and the contact where slip drives the surface in and
-        no force exists (Painlevé), or −1.
-    """
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
-    x = np.empty(size)
-    for i in range(nc):
-        for k in range(3):
-            x[3 * i + k] = force[i, k]
-    for i in range(ns):
-        x[3 * nc + i] = scalar_force[i]
-    for sweep in range(sweeps):
-        change = largest = 0.0
-        for i in range(nc):
-            b = 3 * i
-            c = delassus[b + 2, b + 2]
-            if c <= 0.0:
-                continue
-            old1, old2, old3 = x[b], x[b + 1], x[b + 2]
-            speed = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2)
-            if not held[i] and mu[i] > 0.0 and speed > 0.0:
-                s1, s2 = velocity[i, 0] / speed, velocity[i, 1] / speed
-                effective = c - mu[i] * (s1 * delassus[b + 2, b] + s2 * delassus[b + 2, b + 1])
-                a = free[b + 2]
-                for j in range(size):
-                    a += delassus[b + 2, j] * x[j]
-                a -= effective * x[b + 2]
-                if effective <= 1e-12 * c:
-                    if a < 0.0:
-                        return sweep, i
-                    x[b + 2] = 0.0  # of several solutions, the contact that opens
-                else:
-                    x[b + 2] = max(0.0, -a / effective)
-                x[b], x[b + 1] = -mu[i] * x[b + 2] * s1, -mu[i] * x[b + 2] * s2
-            else:
-                a = free[b + 2]
-                for j in range(size):
-                    a += delassus[b + 2, j] * x[j]
-                x[b + 2] = x[b + 2] - a / c if held[i] else max(0.0, x[b + 2] - a / c)
-                if mu[i] > 0.0 or held[i]:
-                    a1, a2 = free[b], free[b + 1]
-                    for j in range(size):
-                        a1 += delassus[b, j] * x[j]
-                        a2 += delassus[b + 1, j] * x[j]
-                    trace = delassus[b, b] + delassus[b + 1, b + 1]
-                    if trace > 1e-14 * c:
-                        x[b] -= a1 / trace
-                        x[b + 1] -= a2 / trace
-                    limit = mu[i] * x[b + 2]
-                    size_t = math.sqrt(x[b] ** 2 + x[b + 1] ** 2)
-                    if not held[i] and size_t > limit:
-                        x[b] *= limit / size_t
-                        x[b + 1] *= limit / size_t
-                else:
-                    x[b] = x[b + 1] = 0.0
-            change = max(change, abs(x[b] - old1), abs(x[b + 1] - old2), abs(x[b + 2] - old3))
-            largest = max(largest, abs(x[b]), abs(x[b + 1]), abs(x[b + 2]))
-        for i in range(ns):
-            b = 3 * nc + i
-            a = free[b]
-            for j in range(size):
-                a += delassus[b, j] * x[j]
-            old = x[b]
-            x[b] = min(max(x[b] - a / delassus[b, b], lower[i]), upper[i])
-            change = max(change, abs(x[b] - old))
-            largest = max(largest, abs(x[b]))
-        if change <= tolerance * largest:
-            for i in range(nc):
-                for k in range(3):
-                    force[i, k] = x[3 * i + k]
-            for i in range(ns):
-                scalar_force[i] = x[3 * nc + i]
-            return sweep + 1, -1
-    for i in range(nc):
-        for k in range(3):
-            force[i, k] = x[3 * i + k]
-    for i in range(ns):
-        scalar_force[i] = x[3 * nc + i]
-    return -1, -1

@@ -5,72 +5,100 @@ from __future__ import annotations
 import math
 
 from ..._numeric.jit import inner, jit
-from . import stages
-from . import workspace as at
+from ..._numeric.loops import assign
+from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
-from .dynamics import FAILED, LEAST_MARGIN, evaluate
-from .lie_charts import magnitudes, turned_too_far
-from .workspace import d1, d2, i2, put
+from .dynamics import evaluate
+from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
 
 
 @jit
-def attempt(t, h, rtol, atol, mem):
+def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it turns too far."""
-    state = d1(mem, at.STATE)
-    joints, q0, v0, q1, v1, rates, xi, sizes = (
-        i2(mem, at.JOINTS),
-        d1(mem, at.Q0),
-        d1(mem, at.V0),
-        d1(mem, at.Q1),
-        d1(mem, at.V1),
-        d2(mem, at.RATES),
-        d1(mem, at.XI),
-        d1(mem, at.SIZES),
-    )
-    q, v = d1(mem, at.Q), d1(mem, at.V)
-    state[LEAST_MARGIN] = math.inf
+    rates, v0, v1 = work.stage_rates, work.v0, work.v1
+    work.least_force_margin = math.inf
     n = len(v0)
     for i in range(1, STAGES + 1):
-        stages.stage(i, h, STEP, rates, v0, joints, q0, xi, q, v)
+        set_stage(work, i, h)
         if i == STAGES:
-            if turned_too_far(joints, xi):
+            if turned_too_far(work.joint_charts, work.xi):
                 return math.inf
-            put(q1, q)
-            put(v1, v)
-        evaluate(t + NODES[i] * h, mem, rates[i, n:])
-        if state[FAILED] != 0.0:
+            assign(work.q1, work.q)
+            assign(v1, work.v)
+        evaluate(work, t + NODES[i] * h, rates[i, n:])
+        if work.callback_failed:
             return math.inf
-    magnitudes(joints, q0, sizes)
-    error = stages.error_norm(h, ERROR, rates[: STAGES + 1], v0, v1, sizes, rtol, atol)
+    magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
+    error = error_norm(h, rates[: STAGES + 1], v0, v1, work.tolerance_sizes, rtol, atol)
     return error if error == error else math.inf
 
 
 @inner
-def complete(t, h, mem):
-    """Fill the dense output of the step last attempted, and `peak`."""
-    joints, q0, v0, rates, xi, peak, coefficients = (
-        i2(mem, at.JOINTS),
-        d1(mem, at.Q0),
-        d1(mem, at.V0),
-        d2(mem, at.RATES),
-        d1(mem, at.XI),
-        d2(mem, at.PEAK),
-        d2(mem, at.COEFFICIENTS),
-    )
+def set_stage(work, i, h):
+    """Set the state at stage i, and fill the stage's ξ̇."""
+    rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
     n = len(v0)
-    stages.largest(rates, STAGES + 1, n, peak)
-    for i in range(STAGES + 1, DENSE_STAGES):
-        stages.stage(i, h, STEP, rates, v0, joints, q0, xi, d1(mem, at.Q), d1(mem, at.V))
-        evaluate(t + NODES[i] * h, mem, rates[i, n:])
-    stages.dense(h, STEP, DENSE, rates, coefficients)
+    for m in range(n):
+        a = b = 0.0
+        for j in range(i):
+            c = STEP[i, j]
+            a += c * rates[j, m]
+            b += c * rates[j, n + m]
+        xi[m] = h * a
+        v[m] = v0[m] + h * b
+    advance(work.joint_charts, work.q0, xi, work.q)
+    chart_rate(work.joint_charts, xi, v, rates[i, :n])
 
 
 @inner
-def go_on(mem):
+def error_norm(h, rates, v0, v1, sizes, rtol, atol):
+    """Return the error of the step over the tolerance, root mean square over ξ and v."""
+    n = len(v0)
+    e3 = e5 = 0.0
+    for m in range(2 * n):
+        a = b = 0.0
+        for j in range(rates.shape[0]):
+            if j < ERROR.shape[1]:
+                a += ERROR[0, j] * rates[j, m]
+                b += ERROR[1, j] * rates[j, m]
+        size = sizes[m] if m < n else max(abs(v0[m - n]), abs(v1[m - n]))
+        scale = 1.0 / (atol + rtol * size)
+        e3 += (a * scale) ** 2
+        e5 += (b * scale) ** 2
+    if e3 == 0.0 and e5 == 0.0:
+        return 0.0
+    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * 2 * n)
+
+
+@inner
+def complete(work, t, h):
+    """Fill the dense output of the step last attempted, and the bounds of its rates."""
+    rates, out = work.stage_rates, work.dense_coefficients
+    n = len(work.v0)
+    rate_bounds(rates, STAGES + 1, n, work.rate_bounds)
+    for i in range(STAGES + 1, DENSE_STAGES):
+        set_stage(work, i, h)
+        evaluate(work, t + NODES[i] * h, rates[i, n:])
+    for m in range(rates.shape[1]):
+        total = 0.0
+        for j in range(12):
+            total += STEP[12, j] * rates[j, m]
+        out[0, m] = h * total
+        out[1, m] = h * (rates[0, m] - total)
+        out[2, m] = h * (2.0 * total - rates[0, m] - rates[12, m])
+        for k in range(4):
+            value = 0.0
+            for j in range(16):
+                value += DENSE[k, j] * rates[j, m]
+            out[3 + k, m] = h * value
+
+
+@inner
+def begin_next(work):
     """Take the end of the step last attempted as the start of the next one."""
-    q0, v0, q1, v1, rates = d1(mem, at.Q0), d1(mem, at.V0), d1(mem, at.Q1), d1(mem, at.V1), d2(mem, at.RATES)
-    put(q0, q1)
-    put(v0, v1)
-    put(rates[0], rates[STAGES])
+    rates, v0 = work.stage_rates, work.v0
+    assign(work.q0, work.q1)
+    assign(v0, work.v1)
+    assign(rates[0], rates[STAGES])
     for m in range(len(v0)):
         rates[0, m] = v0[m]

@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit
+from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply
-from . import stages
-from . import workspace as at
 from .contact_forces import SLIP
+from .dense_output import rate_bounds
 from .dop853 import STAGES as LAST
-from .dynamics import FAILED, LEAST_MARGIN, SLOWEST, evaluate, take
+from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
-from .workspace import d1, d2, d3, i1, i2, positions, put
 
-NODES_COUNT = 5
+STAGES = 5
 ITERATIONS = 12
 STIFF = 3.0
 """Explicit steps are stable up to about twice this h wᵀu/s."""
@@ -37,7 +36,7 @@ STIFF = 3.0
 
 def _coefficients():
     """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
-    s = NODES_COUNT
+    s = STAGES
     p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
     p = p.deriv(s - 1)
     nodes = np.sort(p.roots().real)
@@ -48,7 +47,7 @@ def _coefficients():
     lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
     integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
     matrix = nodes[:, None] ** (powers + 1.0) @ integrals
-    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `stages.interpolate`
+    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `dense_output.interpolate`
     size = s + 2
     basis: NDArray[np.float64] = np.zeros((size, size))
     factor = Polynomial([0.0, 1.0])
@@ -57,96 +56,80 @@ def _coefficients():
         factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
     dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
     # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
-    still = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
+    correction = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
     for node in nodes:
-        still = still * Polynomial([1.0, -1.0 / node])
-    start = np.linalg.solve(basis.T, np.array(still.coef[1:], dtype=float))
+        correction = correction * Polynomial([1.0, -1.0 / node])
+    start = np.linalg.solve(basis.T, np.array(correction.coef[1:], dtype=float))
     eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
     real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
     return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
 
 
-NODES, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
+ABSCISSAE, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
 
 
 @inner
-def turn(k, s1, s2, mem, across, effect):
+def turn(work, k, s1, s2, across, effect):
     """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
-    minverse = d2(mem, at.MINVERSE)
-    modes, mu = i1(mem, at.MODES), d1(mem, at.MU)
-    jacobians = d3(mem, at.ROWS)
-    equations, response, system, solution = (
-        d2(mem, at.EQUATIONS),
-        d2(mem, at.RESPONSE),
-        d2(mem, at.SYSTEM),
-        d1(mem, at.SOLUTION),
-    )
+    mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
+    equations, response, solution = work.equation_rows, work.force_response, work.solution
     n, size = len(across), len(solution)
     row = 0
     for i in range(k):
-        row += 1 if modes[i] == SLIP else 3
+        row += 1 if mode[i] == SLIP else 3
     force = mu[k] * solution[row]
-    pushed, change, answer = np.empty(n), np.empty(size), np.empty(size)
+    pushed, change, reaction = np.empty(n), np.empty(size), np.empty(size)
     for j in range(n):
-        across[j] = s1 * jacobians[k, 1, j] - s2 * jacobians[k, 0, j]
+        across[j] = s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]
         pushed[j] = -force * across[j]
-    apply(minverse, pushed, effect)
+    apply(work.minverse, pushed, effect)
     for m in range(size):
         total = 0.0
         for j in range(n):
             total -= equations[m, j] * effect[j]
         change[m] = total
-    if solve(system, change, answer, RANK) != 0:
+    if solve(work.system, change, reaction, RANK) != 0:
         for m in range(size):
             for j in range(n):
-                effect[j] += response[m, j] * answer[m]
+                effect[j] += response[m, j] * reaction[m]
 
 
 @jit
-def attempt(t, h, rtol, atol, mem):
-    """Compute a step of length h; return its error as `step.attempt` does, infinite if it is not found."""
-    state = d1(mem, at.STATE)
-    state[LEAST_MARGIN] = math.inf
-    reference = d2(mem, at.REFERENCE)
-    remembered, slowest = reference.copy(), state[SLOWEST]
-    state[SLOWEST] = math.inf  # so that friction takes the direction that it is given
-    error = collocate(t, h, rtol, atol, mem)
-    state[SLOWEST] = slowest
-    if not error <= 1.0 or state[FAILED] != 0.0:
+def attempt(work, t, h, rtol, atol):
+    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
+    work.least_force_margin = math.inf
+    reference = work.slip_reference
+    remembered, slowest = reference.copy(), work.direction_speed
+    work.direction_speed = math.inf  # so that friction takes the direction that it is given
+    error = solve_stages(work, t, h, rtol, atol)
+    work.direction_speed = slowest
+    if not error <= 1.0 or work.callback_failed:
         for k in range(len(reference)):
-            put(reference[k], remembered[k])
+            assign(reference[k], remembered[k])
     else:  # where slip is slow, friction goes on in the direction that was found
-        take(d1(mem, at.Q1), d1(mem, at.V1), mem)
-        evaluate(t + h, mem, d2(mem, at.RATES)[LAST, len(d1(mem, at.V1)) :])
-        complete(h, mem)
+        set_state(work, work.q1, work.v1)
+        evaluate(work, t + h, work.stage_rates[LAST, len(work.v1) :])
+        complete(work, h)
     return error
 
 
 @inner
-def collocate(t, h, rtol, atol, mem):
-    state = d1(mem, at.STATE)
-    joints, q0, v0, q1, v1, rates, xi, sizes = (
-        i2(mem, at.JOINTS),
-        d1(mem, at.Q0),
-        d1(mem, at.V0),
-        d1(mem, at.Q1),
-        d1(mem, at.V1),
-        d2(mem, at.RATES),
-        d1(mem, at.XI),
-        d1(mem, at.SIZES),
+def solve_stages(work, t, h, rtol, atol):
+    """Iterate for the rates at the stages and the directions of friction there; return the error."""
+    joints, q0, v0, v1 = work.joint_charts, work.q0, work.v0, work.v1
+    rates, xi, sizes = work.stage_rates, work.xi, work.tolerance_sizes
+    q, v = work.q, work.v
+    mode, mu, reference, velocity = (
+        work.closed_mode,
+        work.closed_friction,
+        work.slip_reference,
+        work.contact_velocity,
     )
-    q, v = d1(mem, at.Q), d1(mem, at.V)
-    modes, mu, reference, velocity = (
-        i1(mem, at.MODES),
-        d1(mem, at.MU),
-        d2(mem, at.REFERENCE),
-        d2(mem, at.VELOCITY),
-    )
-    n, width, s = len(v0), rates.shape[1], NODES_COUNT
-    rubbing = np.zeros(len(modes), dtype=np.int64)
-    for k in range(len(modes)):
-        rubbing[k] = modes[k] == SLIP and mu[k] > 0.0
-    slips = positions(rubbing)
+    n, width, s = len(v0), rates.shape[1], STAGES
+    rubbing = np.zeros(len(mode), dtype=np.int64)
+    for k in range(len(mode)):
+        rubbing[k] = mode[k] == SLIP and mu[k] > 0.0
+    slips = nonzero(rubbing)
     count = len(slips)
     size = s * count
     directions = np.empty((s, count, 2))
@@ -160,12 +143,12 @@ def collocate(t, h, rtol, atol, mem):
         scale[m] = 1.0 / (atol + rtol * sizes[m])
         scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
     for i in range(s):
-        put(rates[1 + i], rates[0])
+        assign(rates[1 + i], rates[0])
         for c in range(count):
-            put(directions[i, c], reference[slips[c]])
+            assign(directions[i, c], reference[slips[c]])
     before = math.inf
     for iteration in range(ITERATIONS):
-        state[LEAST_MARGIN] = math.inf
+        work.least_force_margin = math.inf
         for i in range(s):
             advance_to(i, h, rates, v0, xi, v)
             if turned_too_far(joints, xi):
@@ -175,15 +158,15 @@ def collocate(t, h, rtol, atol, mem):
             for m in range(2 * n, width):
                 found[i, m] = 0.0
             for c in range(count):
-                put(reference[slips[c]], directions[i, c])
-            evaluate(t + NODES[i] * h, mem, found[i, n:])
-            if state[FAILED] != 0.0:
+                assign(reference[slips[c]], directions[i, c])
+            evaluate(work, t + ABSCISSAE[i] * h, found[i, n:])
+            if work.callback_failed:
                 return math.inf
             for m in range(width):
                 found[i, m] -= rates[1 + i, m]
             for c in range(count):
                 k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
-                turn(k, s1, s2, mem, across[i, c], effect[i, c])
+                turn(work, k, s1, s2, across[i, c], effect[i, c])
                 speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
                 right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
         for i in range(s):
@@ -235,9 +218,9 @@ def collocate(t, h, rtol, atol, mem):
         norm += (error[m] * scale[m]) ** 2
     norm = math.sqrt(norm / (2 * n))
     advance_to(s - 1, h, rates, v0, xi, v1)
-    advance(joints, q0, xi, q1)
+    advance(joints, q0, xi, work.q1)
     for c in range(count):
-        put(reference[slips[c]], directions[s - 1, c])
+        assign(reference[slips[c]], directions[s - 1, c])
     return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
 
 
@@ -247,7 +230,7 @@ def advance_to(i, h, rates, v0, xi, v):
     n = len(v0)
     for m in range(n):
         a = b = 0.0
-        for j in range(NODES_COUNT):
+        for j in range(STAGES):
             a += MATRIX[i, j] * rates[1 + j, m]
             b += MATRIX[i, j] * rates[1 + j, n + m]
         xi[m] = h * a
@@ -258,7 +241,7 @@ def advance_to(i, h, rates, v0, xi, v):
 def filtered(h, across, effect, speeds, error):
     """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
     count, n = across.shape
-    matrix, right, answer = np.empty((count, count)), np.empty(count), np.empty(count)
+    matrix, right, turned = np.empty((count, count)), np.empty(count), np.empty(count)
     for c in range(count):
         right[c] = 0.0
         for m in range(n):
@@ -269,24 +252,24 @@ def filtered(h, across, effect, speeds, error):
                 total += across[c, m] * effect[d, m]
             matrix[c, d] = -GAMMA * h * total
         matrix[c, c] += speeds[c]
-    if solve(matrix, right, answer, RANK) != 0:
+    if solve(matrix, right, turned, RANK) != 0:
         for c in range(count):
             for m in range(n):
-                error[m] += GAMMA * h * effect[c, m] * answer[c]
+                error[m] += GAMMA * h * effect[c, m] * turned[c]
 
 
 @inner
-def complete(h, mem):
-    """Fill the dense output of the step last attempted, and `peak`."""
-    rates, peak, coefficients = d2(mem, at.RATES), d2(mem, at.PEAK), d2(mem, at.COEFFICIENTS)
-    n = len(d1(mem, at.V0))
-    stages.largest(rates, 1 + NODES_COUNT, n, peak)
+def complete(work, h):
+    """Fill the dense output of the step last attempted, and the bounds of its rates."""
+    rates, coefficients = work.stage_rates, work.dense_coefficients
+    n = len(work.v0)
+    rate_bounds(rates, 1 + STAGES, n, work.rate_bounds)
     for m in range(rates.shape[1]):
         late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
-        for j in range(NODES_COUNT):
+        for j in range(STAGES):
             late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
         for k in range(7):
             total = late * START[k]
-            for j in range(NODES_COUNT):
+            for j in range(STAGES):
                 total += DENSE[k, j] * rates[1 + j, m]
             coefficients[k, m] = h * total

@@ -1,119 +1,138 @@
-"""The arrays of a scene by their addresses: one table crosses from Python, and from kernel to kernel.
-
-Some fifty arrays would cost every call more than most calls do. A row of the table m (k, 4) is the address of
-an array and its shape; whoever makes the table keeps the arrays alive, C-contiguous (`COLUMNS`:
-Fortran-contiguous) and of float64, or of int64 where `i1` and `i2` read them.
-
-The step under way (see `step`): `JOINTS` (k, 4) the table of `charts`; `Q0`, `V0` the state at its start;
-`Q1`, `V1` at its end; `RATES` (16, 2 nv + 4) at its stages; `XI`, `SIZES` (nv,) scratch; `PEAK` (4, nv) see
-`stages.largest`; `COEFFICIENTS` (7, 2 nv + 4) see `stages.interpolate`.
-
-Pinocchio's side (see `motion`): `CALLS` (10,) addresses of functions and their arguments; `Q`, `V`, `TAU`
-the buffers that these read; `GIVEN` (nv,) and `CLOCK` (1,) what the control returns and when it is asked;
-`ACCELERATION`, `MINVERSE`, `PLACEMENT` (nj, 12), `LOCAL`, `SPATIAL`, `GAINED` (nj, 6), `COLUMNS` (6, nv)
-where Pinocchio leaves v̇, M⁻¹, oMi, v, ov, oa_gf and J. `DAMPING`, `DRY` (nv,) friction of the joints, and
-`SLIDING` (nv,) the dry one with its sign where a joint slides.
-
-All contacts (see `touch`): `CONSTANTS` (n, 24); `ENDS` (n, 2) the joints of tip and plane; `WEIGHTS` (n, nv);
-`GROUP` (nv,) the joint that each velocity belongs to; `FRICTION` (n,); `KEPT` (n,) the gap that each keeps
-when closed; `BILATERAL` (n,) 1 for a held one. Joint limits: `INDEX_Q`, `INDEX_V`, `SIGN`, `BOUND` (nl,).
-
-`STANDING` (n + nl + nv,) the mode of each contact, then 1 for each limit that is closed, then 1 for each
-joint that its dry friction holds. From it `closing.lay_out` takes what is closed (see `sustained`): `WHICH`
-(nc,) contact, `MODES`, `MU`, `REST` (nc,), `REFERENCE` (nc, 2), `SCALARS` (ns,) velocity indices, `LOWER`,
-`UPPER` (ns,); and room for what an evaluation leaves: `ROWS` (nc, 3, nv), `VELOCITY`, `FREE_ACCELERATION`,
-`SURFACE` (nc, 3), `GAP` (nc,), `DIRECTIONS` (nc, 2), `EQUATIONS`, `RESPONSE` (m, nv), `SYSTEM` (m, m),
-`TARGET`, `SOLUTION` (m,), `FORCE` (nc, 3), `SCALAR_FORCE` (ns,). These have the size of everything that could
-be closed; the table says how much of it counts.
-
-`STATE` (11,) see `motion.STILL` and its neighbours.
-"""
+"""All that the kernels of a scene share: the robot, its contacts, what is closed, and the step under way."""
 
 from __future__ import annotations
 
-import numpy as np
-from numba import carray, farray, types
-from numba.extending import intrinsic
+from ..._numeric.workspace import Workspace, count, flag, integer, integers, real, reals, size
+from ...robot._kernels.constants import CONSTANTS
+from .dop853 import DENSE_STAGES
 
-from ..._numeric.jit import inner
-
-# as NumPy's integers, for literals would be compiled one by one
-JOINTS, Q0, V0, Q1, V1, RATES, XI, SIZES, PEAK, COEFFICIENTS = np.arange(0, 10)
-CALLS, Q, V, TAU, GIVEN, CLOCK, ACCELERATION, MINVERSE = np.arange(10, 18)
-PLACEMENT, LOCAL, SPATIAL, GAINED, COLUMNS, DAMPING, DRY, SLIDING = np.arange(18, 26)
-CONSTANTS, ENDS, WEIGHTS, GROUP, FRICTION, KEPT, BILATERAL = np.arange(26, 33)
-INDEX_Q, INDEX_V, SIGN, BOUND, STATE, STANDING = np.arange(33, 39)
-WHICH, MODES, MU, REFERENCE, REST, SCALARS, LOWER, UPPER = np.arange(39, 47)
-ROWS, VELOCITY, FREE_ACCELERATION, SURFACE, GAP, DIRECTIONS = np.arange(47, 53)
-EQUATIONS, RESPONSE, SYSTEM, TARGET, SOLUTION, FORCE, SCALAR_FORCE = np.arange(53, 60)
+DENSE_TERMS = 7
+"""Coefficients of the dense output of a step, see `dense_output.interpolate`."""
 
 
-def _pointer_to(element):
-    @intrinsic
-    def pointer(typing_context, address):
-        def generate(context, builder, signature, arguments):
-            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+class SceneWorkspace(Workspace):
+    """See `pinimpact._numeric.workspace` for how it is declared and read.
 
-        return types.CPointer(element)(types.intp), generate
+    The modes that hold are those of `contact_forces`. Contacts stand first among the sources of modes, held
+    ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is
+    closed is laid out anew whenever modes change, by `closed_set.close`.
+    """
 
-    return pointer
+    nq = size("numbers of a configuration")
+    nv = size("velocities")
+    bodies = size("joints of the model, with the world")
+    charts = size("rows of the table of joint charts")
+    rates = size("rates of a step: of ξ, v and the works, 2 nv + 4")
+    contacts = size("contacts, held ones last")
+    limits = size("joint limits")
+    sources = size("what has a mode: contacts, limits, velocities")
+    scalars = size("scalar rows that can be closed: limits, and joints with dry friction")
+    rows = size("rows of all that can be closed: three a contact, then the scalar ones")
 
+    closed_contacts = count("contacts", "contacts that are closed")
+    closed_scalars = count("scalars", "scalar rows that are closed: limits, then joints held by dry friction")
+    closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
-_doubles = _pointer_to(types.float64)
-_integers = _pointer_to(types.int64)
+    # the robot, where Pinocchio reads and writes it
+    calls = integers(10, meaning="addresses of functions and their arguments, see `dynamics`")
+    q = reals("nq", given=True, meaning="configuration that is evaluated")
+    v = reals("nv", given=True, meaning="velocity that is evaluated")
+    tau = reals("nv", given=True, meaning="generalized forces without those of contacts")
+    acceleration = reals("nv", given=True, meaning="v̇ without contact forces")
+    minverse = reals("nv", "nv", given=True, meaning="M⁻¹")
+    placements = reals("bodies", 12, given=True, meaning="of the joints, rotation by columns, translation")
+    local_velocities = reals("bodies", 6, given=True, meaning="of the joints, in their own axes")
+    spatial_velocities = reals("bodies", 6, given=True, meaning="at the world's origin, in its axes")
+    spatial_accelerations = reals("bodies", 6, given=True, meaning="at the world's origin, less gravity")
+    joint_jacobian = reals(6, "nv", order="F", given=True, meaning="columns at the world's origin")
+    control_time = real("when the control is asked [s]")
+    control_force = reals("nv", meaning="what the control returned")
+    damping = reals("nv", meaning="viscous damping of the joints")
+    dry_friction = reals("nv", meaning="dry friction of the joints")
+    sliding_friction = reals("nv", meaning="the dry friction with the sign of the velocity, 0 where held")
 
+    # all contacts and joint limits
+    contact_constants = reals("contacts", CONSTANTS, meaning="see `robot._kernels.constants`")
+    contact_joints = integers("contacts", 2, meaning="joints of the tip and of the surface")
+    velocity_signs = reals("contacts", "nv", meaning="1: moves the tip only, −1: the surface only, else 0")
+    velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
+    friction = reals("contacts", meaning="coefficients of friction")
+    bilateral = integers("contacts", meaning="1 for a held contact")
+    rest_gap = reals("contacts", meaning="the gap that each keeps while closed [m]")
+    limit_q = integers("limits", meaning="index of its coordinate in q")
+    limit_v = integers("limits", meaning="index of its velocity in v")
+    limit_sign = reals("limits", meaning="1 for a lower bound, −1 for an upper one")
+    limit_bound = reals("limits", meaning="its value [rad or m]")
 
-# slices assigned at once and NumPy's searches take numba a second each to compile; these loops do not
+    # which modes hold, and what is closed in them
+    modes = integers(
+        "sources", meaning="of contacts; 1 for a closed limit; 1 for a joint held by dry friction"
+    )
+    closed_index = integers("closed_contacts", meaning="number of the contact")
+    closed_mode = integers("closed_contacts", meaning="its mode")
+    closed_friction = reals("closed_contacts", meaning="its coefficient of friction")
+    closed_rest_gap = reals("closed_contacts", meaning="the gap that it keeps [m]")
+    slip_reference = reals("closed_contacts", 2, meaning="the direction of slip last known")
+    scalar_velocity = integers("closed_scalars", meaning="index in v of each scalar row")
+    scalar_lower = reals("closed_scalars", meaning="least force of each scalar row")
+    scalar_upper = reals("closed_scalars", meaning="largest force of each scalar row")
 
+    # what an evaluation leaves of it
+    contact_jacobian = reals("closed_contacts", 3, "nv", meaning="in contact axes t₁, t₂, n")
+    contact_velocity = reals("closed_contacts", 3, meaning="of the contact points [m/s]")
+    contact_acceleration = reals("closed_contacts", 3, meaning="without contact forces [m/s²]")
+    surface_velocity = reals("closed_contacts", 3, meaning="of the surfaces, beyond their carriers' [m/s]")
+    contact_gap = reals("closed_contacts", meaning="[m]")
+    slip_direction = reals("closed_contacts", 2, meaning="of friction")
+    equation_rows = reals("closed_rows", "nv", meaning="whose acceleration is zero")
+    force_response = reals("closed_rows", "nv", meaning="v̇ for a unit of each force")
+    system = reals("closed_rows", "closed_rows", meaning="equations of the forces")
+    target = reals("closed_rows", meaning="their right-hand side")
+    solution = reals("closed_rows", meaning="their solution")
+    contact_force = reals("closed_contacts", 3, meaning="in contact axes [N]")
+    scalar_force = reals("closed_scalars", meaning="[N or N m]")
+    force_margin = real("by how much the forces keep to their laws; below 0 the modes do not hold [N]")
+    least_force_margin = real("the least of it since it was last set to infinity [N]")
+    forces_unique = flag("whether the motion determines the forces, else they are those of least norm")
+    callback_failed = flag("whether a call into Python or Pinocchio raised")
+    evaluations = integer("how often v̇ was evaluated")
 
-@inner
-def put(to, values):
-    """Copy values (n,) into an array."""
-    for i in range(len(to)):
-        to[i] = values[i]
+    # thresholds
+    gap_floor = real("gaps above its negative count as none [m]")
+    touching_gap = real("at which a contact counts as touching [m]")
+    resting_speed = real("of a bounce that is taken as rest [m/s]; 0 where no contact is to stay closed")
+    least_approach = real("below which what has just closed its gap does not approach [m/s]")
+    stick_speed = real("below which a contact may stick [m/s]")
+    direction_speed = real("below which slip has no direction but the one last known [m/s]")
+    force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
 
+    # the step under way
+    joint_charts = integers("charts", 4, meaning="table of the configuration space, see `lie_charts`")
+    q0 = reals("nq", meaning="configuration at the start")
+    v0 = reals("nv", meaning="velocity at the start")
+    q1 = reals("nq", meaning="configuration at the end")
+    v1 = reals("nv", meaning="velocity at the end")
+    stage_rates = reals(DENSE_STAGES, "rates", meaning="rates of ξ, v and the works at the stages")
+    xi = reals("nv", meaning="chart coordinates ξ")
+    tolerance_sizes = reals("nv", meaning="what the relative tolerance of ξ refers to")
+    rate_bounds = reals(4, "nv", meaning="see `dense_output.rate_bounds`")
+    dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
+    slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
+    previous_length = real("of the step before [s], 0 where there is none")
+    previous_error = real("of the step before, over the tolerance")
+    start_gaps = reals("contacts", 2, meaning="gap and rate at the start")
 
-@inner
-def positions(marks):
-    """Return where an array (n,) of integers is not zero."""
-    count = 0
-    for i in range(len(marks)):
-        if marks[i] != 0:
-            count += 1
-    found = np.empty(count, dtype=np.int64)
-    count = 0
-    for i in range(len(marks)):
-        if marks[i] != 0:
-            found[count] = i
-            count += 1
-    return found
-
-
-@inner
-def d1(m, k):
-    return carray(_doubles(m[k, 0]), (m[k, 1],))
-
-
-@inner
-def d2(m, k):
-    return carray(_doubles(m[k, 0]), (m[k, 1], m[k, 2]))
-
-
-@inner
-def d3(m, k):
-    return carray(_doubles(m[k, 0]), (m[k, 1], m[k, 2], m[k, 3]))
-
-
-@inner
-def f2(m, k):
-    return farray(_doubles(m[k, 0]), (m[k, 1], m[k, 2]))
-
-
-@inner
-def i1(m, k):
-    return carray(_integers(m[k, 0]), (m[k, 1],))
-
-
-@inner
-def i2(m, k):
-    return carray(_integers(m[k, 0]), (m[k, 1], m[k, 2]))
+    # the end of the step last completed, and the first event in it
+    step_start = real("[s]")
+    step_length = real("[s]")
+    gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
+    limit_bounds = reals("limits", 4, meaning="likewise")
+    end_gaps = reals("contacts", 2, meaning="gap and rate at the end")
+    end_velocity = reals("closed_contacts", 3, meaning="contact velocities at the end [m/s]")
+    end_margin = real("the margin of the forces at the end [N]")
+    end_drift = real("of what is closed, at the end; see `drift`")
+    growth = real("how much longer the next step may be")
+    force_bound_ignored = flag("whether forces beyond their bounds are no event: no other modes do better")
+    event_time = real("[s]; infinite where there is none, minus infinity to ask for a shorter step")
+    event_kind = integer("its position in the registry")
+    event_index = integer("which contact, limit or velocity")

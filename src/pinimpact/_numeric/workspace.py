@@ -1,0 +1,383 @@
+"""Arrays and numbers that kernels share by name: one declaration gives the memory, the checks and the access.
+
+A subclass of `Workspace` declares what there is::
+
+    class Pendulum(Workspace):
+        nv = size("velocities")
+        active = count("nv", "how many of them are driven")
+        length = real("of the rod [m]")
+        torque = reals("active", meaning="of the drives [N m]")
+        mass_matrix = reals("nv", "nv", order="F", given=True, meaning="where the library leaves it")
+
+and Python and kernels alike read `work.torque`, `work.length` and write `work.length = 2.0`.
+
+To compiled code a workspace is one pointer, to slots of eight bytes in the order of the declaration: the
+value of a size, count or number, or the address of an array. The shape of an array is made of sizes and
+counts, so no code can read more of it than they say: sizes never change, and a count is checked against the
+size that bounds it wherever it is set. (Passing it to a kernel costs 0.1 µs more than passing an integer;
+numba's own `structref` 0.5 µs, with code that counts references.)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, NoReturn, TypeVar, overload
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, errors, types
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    lower_setattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numba.np import arrayobj
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+Self = TypeVar("Self", bound="_Field[Any]")
+
+_WIDTH = 8  # bytes of a slot, and of every number
+
+
+class _Field(Generic[T]):
+    """One name of a declaration.
+
+    Attributes:
+        name: What it is called.
+        slot: Its place in the memory.
+        meaning: What it is, in words.
+    """
+
+    name: str
+    slot: int
+
+    def __init__(self, meaning: str) -> None:
+        self.meaning = meaning
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self: Self, work: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, work: Workspace, owner: type) -> T: ...
+    def __get__(self, work: Workspace | None, owner: type) -> Any:
+        return self if work is None else self.read(work)
+
+    def __set__(self, work: Workspace, value: Any) -> None:
+        raise AttributeError(f"{self.name} cannot be set; it was given when the workspace was made")
+
+    def read(self, work: Workspace) -> Any:
+        raise NotImplementedError
+
+    def layout(self) -> tuple[Any, ...]:
+        """What compiled code depends on."""
+        return (self.name, type(self).__name__)
+
+
+class _Size(_Field[int]):
+    def read(self, work: Workspace) -> int:
+        return int(work.integers[self.slot])
+
+
+class _Count(_Size):
+    def __init__(self, limit: str, meaning: str) -> None:
+        super().__init__(meaning)
+        self.limit = limit
+
+    def __set__(self, work: Workspace, value: int) -> None:
+        if not 0 <= value <= getattr(work, self.limit):
+            raise ValueError(f"{self.name}: {value} set, at most {self.limit} = {getattr(work, self.limit)}")
+        work.integers[self.slot] = value
+
+    def layout(self) -> tuple[Any, ...]:
+        return (*super().layout(), self.limit)
+
+
+class _Real(_Field[float]):
+    def read(self, work: Workspace) -> float:
+        return float(work.numbers[self.slot])
+
+    def __set__(self, work: Workspace, value: float) -> None:
+        work.numbers[self.slot] = value
+
+
+class _Integer(_Size):
+    def __set__(self, work: Workspace, value: int) -> None:
+        work.integers[self.slot] = value
+
+
+class _Flag(_Field[bool]):
+    def read(self, work: Workspace) -> bool:
+        return bool(work.integers[self.slot])
+
+    def __set__(self, work: Workspace, value: bool) -> None:
+        work.integers[self.slot] = value
+
+
+class _Array(_Field[NDArray[Any]]):
+    def __init__(
+        self, dtype: type, dims: tuple[str | int, ...], order: str, given: bool, meaning: str
+    ) -> None:
+        super().__init__(meaning)
+        self.dtype = np.dtype(dtype)
+        self.dims = dims
+        self.order = order
+        self.given = given
+
+    def read(self, work: Workspace) -> NDArray[Any]:
+        array = work.arrays[self.name]
+        shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
+        if array.shape == shape:
+            return array
+        return array.ravel()[: math.prod(shape)].reshape(shape)
+
+    def layout(self) -> tuple[Any, ...]:
+        return (*super().layout(), self.dtype.str, self.dims, self.order)
+
+
+def size(meaning: str) -> _Size:
+    """Declare a length that never changes, given when the workspace is made."""
+    return _Size(meaning)
+
+
+def count(limit: str, meaning: str) -> _Count:
+    """Declare a length that changes, at most the size `limit`; zero at first."""
+    return _Count(limit, meaning)
+
+
+def real(meaning: str) -> _Real:
+    """Declare a number; zero at first."""
+    return _Real(meaning)
+
+
+def integer(meaning: str) -> _Integer:
+    """Declare an integer; zero at first."""
+    return _Integer(meaning)
+
+
+def flag(meaning: str) -> _Flag:
+    """Declare a truth value; false at first."""
+    return _Flag(meaning)
+
+
+def reals(*dims: str | int, meaning: str, order: str = "C", given: bool = False) -> _Array:
+    """Declare an array of float64.
+
+    Args:
+        *dims: Its shape: sizes or counts by name, or integers. With counts it has room for their limits, and
+            what is in use stands at its front, contiguous.
+        meaning: What it is.
+        order: "C", or "F" for columns one after the other.
+        given: Whether it is the memory of another and has to be handed over.
+    """
+    return _Array(float, dims, order, given, meaning)
+
+
+def integers(*dims: str | int, meaning: str, given: bool = False) -> _Array:
+    """Declare an array of int64, like `reals`."""
+    return _Array(np.int64, dims, "C", given, meaning)
+
+
+class Workspace(bytearray):
+    """The memory that a declaration describes; see the module.
+
+    It is a bytearray, for numba knows the class of a buffer without a call into Python; its bytes are the
+    slots.
+
+    Args:
+        sizes: The value of each size.
+        arrays: Arrays to use as they are, checked against the declaration; every `given` one has to be here.
+            Others are made, and zero.
+
+    Raises:
+        ValueError: A size or given array that is missing, an unknown name, an array of another shape, type or
+            order than declared.
+    """
+
+    fields: ClassVar[dict[str, _Field[Any]]] = {}
+    numba_type: ClassVar[WorkspaceType]
+
+    def __init_subclass__(cls) -> None:
+        cls.fields = {name: item for name, item in vars(cls).items() if isinstance(item, _Field)}
+        for slot, field in enumerate(cls.fields.values()):
+            field.slot = slot
+        cls.numba_type = WorkspaceType(tuple(field.layout() for field in cls.fields.values()))
+
+    def __init__(self, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
+        super().__init__(_WIDTH * len(self.fields))
+        # these also keep the memory from being moved
+        self.integers = np.frombuffer(self, dtype=np.int64)
+        self.numbers = np.frombuffer(self, dtype=np.float64)
+        self.arrays: dict[str, NDArray[Any]] = {}
+        declared = [name for name, field in self.fields.items() if type(field) is _Size]
+        if set(sizes) != set(declared):
+            raise ValueError(f"sizes: {sorted(sizes)} given, {sorted(declared)} expected")
+        for name, value in sizes.items():
+            self.integers[self.fields[name].slot] = value
+        unknown = [name for name in arrays if not isinstance(self.fields.get(name), _Array)]
+        if unknown:
+            raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
+        for name, field in self.fields.items():
+            if isinstance(field, _Array):
+                array = arrays.get(name)
+                self.arrays[name] = array = (
+                    self._made(field) if array is None else self._checked(field, array)
+                )
+                self.integers[field.slot] = array.__array_interface__["data"][0]
+
+    def _room(self, field: _Array) -> tuple[int, ...]:
+        """Return the largest shape of an array."""
+        limits = [getattr(self.fields.get(str(dim)), "limit", dim) for dim in field.dims]
+        return tuple(dim if isinstance(dim, int) else getattr(self, dim) for dim in limits)
+
+    def _made(self, field: _Array) -> NDArray[Any]:
+        if field.given:
+            raise ValueError(f"{field.name}: missing ({field.meaning})")
+        return np.zeros(self._room(field), dtype=field.dtype, order=field.order)  # type: ignore[call-overload]
+
+    def _checked(self, field: _Array, array: NDArray[Any]) -> NDArray[Any]:
+        shape = self._room(field)
+        contiguous = array.flags.c_contiguous if field.order == "C" else array.flags.f_contiguous
+        if array.shape != shape or array.dtype != field.dtype or not (contiguous and array.flags.aligned):
+            raise ValueError(
+                f"{field.name}: {array.dtype}, shape {array.shape}, strides {array.strides} given; "
+                f"{field.dtype}, shape {shape}, in order {field.order} expected ({field.meaning})"
+            )
+        return array
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")
+
+    def __repr__(self) -> str:
+        rows = [f"{type(self).__name__}:"]
+        for name, field in self.fields.items():
+            value = getattr(self, name)
+            rows.append(f"  {name} = {value.shape if isinstance(field, _Array) else value}: {field.meaning}")
+        return "\n".join(rows)
+
+    __str__ = __repr__
+
+
+# ---- compiled code
+
+
+class WorkspaceType(types.Type):
+    """The numba type of a declaration; its name changes with it, so that no code in a cache outlives it."""
+
+    def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:
+        self.layout = layout
+        super().__init__(f"Workspace({hashlib.sha256(repr(layout).encode()).hexdigest()[:16]})")
+
+
+_ADDRESS = ir.IntType(64)
+_LOCAL: dict[str, types.Type] = {"_Size": types.int64, "_Count": types.int64, "_Integer": types.int64}
+_LOCAL |= {"_Real": types.float64, "_Flag": types.boolean}
+
+
+@typeof_impl.register(Workspace)
+def _typeof(work: Workspace, context: Any) -> WorkspaceType:
+    return work.numba_type
+
+
+@register_model(WorkspaceType)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: WorkspaceType) -> None:
+        super().__init__(manager, kind, ir.IntType(8).as_pointer())
+
+
+@unbox(WorkspaceType)
+def _unbox(kind: WorkspaceType, work: Any, context: Any) -> NativeValue:
+    signature = ir.FunctionType(ir.IntType(8).as_pointer(), [context.pyapi.pyobj])
+    function = cgutils.get_or_insert_function(context.builder.module, signature, "PyByteArray_AsString")
+    return NativeValue(context.builder.call(function, [work]))
+
+
+@infer_getattr
+class _Typing(AttributeTemplate):
+    key = WorkspaceType
+
+    def generic_resolve(self, kind: WorkspaceType, name: str) -> types.Type | None:
+        for declared, field, *rest in kind.layout:
+            if declared == name:
+                return _array_type(*rest) if field == "_Array" else _LOCAL[field]
+        return None
+
+
+def _array_type(dtype: str, dims: tuple[str | int, ...], order: str) -> types.Array:
+    element: Any = types.float64 if dtype == "<f8" else types.int64
+    return types.Array(element, len(dims), "C" if order == "C" else "F")
+
+
+def _slot_of(kind: WorkspaceType, name: str | int) -> int:
+    return next(slot for slot, (declared, *_) in enumerate(kind.layout) if declared == name)
+
+
+def _slot(builder: Any, pointer: Any, slot: int, element: Any) -> Any:
+    place = builder.gep(pointer, [ir.Constant(_ADDRESS, _WIDTH * slot)])
+    return builder.bitcast(place, element.as_pointer())
+
+
+def _load_integer(builder: Any, kind: WorkspaceType, pointer: Any, name: str | int) -> Any:
+    return builder.load(_slot(builder, pointer, _slot_of(kind, name), _ADDRESS))
+
+
+@lower_getattr_generic(WorkspaceType)
+def _read(context: Any, builder: Any, kind: WorkspaceType, pointer: Any, name: str) -> Any:
+    slot = _slot_of(kind, name)
+    _, field, *rest = kind.layout[slot]
+    if field == "_Real":
+        return builder.load(_slot(builder, pointer, slot, ir.DoubleType()))
+    value = builder.load(_slot(builder, pointer, slot, _ADDRESS))
+    if field == "_Flag":
+        return builder.icmp_unsigned("!=", value, ir.Constant(_ADDRESS, 0))
+    if field != "_Array":
+        return value
+    _, dims, order = rest
+    shape = [
+        ir.Constant(_ADDRESS, dim) if isinstance(dim, int) else _load_integer(builder, kind, pointer, dim)
+        for dim in dims
+    ]
+    width = ir.Constant(_ADDRESS, _WIDTH)
+    strides = [width]
+    for length in shape[:0:-1] if order == "C" else shape[:-1]:
+        strides.append(builder.mul(strides[-1], length))
+    array_type = _array_type(*rest)
+    array = arrayobj.make_array(array_type)(context, builder)
+    arrayobj.populate_array(
+        array,
+        data=builder.inttoptr(value, array.data.type),
+        shape=shape,
+        strides=strides[::-1] if order == "C" else strides,
+        itemsize=width,
+        meminfo=None,
+    )
+    return array._getvalue()
+
+
+@lower_setattr_generic(WorkspaceType)
+def _write(context: Any, builder: Any, signature: Any, arguments: Any, name: str) -> None:
+    kind = signature.args[0]
+    slot = _slot_of(kind, name)
+    _, field, *rest = kind.layout[slot]
+    if field in ("_Array", "_Size"):
+        raise errors.NumbaTypeError(f"{name} cannot be set in a kernel")
+    pointer, value = arguments
+    value = context.cast(builder, value, signature.args[1], _LOCAL[field])
+    if field == "_Count":
+        limit = _load_integer(builder, kind, pointer, rest[0])
+        with cgutils.if_unlikely(builder, builder.icmp_unsigned(">", value, limit)):
+            message = f"{name} set to more than {rest[0]}"
+            context.call_conv.return_user_exc(builder, ValueError, (message,))
+    if field == "_Flag":
+        value = builder.zext(value, _ADDRESS)
+    builder.store(value, _slot(builder, pointer, slot, value.type))

@@ -1,0 +1,48 @@
+"""What approaches at an instant, and what touches without bouncing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import jit
+from .contact_forces import FREE
+from .dynamics import all_gaps
+
+APART, TOUCHING, ARRIVING = range(3)
+"""Where a contact or limit is at an instant; arriving: its gap closes now."""
+
+
+@jit
+def fastest_approach(work, q, v, starting, where, slow):
+    """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].
+
+    Args:
+        work: The workspace.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        starting: Whether the motion starts now, so that what touches has just closed its gap.
+        where: (n + nl,) `APART`, `TOUCHING` or `ARRIVING`; what is near is added.
+        slow: (n + nl,) takes what touches and approaches or parts no faster than the resting speed.
+    """
+    bilateral, modes, near, resting_speed = work.bilateral, work.modes, work.touching_gap, work.resting_speed
+    contacts = len(bilateral)
+    found = np.empty((len(where), 2))
+    all_gaps(work, q, v, found)
+    fastest, source = 0.0, -1
+    for i in range(len(where)):
+        gap, rate = found[i, 0], found[i, 1]
+        slow[i] = 0
+        if i < contacts and bilateral[i] != 0:
+            slow[i] = 1
+            continue
+        if where[i] == APART and (gap <= near or modes[i] != FREE):
+            where[i] = ARRIVING if starting and gap <= near else TOUCHING
+        if where[i] == APART:
+            continue
+        if (
+            rate < -resting_speed or (where[i] == ARRIVING and rate < -work.least_approach)
+        ) and rate < fastest:
+            fastest, source = rate, i
+        if resting_speed > 0.0 and abs(rate) <= resting_speed:
+            slow[i] = 1
+    return source, fastest

@@ -1,0 +1,112 @@
+"""What is closed: its layout in the workspace, its rows, and impulses along rows that stop a motion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.jit import inner, jit
+from ..._numeric.loops import assign, nonzero
+from ..._numeric.products import apply, products
+from ..._numeric.semidefinite import impulses
+from .contact_forces import FREE, HELD, SLIP
+
+
+@inner
+def scalar_row(work, j):
+    """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest."""
+    limits = work.limits
+    if j >= limits:
+        j -= limits
+        return j, -work.dry_friction[j], work.dry_friction[j]
+    sign = work.limit_sign[j]
+    return work.limit_v[j], -math.inf if sign < 0.0 else 0.0, math.inf if sign > 0.0 else 0.0
+
+
+@inner
+def close(work, reference):
+    """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
+    modes = work.modes
+    contacts, scalars = nonzero(modes[: work.contacts]), nonzero(modes[work.contacts :])
+    rows = len(scalars)
+    for i in contacts:
+        rows += 1 if modes[i] == SLIP else 3
+    work.closed_contacts, work.closed_scalars, work.closed_rows = len(contacts), len(scalars), rows
+    index, mode, mu, rest, slip = (
+        work.closed_index,
+        work.closed_mode,
+        work.closed_friction,
+        work.closed_rest_gap,
+        work.slip_reference,
+    )
+    for k in range(len(contacts)):
+        i = contacts[k]
+        index[k], mode[k], mu[k], rest[k] = i, modes[i], work.friction[i], work.rest_gap[i]
+        assign(slip[k], reference[i])
+    velocity, lower, upper = work.scalar_velocity, work.scalar_lower, work.scalar_upper
+    for m in range(len(scalars)):
+        velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m])
+    work.forces_unique = True
+
+
+@jit
+def close_held(work):
+    """Close what the scene holds, and nothing else."""
+    modes, bilateral = work.modes, work.bilateral
+    for i in range(len(modes)):
+        modes[i] = HELD if i < len(bilateral) and bilateral[i] != 0 else FREE
+    close(work, np.zeros((len(bilateral), 2)))
+
+
+@inner
+def closed_rows(work, v, slips, rows, speeds):
+    """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
+
+    Args:
+        work: The workspace, at the state last evaluated.
+        v: (nv,) velocity.
+        slips: Whether the tangential rows of contacts that slip are among them.
+        rows, speeds: With room for three rows a contact and the scalar rows.
+    """
+    mode, jacobian, velocity = work.closed_mode, work.contact_jacobian, work.contact_velocity
+    total = 0
+    for k in range(len(mode)):
+        for d in range(3):
+            if d == 2 or slips or mode[k] != SLIP:
+                assign(rows[total], jacobian[k, d])
+                speeds[total] = velocity[k, d]
+                total += 1
+    for j in work.scalar_velocity:
+        rows[total, j] = 1.0
+        speeds[total] = v[j]
+        total += 1
+    return total
+
+
+@inner
+def delassus_of_rows(rows, minverse, response, delassus):
+    """Fill the response M⁻¹ rowsᵀ, row by row, and the Delassus matrix rows M⁻¹ rowsᵀ."""
+    for a in range(len(rows)):
+        apply(minverse, rows[a], response[a])
+    products(rows, response, delassus)
+
+
+@inner
+def stop_along(rows, velocity, minverse, v):
+    """Change v by impulses along the rows so that their velocities vanish; return the energy gained."""
+    m, n = rows.shape
+    response, delassus, x = np.empty((m, n)), np.empty((m, m)), np.empty(m)
+    delassus_of_rows(rows, minverse, response, delassus)
+    impulses(delassus, velocity, x)
+    energy = 0.0
+    for a in range(m):
+        for j in range(n):
+            energy -= 0.5 * x[a] * rows[a, j] * v[j]
+    for a in range(m):
+        for j in range(n):
+            v[j] -= x[a] * response[a, j]
+    for a in range(m):
+        for j in range(n):
+            energy -= 0.5 * x[a] * rows[a, j] * v[j]
+    return energy

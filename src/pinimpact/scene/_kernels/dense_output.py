@@ -1,0 +1,54 @@
+"""The motion within a step, and bounds of its rates.
+
+The unknowns are (ξ, v, w): chart coordinates, velocities, and works w that nothing depends on. `rates`
+(16, 2 nv + nw) holds their derivatives at the stages.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import inner, jit
+from .lie_charts import advance
+
+
+@jit
+def interpolate(coefficients, theta, out):
+    """Fill the increments at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …))))."""
+    for m in range(coefficients.shape[1]):
+        value = 0.0
+        for k in range(6, -1, -1):
+            value = (value + coefficients[k, m]) * (theta if k % 2 == 0 else 1.0 - theta)
+        out[m] = value
+
+
+@jit
+def state(coefficients, theta, joints, q0, v0, q, v):
+    """Fill q and v at a fraction θ of the step."""
+    n = len(v0)
+    xi = np.empty(n)
+    interpolate(coefficients[:, :n], theta, xi)
+    interpolate(coefficients[:, n : 2 * n], theta, v)
+    for m in range(n):
+        v[m] += v0[m]
+    advance(joints, q0, xi, q)
+
+
+@inner
+def set_state_within(work, fraction):
+    """Set the state at a fraction of the step last completed, where Pinocchio reads it."""
+    state(work.dense_coefficients, fraction, work.joint_charts, work.q0, work.v0, work.q, work.v)
+
+
+@inner
+def rate_bounds(rates, stages, n, out):
+    """Fill the largest |ξ̇| and |v̇| (4, n) of the first stages, then their largest change from the first."""
+    for m in range(n):
+        for part in range(2):
+            first = rates[0, part * n + m]
+            value = change = 0.0
+            for j in range(stages):
+                value = max(value, abs(rates[j, part * n + m]))
+                change = max(change, abs(rates[j, part * n + m] - first))
+            out[part, m] = value
+            out[part + 2, m] = change

@@ -1,0 +1,81 @@
+"""How far what is closed drifts off its surfaces between events, and what brings it back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import inner, jit
+from ..._numeric.loops import assign
+from . import lie_charts
+from .closed_set import closed_rows, stop_along
+from .contact_forces import SLIP
+from .dynamics import evaluate, set_state
+
+
+@inner
+def drift(work, v):
+    """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
+    mode, rest, velocity, gap = (
+        work.closed_mode,
+        work.closed_rest_gap,
+        work.contact_velocity,
+        work.contact_gap,
+    )
+    worst = 0.0
+    for k in range(len(mode)):
+        worst = max(worst, abs(gap[k] - rest[k]), abs(velocity[k, 2]))
+        if mode[k] != SLIP:
+            worst = max(worst, abs(velocity[k, 0]), abs(velocity[k, 1]))
+    for j in work.scalar_velocity:
+        worst = max(worst, abs(v[j]))
+    return worst
+
+
+@jit
+def correct_drift(work, t, q, v):
+    """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
+
+    Args:
+        work: The workspace.
+        t: Time [s].
+        q: (nq,) the configuration, which is changed.
+        v: (nv,) the velocity, which is changed.
+    """
+    index_q, index_v, bound = work.limit_q, work.limit_v, work.limit_bound
+    minverse, jacobian, gap, rest = (
+        work.minverse,
+        work.contact_jacobian,
+        work.contact_gap,
+        work.closed_rest_gap,
+    )
+    closed = work.modes[work.contacts :][: work.limits]
+    n, nc, ns, nl = len(v), work.closed_contacts, work.closed_scalars, work.limits
+    rates = np.empty(n + 4)
+    rows = np.zeros((3 * nc + ns + nl, n))
+    off = np.empty(len(rows))
+    set_state(work, q, v)
+    evaluate(work, t, rates)
+    total = 0
+    for k in range(nc):
+        assign(rows[total], jacobian[k, 2])
+        off[total] = gap[k] - rest[k]
+        total += 1
+    for m in range(nl):
+        if closed[m] != 0:
+            rows[total, index_v[m]] = 1.0
+            off[total] = q[index_q[m]] - bound[m]
+            total += 1
+    if total > 0 and not work.callback_failed:
+        xi, start = np.zeros(n), q.copy()
+        stop_along(rows[:total], off[:total], minverse, xi)
+        lie_charts.advance(work.joint_charts, start, xi, q)
+        for m in range(nl):
+            if closed[m] != 0:
+                q[index_q[m]] = bound[m]
+        assign(work.q, q)
+        evaluate(work, t, rates)
+    rows = np.zeros((3 * nc + ns + nl, n))
+    total = closed_rows(work, v, False, rows, off)
+    if total == 0 or work.callback_failed:
+        return 0.0
+    return stop_along(rows[:total], off[:total], minverse, v)

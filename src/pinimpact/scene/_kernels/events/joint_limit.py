@@ -1,0 +1,50 @@
+"""A joint reaches a limit that is open."""
+
+from __future__ import annotations
+
+import math
+
+from ...._numeric.jit import inner
+from ..dynamics import limit_gap
+from ..event_location import search_for_closing
+from .consequences import ARRIVAL
+from .gap import SAFETY
+
+CONSEQUENCE = ARRIVAL
+
+
+@inner
+def value(work, k, t):
+    """Return distance from the limit and its rate at the state that is set."""
+    return limit_gap(work, k, work.q, work.v)
+
+
+first_closing = search_for_closing(value)
+
+
+@inner
+def bound(work, k):
+    """Fill the bounds of the motion over the step, see `gap_bounds.curvatures`; a limit is flat."""
+    bounds, rates, j = work.limit_bounds, work.rate_bounds, work.limit_v[k]
+    bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = (
+        SAFETY * rates[1, j],
+        SAFETY * rates[3, j],
+        SAFETY * rates[0, j],
+        math.inf,
+    )
+
+
+@inner
+def first(work, end):
+    """Return the first time until `end` at which a limit is reached, infinite if none is; and which."""
+    closed = work.modes[work.contacts :]
+    time, which = math.inf, 0
+    for k in range(work.limits):
+        if closed[k] == 0:
+            gap, rate = limit_gap(work, k, work.q0, work.v0)
+            end_gap, end_rate = limit_gap(work, k, work.q1, work.v1)
+            bound(work, k)
+            found = first_closing(work, k, end, gap, rate, end_gap, end_rate, work.limit_bounds[k])
+            if found <= end:
+                time, end, which = found, found, k
+    return time, which

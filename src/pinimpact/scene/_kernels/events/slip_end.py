@@ -1,0 +1,63 @@
+"""The slip of a contact comes to an end: it reverses along the direction last known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...._numeric.jit import inner
+from ..contact_forces import SLIP
+from ..dynamics import evaluate
+from ..event_location import sampled, search_for_root
+from .consequences import MODE_CHANGE
+
+CONSEQUENCE = MODE_CHANGE
+
+BEHIND = 1e-3
+"""A reversal slower than this part of the speed at which a contact may stick is rounding."""
+
+
+@inner
+def value(work, k, t):
+    """Return the speed of slip along the direction last known, at the state that is set."""
+    evaluate(work, t, np.empty(len(work.v) + 4))
+    return along(work, k, work.contact_velocity), 0.0
+
+
+value_at, root = sampled(value), search_for_root(value)
+
+
+@inner
+def along(work, k, velocity):
+    """Return the speed along the direction last known of contact velocities (nc, 3)."""
+    reference = work.slip_reference
+    return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
+
+
+@inner
+def first(work, end):
+    """Return the first time before `end` at which a slip ends, infinite if none; and which.
+
+    Minus infinity asks for a shorter step: where the speed along vanishes there is slip across, so within the
+    step the direction has turned too far to be followed.
+    """
+    mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
+    start, last = work.step_start, work.step_start + work.step_length
+    time, which = math.inf, 0
+    for k in range(len(mode)):
+        if mode[k] != SLIP or mu[k] == 0.0:
+            continue
+        end_speed = along(work, k, work.end_velocity)
+        if end_speed >= -BEHIND * work.stick_speed:
+            continue
+        start_speed = value_at(work, k, start)[0]
+        if start_speed <= 0.0:  # a step before has left it there, for it was next to nothing
+            return start, k
+        found = root(work, k, start, last, start_speed, end_speed)
+        if found < end:
+            value_at(work, k, found)
+            if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
+                return -math.inf, k
+            time, end, which = found, found, k
+    return time, which

@@ -1,0 +1,58 @@
+"""Slip whose forces grow without bound."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import jit
+from .closed_set import closed_rows, delassus_of_rows, stop_along
+from .contact_forces import SLIP
+from .dynamics import evaluate, set_state
+
+SINGULAR = 1e-5
+"""Forces whose effects cancel to this part are those of a singularity."""
+
+
+@jit
+def stop_jammed_slip(work, t, q, v, certain):
+    """Stop all slip where contacts that slip drive the surface in until their forces have no bound.
+
+    Args:
+        work: The workspace.
+        t: Time [s].
+        q: (nq,) configuration.
+        v: (nv,) the velocity, which loses what the closed contacts take away of it.
+        certain: Whether this is known to be such a place, so that any slip is stopped.
+
+    Returns:
+        Whether slip was stopped; else v is as it was.
+    """
+    mode, slipping = work.closed_mode, False
+    for k in range(len(mode)):
+        slipping |= mode[k] == SLIP
+    if not slipping:
+        return False
+    set_state(work, q, v)
+    evaluate(work, t, np.empty(len(v) + 4))
+    if work.callback_failed:
+        return False
+    force, scalar_force, minverse = work.contact_force, work.scalar_force, work.minverse
+    closed, n = 3 * len(mode), len(v)
+    size = closed + len(scalar_force)
+    rows, speeds = np.zeros((size, n)), np.empty(size)
+    closed_rows(work, v, True, rows, speeds)
+    response, delassus = np.empty((size, n)), np.empty((size, size))
+    delassus_of_rows(rows, minverse, response, delassus)
+    left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
+    for k in range(len(mode)):
+        total = 0.0
+        for a in range(size):
+            push = force[a // 3, a % 3] if a < closed else scalar_force[a - closed]
+            part = delassus[3 * k + 2, a] * push
+            total += part
+            whole = max(whole, abs(part))
+        left = max(left, abs(total))
+    if not certain and not left < SINGULAR * whole:
+        return False
+    stop_along(rows, speeds, minverse, v)
+    return True

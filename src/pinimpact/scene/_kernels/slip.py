@@ -1,0 +1,47 @@
+"""The direction of slip: how it is remembered from step to step, and how fast it settles."""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.jit import inner
+from .contact_forces import SLIP
+
+
+@inner
+def turn_references(work, velocity):
+    """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
+    mode, reference = work.closed_mode, work.slip_reference
+    for k in range(len(mode)):
+        if mode[k] == SLIP:
+            x, y = velocity[k, 0], velocity[k, 1]
+            speed = math.hypot(x, y)
+            if speed > work.direction_speed and x * reference[k, 0] + y * reference[k, 1] > 0.0:
+                reference[k, 0], reference[k, 1] = x / speed, y / speed
+
+
+@inner
+def stiffness_of_slip(work):
+    """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
+    mode, mu, velocity, reference = (
+        work.closed_mode,
+        work.closed_friction,
+        work.contact_velocity,
+        work.slip_reference,
+    )
+    jacobian, minverse, force = work.contact_jacobian, work.minverse, work.contact_force
+    n = minverse.shape[0]
+    fastest = 0.0
+    for k in range(len(mode)):
+        if mode[k] == SLIP and mu[k] > 0.0:
+            speed = math.hypot(velocity[k, 0], velocity[k, 1])
+            s1, s2 = reference[k, 0], reference[k, 1]
+            if speed > 0.0:
+                s1, s2 = velocity[k, 0] / speed, velocity[k, 1] / speed
+            total = 0.0
+            for i in range(n):
+                a = s1 * jacobian[k, 1, i] - s2 * jacobian[k, 0, i]
+                for j in range(n):
+                    total += a * minverse[i, j] * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j])
+            fastest = max(fastest, mu[k] * abs(force[k, 2]) * total / max(speed, 1e-300))
+    return fastest

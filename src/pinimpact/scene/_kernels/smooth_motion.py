@@ -1,0 +1,135 @@
+"""The smooth motion between events: how it begins, and how a step of it is finished."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.jit import inner, jit
+from ..._numeric.loops import assign
+from . import step_dop853
+from .contact_forces import FREE
+from .drift import drift
+from .dynamics import (
+    all_gaps,
+    contact_gaps,
+    evaluate,
+    evaluate_without_contacts,
+    motion_of_contact,
+    motion_of_contacts,
+    set_state,
+)
+from .events.registry import find_first_event
+from .slip import stiffness_of_slip, turn_references
+
+
+@jit
+def begin(work, t, q, v):
+    """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
+
+    Args:
+        work: The workspace.
+        t: Time [s].
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+
+    Returns:
+        A guess how long a bounce just begun lasts [s]; infinite where there is none.
+    """
+    rates, gaps, modes = work.stage_rates, work.start_gaps, work.modes
+    n = len(v)
+    assign(work.q0, q)
+    assign(work.v0, v)
+    set_state(work, q, v)
+    for i in range(len(rates)):
+        for m in range(2 * n, rates.shape[1]):
+            rates[i, m] = 0.0
+    for m in range(n):
+        rates[0, m] = v[m]
+    evaluate(work, t, rates[0, n:])
+    turn_references(work, work.contact_velocity)
+    work.slip_stiffness = stiffness_of_slip(work)
+    work.previous_length = 0.0
+    guess = math.inf
+    if len(gaps) == 0:
+        return guess
+    contact_gaps(work, gaps)
+    jacobian, three = np.empty((3, n)), np.empty((3, 3))
+    for i in range(len(gaps)):
+        if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap and gaps[i, 1] > work.stick_speed:
+            motion_of_contact(work, i, jacobian, three[0], three[1], three[2])
+            fall = -three[1, 2]
+            for j in range(n):  # what is closed pushes
+                fall -= jacobian[2, j] * (rates[0, n + j] - work.acceleration[j])
+            if fall > 0.0:
+                guess = min(guess, 2.0 * gaps[i, 1] / fall)
+    return guess
+
+
+@jit
+def finish(work, t, h, error, explicit):
+    """Finish a step whose error is small enough: look for the first event in it.
+
+    What comes of it is in the workspace: the event, the margin and the drift at the end of the step, how much
+    longer the next one may be, and the dense output; also the end as the next one's start, if no event cuts
+    it.
+
+    Args:
+        work: The workspace.
+        t: Its start [s].
+        h: Its length [s].
+        error: Its error over the tolerance.
+        explicit: Whether it was an explicit one.
+    """
+    work.step_start, work.step_length = t, h
+    work.end_margin = work.force_margin
+    work.end_drift = drift(work, work.v1)
+    velocity = work.end_velocity
+    for k in range(len(velocity)):
+        assign(velocity[k], work.contact_velocity[k])
+    stiffness = stiffness_of_slip(work)
+    if len(work.end_gaps):
+        contact_gaps(work, work.end_gaps)
+    if explicit:
+        step_dop853.complete(work, t, h)
+    find_first_event(work)
+    work.growth = 1.0
+    if work.event_time > t + h:
+        step_dop853.begin_next(work)
+        for i in range(len(work.end_gaps)):
+            assign(work.start_gaps[i], work.end_gaps[i])
+        work.slip_stiffness = stiffness
+        turn_references(work, velocity)
+        set_growth(work, h, error)
+
+
+@inner
+def set_growth(work, h, error):
+    """Tell how much longer the next step may be, and keep this one in mind for the step after it.
+
+    The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
+    after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
+    """
+    error = max(error, 1e-7)
+    factor = min(5.0, 0.9 * error**-0.125)
+    if work.previous_length > 0.0:
+        trend = 0.9 * h / work.previous_length
+        factor = min(factor, trend * (max(work.previous_error, 1e-2) / error**2) ** 0.125)
+    work.previous_length, work.previous_error = h, error
+    work.growth = max(factor, 0.2)
+
+
+@jit
+def gaps_at(work, q, v, found):
+    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
+    all_gaps(work, q, v, found)
+
+
+@jit
+def free_motion_at(work, t, q, v, index, joints, jacobian, velocity, acceleration, surface, gap):
+    """Fill v̇ and the motion of some contacts without contact forces, see `dynamics.motion_of_contact`."""
+    set_state(work, q, v)
+    evaluate_without_contacts(work, t, np.empty(2))
+    assign(joints, work.acceleration)
+    motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap)

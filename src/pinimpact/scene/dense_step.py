@@ -1,0 +1,60 @@
+"""A step with its dense output."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._kernels import dense_output
+
+Array = NDArray[np.float64]
+
+WORKS = 4
+"""Works that are integrated along: of the control, in the joints, of sliding friction, of moving surfaces."""
+
+
+class DenseStep:
+    """A step of smooth motion with its dense output.
+
+    Attributes:
+        start, end: Times [s]; `end` is before start + h where an event cut the step.
+        h: Length of the step that was computed [s].
+        q, v, w: State and works at its start.
+        coefficients: (7, 2 nv + 4) dense output of (ξ, v, w).
+        joints: Table of the configuration space.
+    """
+
+    __slots__ = ("coefficients", "end", "h", "joints", "q", "start", "v", "w")
+
+    def __init__(
+        self,
+        start: float,
+        h: float,
+        q: Array,
+        v: Array,
+        w: Array,
+        coefficients: Array,
+        joints: NDArray[np.int64],
+    ) -> None:
+        self.start = start
+        self.end = start + h
+        self.h = h
+        self.q = q
+        self.v = v
+        self.w = w
+        self.coefficients = coefficients
+        self.joints = joints
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Return q and v at a time within the step."""
+        q, v = np.empty(len(self.q)), np.empty(len(self.v))
+        theta = (t - self.start) / self.h
+        dense_output.state(self.coefficients, theta, self.joints, self.q, self.v, q, v)
+        return q, v
+
+    def works(self, t: float) -> Array:
+        """Return the works w at a time within the step."""
+        increment = np.empty(len(self.w))
+        coefficients = self.coefficients[:, -len(self.w) :]
+        dense_output.interpolate(coefficients, (t - self.start) / self.h, increment)
+        return self.w + increment

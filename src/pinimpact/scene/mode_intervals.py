@@ -1,0 +1,59 @@
+"""How long each contact, joint limit and joint stays in each mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ._kernels.contact_forces import HELD, SLIP, STICK
+from .records import ModeInterval
+
+MODES = {SLIP: "slip", STICK: "stick", HELD: "held"}
+"""Names of the modes of a contact that is closed."""
+
+
+class ModeIntervals:
+    """The modes of a run up to now.
+
+    Args:
+        model: The robot.
+        contacts: Names of the contacts, in the order of the modes.
+        limits: Names of the joint limits, which follow.
+
+    Attributes:
+        ended: Intervals that have ended, in order of their ends.
+        present: Mode now, and its start, of each contact, limit or joint that is not free.
+    """
+
+    def __init__(self, model: pin.Model, contacts: Sequence[str], limits: Sequence[str]) -> None:
+        self.ended: list[ModeInterval] = []
+        self.present: dict[str, tuple[str, float]] = {}
+        self._contacts = len(contacts)
+        self._limits = len(limits)
+        self._names = [*contacts, *limits, *(joint_of_velocity(model, i) for i in range(model.nv))]
+
+    def update(self, t: float, modes: NDArray[np.int64]) -> None:
+        """Take the modes (n + nl + nv,) that hold from t on: some intervals end, others begin."""
+        now = {self._names[i]: self._mode(i, int(modes[i])) for i in np.flatnonzero(modes).tolist()}
+        for source, (mode, start) in list(self.present.items()):
+            if now.get(source) != mode:
+                if t > start:
+                    self.ended.append(ModeInterval(source, mode, start, t))
+                del self.present[source]
+        for source, mode in now.items():
+            self.present.setdefault(source, (mode, t))
+
+    def _mode(self, i: int, mode: int) -> str:
+        if i < self._contacts:
+            return MODES[mode]
+        return "closed" if i < self._contacts + self._limits else "stuck"
+
+
+def joint_of_velocity(model: pin.Model, velocity: int) -> str:
+    """Return the name of the joint that a velocity index belongs to."""
+    return str(
+        model.names[max(j for j in range(1, model.njoints) if model.idx_vs[j] <= velocity and model.nvs[j])]
+    )

@@ -1,0 +1,178 @@
+"""Impacts within a scene: of contacts, of joint limits, and those without collision."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solve import solve_impact
+from ..errors import SimulationError
+from ..robot.contact import Contact
+from ..robot.matrices import contact_matrices
+from ..robot.names import free_velocities
+from ..robot.robot_impact import Hit, impact
+from .dynamics import SceneDynamics
+from .scene import JointLimit, Scene
+
+Array = NDArray[np.float64]
+
+
+class Impact(NamedTuple):
+    """What an impact comes to.
+
+    Attributes:
+        v: (nv,) velocity after it.
+        resting: The bounce would have been slower than the resting speed, so restitution was left out.
+        contact_space: Makes the problem and the impulse in world axes.
+        notes: What a reader should know of it.
+    """
+
+    v: Array
+    resting: bool
+    contact_space: Callable[[], tuple[ImpactProblem, Array]]
+    notes: tuple[str, ...] = ()
+
+
+class SceneImpacts:
+    """Resolves the impacts of a scene one by one, on Data of its own.
+
+    Args:
+        scene: The scene.
+        model: Its model, without what is switched off.
+        dynamics: The scene's contacts and limits.
+        held: Contacts that hold throughout.
+    """
+
+    def __init__(self, scene: Scene, model: pin.Model, dynamics: SceneDynamics, held: list[Contact]) -> None:
+        without = scene.without
+        self.data = model.createData()
+        self._model = model
+        self._dynamics = dynamics
+        self._held = held
+        self._locked = scene.locked if "locked joints" not in without else ()
+        self._limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
+        self._sustained = "sustained contact" not in without
+        self._resting_speed = scene.rest if self._sustained else 0.0
+        self._yielding = free_velocities(model, self._locked)
+        self._plastic: dict[int, Contact] = {}
+
+    def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
+        """Resolve the impact of a contact or, past those, of a joint limit.
+
+        Args:
+            t: Time [s].
+            q: (nq,) configuration.
+            v: (nv,) velocity before it.
+            i: Which.
+            approach: Its speed of approach [m/s or rad/s].
+        """
+        slow = self._sustained and approach <= self._resting_speed
+        contacts = len(self._dynamics.contacts)
+        if i < contacts:
+            return self._of_contact(q, v, i, slow)
+        return self._of_limit(t, q, v, self._dynamics.limits[i - contacts], approach, slow)
+
+    def _of_contact(self, q: Array, v: Array, i: int, slow: bool) -> Impact:
+        contact = self._dynamics.contacts[i]
+        plastic = not callable(contact.restitution) and contact.restitution == 0.0
+        hit, resting = None, slow and not plastic
+        notes: tuple[str, ...] = ()
+        if not slow:
+            hit, notes = self._impact(contact, q, v)
+            if self._sustained and not plastic:
+                resting = bool(self._dynamics.gaps_at(q, hit.v)[i, 1] < self._resting_speed)
+        if hit is None or resting:
+            if i not in self._plastic:
+                self._plastic[i] = replace(contact, restitution=0.0)
+            hit, more = self._impact(self._plastic[i], q, v)
+            notes += more
+        return Impact(hit.v, resting, partial(_of_hit, hit), notes)
+
+    def _impact(self, contact: Contact, q: Array, v: Array) -> tuple[Hit, tuple[str, ...]]:
+        if not self._held:
+            return impact(self._model, self.data, q, v, contact, locked=self._locked), ()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            hit = impact(self._model, self.data, q, v, contact, held=self._held, locked=self._locked)
+        return hit, tuple(str(warning.message) for warning in caught)
+
+    def _of_limit(
+        self, t: float, q: Array, v: Array, limit: JointLimit, approach: float, slow: bool
+    ) -> Impact:
+        e = self._limit_restitution
+        resting = e > 0.0 and self._sustained and (slow or e * approach < self._resting_speed)
+        e = 0.0 if resting else e
+        column = self._yielding_inverse(t, q, v)[:, limit.index_v]
+        c = float(column[limit.index_v])
+        speed = float(v[limit.index_v])
+        constrained = self._held or self._locked
+        if constrained and c <= 1e-12 * float(np.abs(column).max(initial=0.0)):
+            raise SimulationError(
+                f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but what is held or "
+                "locked keeps the joint from yielding; leave it out there",
+                field="locked",
+                value=limit.name,
+            )
+        return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
+
+    def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
+        """Return M⁻¹ with what is held and locked projected out."""
+        nv = self._model.nv
+        inverse = np.array(pin.computeMinverse(self._model, self.data, q)).reshape(nv, nv)
+        if self._yielding.all() and not self._held:
+            return inverse
+        rows = np.eye(nv)[~self._yielding]
+        if self._held:
+            contacts = len(self._dynamics.contacts)
+            held = range(contacts - len(self._held), contacts)
+            rows = np.vstack([rows, self._dynamics.free_motion_at(t, q, v, held).jacobian.reshape(-1, nv)])
+        response = inverse @ rows.T
+        inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
+        return inverse
+
+    def without_collision(self, q: Array, v: Array, i: int, stop: bool) -> Impact:
+        """Resolve the impact without collision of a contact that slips.
+
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity before it.
+            i: The contact.
+            stop: Whether to stop its slip outright, since such an impact has not.
+        """
+        contact = self._dynamics.contacts[i]
+        matrices = contact_matrices(self._model, self.data, q, contact, self._held, self._locked)
+        velocity = matrices.velocity(v)
+        velocity[2] = 0.0
+        e = contact.restitution_at(0.0)
+        problem = ImpactProblem(
+            matrices.delassus, velocity, contact.friction, e, contact.law, matrices.surface_velocity
+        )
+        if stop:
+            p = -np.linalg.pinv(matrices.delassus, rcond=1e-10, hermitian=True) @ velocity
+        else:
+            p = solve_impact(problem).impulse
+        return Impact(v + matrices.response @ p, False, partial(_given, problem, p @ matrices.axes))
+
+    def kinetic_energy(self, q: Array, v: Array) -> float:
+        """Return the kinetic energy [J]."""
+        return float(pin.computeKineticEnergy(self._model, self.data, q, v))
+
+
+def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:
+    return hit.problem, hit.impulse_world
+
+
+def _of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
+    return ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e), np.zeros(3)
+
+
+def _given(problem: ImpactProblem, impulse: Array) -> tuple[ImpactProblem, Array]:
+    return problem, impulse

@@ -1,0 +1,272 @@
+"""The state of a simulation, and what changes it at one instant: impacts, modes, corrections."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError, SimulationError
+from ..robot.contact import Contact
+from ..robot.pinocchio_bridge import check_inertia
+from ._kernels.approach import APART, ARRIVING, TOUCHING
+from ._kernels.contact_forces import SLIP
+from .dynamics import SceneDynamics
+from .mode_intervals import ModeIntervals
+from .records import ImpactRecord, Note
+from .scene import STANDARD_GRAVITY, Scene
+from .scene_impacts import Impact, SceneImpacts
+
+Array = NDArray[np.float64]
+
+GAP_FLOOR = 1e-12
+"""Gaps below this part of the robot's size are rounding."""
+
+HELD_GAP = 1e-3
+"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
+
+STICK_FRACTION = 0.1
+"""Slip slower than this part of the resting speed is none."""
+
+LEAST_APPROACH_FRACTION = 1e-9
+"""An approach slower than this part of the resting speed is rounding."""
+
+MAX_ROUNDS = 1000
+"""Impacts at one instant, after which the approach left is taken away at once (and noted)."""
+
+
+class SimulationState:
+    """The state of a simulation, and what there is to tell of the run so far.
+
+    Contacts are numbered first, held ones last of them, then joint limits. The arrays q and v are replaced,
+    never changed, so that records may share them.
+
+    Attributes:
+        t, q, v: Time [s] and state.
+        dynamics: The motion between events, with the modes that hold now.
+        names: Of the contacts that are watched, and of the joint limits.
+        impact_energy: Change of kinetic energy in impacts so far [J].
+        impacts, notes, modes: What there is to tell of the run so far.
+    """
+
+    def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
+        without = scene.without
+        self.t, self.q, self.v = 0.0, q, v
+        unreachable = scene.unreachable()
+        watched = () if "contact guards" in without else scene.contacts
+        contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
+        held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
+        limits = scene.limits() if "joint limits" not in without else ()
+        self._record = scene.record and "recorded path" not in without
+        self._resting_speed = scene.rest
+
+        check_inertia(model, data, q)
+        self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
+        self._impacts = SceneImpacts(scene, model, self.dynamics, held)
+        contact_names = [contact.label for contact in self.dynamics.contacts]
+        limit_names = [limit.name for limit in limits]
+        self.names = [*contact_names, *limit_names]
+        work = self.dynamics.work
+        gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
+        rounding = 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
+        work.gap_floor = GAP_FLOOR * scene.extent + rounding
+        work.touching_gap = 4.0 * work.gap_floor
+        work.resting_speed = 0.0 if "sustained contact" in without else scene.rest
+        work.least_approach = LEAST_APPROACH_FRACTION * scene.rest
+        work.stick_speed = STICK_FRACTION * scene.rest
+        work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
+        self._where = np.zeros(len(self.names), dtype=np.int64)
+        self._slow = np.zeros(len(self.names), dtype=np.int64)
+
+        self.impact_energy = 0.0
+        self.impacts: list[ImpactRecord] = []
+        self.notes: list[Note] = []
+        self.modes = ModeIntervals(model, contact_names, limit_names)
+        self._check_start(len(held), scene.extent)
+        self.modes.update(self.t, work.modes)
+
+    def note(self, text: str) -> None:
+        """Tell of something, at the present time."""
+        self.notes.append(Note(self.t, text))
+
+    # ---- impacts
+
+    def settle(self, arriving: int | None = None, starting: bool = False) -> None:
+        """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
+
+        Of contacts that approach together the fastest is resolved first, and again, until none approaches
+        faster than the resting speed.
+
+        Args:
+            arriving: A contact or limit whose gap is known to close now.
+            starting: Whether the motion starts now, so that all that touches has just closed its gap.
+        """
+        where, slow = self._where, self._slow
+        where[:] = APART
+        if arriving is not None:
+            where[arriving] = ARRIVING
+        resolved: list[dict[str, Any]] = []
+        jams = [0] * len(self.dynamics.contacts)
+        while True:
+            i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
+            if i >= 0 and len(resolved) < MAX_ROUNDS:
+                where[i] = TOUCHING
+                resolved.append(self._collide(i, -rate))
+                continue
+            if i >= 0:
+                self.note(
+                    f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
+                )
+            jammed = self._set_modes(slow)
+            if jammed < 0:
+                break
+            jams[jammed] += 1
+            if sum(jams) > MAX_ROUNDS:
+                raise SimulationError(
+                    f"scene: {MAX_ROUNDS} impacts without collision at t = {self.t:.6g} s do not settle, the "
+                    f"last at {self.names[jammed]!r}; less friction would end them",
+                    field="scene",
+                )
+            stop = jams[jammed] > 1
+            self.note(
+                f"Slip at {self.names[jammed]} drives the surface in and no force holds it: "
+                f"an impact without collision{', which stops it' if stop else ''}."
+            )
+            impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
+            resolved.append(self._take_over(jammed, impact))
+        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
+    def _collide(self, i: int, approach: float) -> dict[str, Any]:
+        """Resolve one impact; return the fields of its record."""
+        impact = self._impacts.resolve(self.t, self.q, self.v, i, approach)
+        for text in impact.notes:
+            self.note(text)
+        if impact.resting:
+            self.note(
+                f"{self.names[i]} is taken as resting: it would bounce slower than "
+                f"{self._resting_speed:.3g} m/s."
+            )
+        return self._take_over(i, impact)
+
+    def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
+        """Take over the velocity after an impact; return the fields of its record."""
+        before = self.v
+        self._change_velocity(impact.v)
+        return {
+            "time": self.t,
+            "source": self.names[i],
+            "q": self.q,
+            "v_before": before,
+            "v_after": impact.v,
+            "contact_space": impact.contact_space,
+            "resting": impact.resting,
+            "record": self._record and i < len(self.dynamics.contacts),
+        }
+
+    def _change_velocity(self, v: Array) -> None:
+        energy = self._impacts.kinetic_energy
+        self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
+        self.v = v
+
+    def stop_jammed_slip(self, certain: bool) -> bool:
+        """Stop contacts that jam, an impact without collision; return whether there are any.
+
+        Args:
+            certain: Whether the motion is known to end here, so that any slip is stopped.
+        """
+        v = self.v.copy()
+        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, certain):
+            return False
+        modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
+        slipping = ", ".join(name for name, mode in modes if mode == SLIP)
+        self.note(f"Slip at {slipping} makes the forces grow without bound; the contacts jam and stick.")
+        self._change_velocity(v)
+        return True
+
+    # ---- contacts that stay closed
+
+    def _set_modes(self, slow: NDArray[np.int64]) -> int:
+        """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
+        work = self.dynamics.work
+        before, constrained = work.modes.copy(), self.dynamics.constrained
+        self.v = self.v.copy()
+        jammed, converged, energy = self.dynamics.set_modes(self.t, self.q, self.v, slow)
+        self.impact_energy += energy
+        if jammed >= 0:
+            return jammed
+        if not converged:
+            self.note("The forces of the closed contacts were not found to the usual accuracy.")
+        same = bool((work.modes == before).all())
+        work.force_bound_ignored = constrained and same
+        if not same:
+            self.modes.update(self.t, work.modes)
+        return -1
+
+    def correct_drift(self) -> None:
+        """Bring the closed contacts back onto their surfaces, in position and in velocity."""
+        self.q, self.v = self.q.copy(), self.v.copy()
+        self.impact_energy += self.dynamics.correct_drift(self.t, self.q, self.v)
+
+    # ---- the start
+
+    def _check_start(self, held_count: int, extent: float) -> None:
+        dynamics = self.dynamics
+        count = len(dynamics.contacts)
+        free = count - held_count
+        gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
+        for i, gap in enumerate(gaps.tolist()):
+            if gap >= -dynamics.work.touching_gap or free <= i < count:
+                continue
+            if i < count:
+                contact = dynamics.contacts[i]
+                raise InputError(
+                    f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m "
+                    "below its surface; start with every contact on or above its surface",
+                    field="q0",
+                    value=gap,
+                )
+            raise InputError(
+                f"q0: the joint starts {-gap:.6g} beyond its limit {self.names[i]!r} "
+                f"({dynamics.limits[i - count].bound:.6g}); start within the limits, or leave "
+                'them out with without=("joint limits",)',
+                field="q0",
+                value=gap,
+            )
+        if held_count == 0:
+            return
+        for contact, gap in zip(dynamics.contacts[free:], gaps[free:count].tolist(), strict=True):
+            if abs(gap) > HELD_GAP * extent:
+                raise InputError(
+                    f"q0: the held contact {contact.label!r} starts {gap:.6g} m from its surface; start "
+                    "with it there, or put the surface where it is held",
+                    field="q0",
+                    value=gap,
+                )
+        rest_gaps = np.zeros(count)
+        rest_gaps[free:] = gaps[free:count]
+        dynamics.hold_at(rest_gaps)
+        held = range(free, count)
+        velocities = dynamics.free_motion_at(self.t, self.q, self.v, held).velocity
+        for i, velocity in zip(held, velocities, strict=True):
+            speed = float(np.linalg.norm(velocity))
+            if speed > 1e-6 * (1.0 + float(np.abs(self.v).max(initial=0.0))):
+                raise InputError(
+                    f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} m/s against "
+                    "its surface; start with it at rest there, or leave it out of held",
+                    field="v0",
+                    value=speed,
+                )
+
+
+def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
+    """Return a contact without the effects that are switched off."""
+    if "contact friction" in without:
+        contact = replace(contact, friction=0.0)
+    if "restitution" in without:
+        contact = replace(contact, restitution=0.0)
+    if "moving surfaces" in without:
+        contact = replace(contact, plane=contact.plane.at_rest())
+    return contact

@@ -1,0 +1,201 @@
+"""The memory that kernels share by name: what is declared is what Python and compiled code see."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from pinimpact._numeric.workspace import Workspace, count, flag, integer, integers, real, reals, size
+
+
+class Sample(Workspace):
+    """One field of every kind."""
+
+    rows = size("rows")
+    columns = size("columns")
+    active = count("rows", "rows in use")
+    total = integer("an integer")
+    factor = real("a number")
+    ready = flag("a truth value")
+    table = reals("rows", "columns", meaning="by rows")
+    turned = reals("rows", "columns", order="F", given=True, meaning="by columns")
+    front = reals("active", meaning="what is in use")
+    square = reals("active", "active", meaning="a matrix of what is in use")
+    blocks = reals("active", 3, "columns", meaning="three dimensions")
+    marks = integers("rows", meaning="integers")
+
+
+def sample(rows=4, columns=3, **arrays):
+    turned = np.asfortranarray(np.zeros((rows, columns)))
+    return Sample({"rows": rows, "columns": columns}, {"turned": turned, **arrays})
+
+
+@numba.njit
+def write(work, active):
+    """Write a number that tells its place into every entry of every field."""
+    work.active = active
+    work.factor = 2
+    work.total += 3
+    work.ready = work.factor == 2.0
+    for i in range(work.rows):
+        work.marks[i] = i
+        for j in range(work.columns):
+            work.table[i, j] = 10 * i + j
+            work.turned[i, j] = -(10 * i + j)
+    for a in range(len(work.front)):
+        work.front[a] = a + 0.5
+        for b in range(work.square.shape[1]):
+            work.square[a, b] = 10 * a + b
+        for k in range(3):
+            for j in range(work.blocks.shape[2]):
+                work.blocks[a, k, j] = 100 * a + 10 * k + j
+
+
+@pytest.mark.parametrize("function", [write, write.py_func], ids=["compiled", "Python"])
+def test_what_kernels_write_is_what_python_reads(function):
+    work = sample()
+    function(work, 2)
+    function(work, 2)
+    assert (work.active, work.total, work.factor, work.ready) == (2, 6, 2.0, True)
+    places = np.add.outer(10.0 * np.arange(4), np.arange(3))
+    assert np.array_equal(work.table, places)
+    assert np.array_equal(work.turned, -places)
+    assert work.turned.flags.f_contiguous
+    assert np.array_equal(work.front, [0.5, 1.5])
+    assert np.array_equal(work.square, [[0, 1], [10, 11]])
+    assert work.blocks.shape == (2, 3, 3)
+    assert work.blocks[1, 2, 1] == 121
+    assert np.array_equal(work.marks, np.arange(4))
+
+
+def test_arrays_that_are_given_are_used_in_place():
+    table = np.zeros((4, 3))
+    work = sample(table=table)
+    write(work, 1)
+    assert table[3, 2] == 32
+    assert work.table is table
+
+
+@pytest.mark.parametrize("function", [write, write.py_func], ids=["compiled", "Python"])
+@pytest.mark.parametrize("active", [5, -1])
+def test_a_count_stays_within_its_limit(function, active):
+    work = sample()
+    with pytest.raises(ValueError, match="active"):
+        function(work, active)
+    assert work.active == 0
+
+
+def test_python_sets_numbers_and_counts_but_no_sizes_and_no_arrays():
+    work = sample()
+    work.active, work.factor, work.ready = 4, 0.25, True
+    assert (work.active, work.factor, work.ready) == (4, 0.25, True)
+    with pytest.raises(ValueError, match="active: 5 set, at most rows = 4"):
+        work.active = 5
+    with pytest.raises(AttributeError, match="rows cannot be set"):
+        work.rows = 7
+    with pytest.raises(AttributeError, match="table cannot be set"):
+        work.table = np.zeros((4, 3))
+
+
+@pytest.mark.parametrize("name", ["rows", "table"])
+def test_kernels_cannot_move_arrays_or_sizes(name):
+    source = {"rows": lambda work: work.rows, "table": lambda work: work.table}[name]
+
+    @numba.njit
+    def set_again(work):
+        work.rows = 3
+
+    @numba.njit
+    def move(work):
+        work.table = np.zeros((4, 3))
+
+    work = sample()
+    before = source(work)
+    with pytest.raises(numba.core.errors.NumbaError, match=f"{name} cannot be set"):
+        (set_again if name == "rows" else move)(work)
+    assert source(work) is before or source(work) == before
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((4, 4)),
+        np.zeros((4, 3), dtype=np.float32),
+        np.zeros((4, 3), dtype=np.int64),
+        np.asfortranarray(np.zeros((4, 3))),
+        np.zeros((8, 3))[::2],
+    ],
+    ids=["shape", "precision", "integers", "order", "strides"],
+)
+def test_an_array_unlike_its_declaration_is_refused(array):
+    with pytest.raises(ValueError, match=r"^table: .* expected \(by rows\)"):
+        sample(table=array)
+
+
+def test_what_is_missing_or_unknown_is_refused():
+    with pytest.raises(ValueError, match="turned: missing"):
+        Sample({"rows": 4, "columns": 3}, {})
+    with pytest.raises(ValueError, match=r"sizes: \['rows'\] given"):
+        Sample({"rows": 4}, {})
+    with pytest.raises(ValueError, match=r"\['tabel'\]"):
+        sample(tabel=np.zeros((4, 3)))
+
+
+def test_it_cannot_be_copied_pickled_or_moved():
+    work = sample()
+    with pytest.raises(TypeError, match="addresses"):
+        pickle.dumps(work)
+    with pytest.raises(TypeError, match="addresses"):
+        copy.copy(work)
+    with pytest.raises(BufferError):
+        work.append(0)
+
+
+def test_its_type_changes_with_the_declaration():
+    class Other(Workspace):
+        """The same fields in another order."""
+
+        columns = size("columns")
+        rows = size("rows")
+
+    class Same(Workspace):
+        """The same fields, other words."""
+
+        columns = size("how many across")
+        rows = size("how many down")
+
+    assert Other.numba_type == Same.numba_type
+    assert Other.numba_type != Sample.numba_type
+
+
+FALL = """
+import numpy as np, pinocchio as pin
+from pinimpact import Contact, Plane, Scene, simulate
+model = pin.Model()
+joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+model.addFrame(pin.Frame("center", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+scene = Scene(model, [Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.0)])
+run = simulate(scene, [0, 0, 0.2, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0], 0.3)
+print(" ".join(repr(float(x)) for x in (*run.q[-1], *run.v[-1], run.impacts[0].time)))
+"""
+
+
+def test_scenes_run_with_the_jit_off():
+    """A ball falls, slides and rolls alike whether its kernels are compiled or plain Python."""
+    runs = []
+    for disabled in ("0", "1"):
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
+        done = subprocess.run(
+            [sys.executable, "-c", FALL], env=environment, capture_output=True, text=True, check=True
+        )
+        runs.append([float(x) for x in done.stdout.split()])
+    assert runs[1] == pytest.approx(runs[0], abs=1e-12)
+    assert runs[1][-1] == pytest.approx(np.sqrt(2 * 0.1 / 9.81), rel=1e-12)
