@@ -21,6 +21,7 @@ from .dynamics import (
     STILL,
     all_gaps,
     evaluate,
+    follow_surface,
     gaps,
     limit_gap,
     look_closely,
@@ -102,6 +103,8 @@ def probe(t, q, v, which, joints, rows, velocity, acceleration, surface, gap, me
     take(q, v, mem)
     release(t, mem, np.empty(2))
     put(joints, d1(mem, at.ACCELERATION))
+    for i in which:
+        follow_surface(mem, i)
     measure(mem, which, rows, velocity, acceleration, surface, gap)
 
 
@@ -143,6 +146,8 @@ def finish(t, h, error, explicit, floor, tolerated, seen, later, mem):
     drift = drifted(mem)
     velocity = d2(mem, at.VELOCITY).copy()
     stiffness = fastest_turn(mem)
+    for i in i1(mem, at.WHICH):
+        follow_surface(mem, i)
     if len(later):
         gaps(mem, later)
     if explicit:

@@ -25,6 +25,7 @@ from .dynamics import (
     UNIQUE,
     all_gaps,
     evaluate,
+    follow_surface,
     look_closely,
     release,
     take,
@@ -145,6 +146,7 @@ def choose(t, q, v, candidates, standing, reference, breaking, mem):
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
     for k in range(nc):
         b = 3 * k
+        follow_surface(mem, contacts[k])
         look_closely(mem, contacts[k], rows[b : b + 3], velocity[k], free[b : b + 3], surface)
         mu[k], held[k] = friction[contacts[k]], bilateral[contacts[k]] != 0
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)

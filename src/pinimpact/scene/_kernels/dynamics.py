@@ -9,7 +9,7 @@ import math
 
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner
-from ...robot._kernels import contact_motion
+from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from . import workspace as at
@@ -110,6 +110,13 @@ def look_closely(mem, i, rows, velocity, acceleration, surface):
         acceleration,
         surface,
     )
+
+
+@inner
+def follow_surface(mem, i):
+    """Let the axes of a contact follow its surface, see `contact_kinematics.follow`."""
+    placement, constants, ends = d2(mem, at.PLACEMENT), d2(mem, at.CONSTANTS), i2(mem, at.ENDS)
+    contact_kinematics.follow(placement[ends[i, 0]], placement[ends[i, 1]], constants[i])
 
 
 @inner
