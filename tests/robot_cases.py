@@ -44,6 +44,12 @@ def random_plane(rng, body=None, **rates):
     return pinimpact.Plane(point=rng.normal(size=3), normal=rng.normal(size=3), body=body, **rates)
 
 
+def random_sphere(rng, body=None, **rates):
+    return pinimpact.Sphere(
+        center=rng.normal(scale=0.3, size=3), radius=rng.uniform(0.01, 0.3), body=body, **rates
+    )
+
+
 def random_contact(frame, rng, plane=None, **changes):
     settings = {
         "friction": rng.uniform(0.0, 1.0),

@@ -72,11 +72,45 @@ def test_a_plane_refuses_what_is_no_plane(field, value):
     assert caught.value.field == field
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("center", (0, 0)),
+        ("center", (0, np.nan, 1)),
+        ("radius", 0.0),
+        ("radius", -1.0),
+        ("radius", np.inf),
+        ("radius", "big"),
+        ("velocity", "fast"),
+        ("angular_velocity", (0, 0, 0, 1)),
+        ("body", 1.5),
+    ],
+)
+def test_a_sphere_refuses_what_is_no_sphere(field, value):
+    with pytest.raises(pinimpact.InputError, match=field) as caught:
+        pinimpact.Sphere(**({"radius": 1.0} | {field: value}))
+    assert caught.value.field == field
+
+
+def test_a_sphere_has_to_be_given_its_radius():
+    with pytest.raises(pinimpact.InputError, match="radius"):
+        pinimpact.Sphere((0, 0, 1))
+
+
 @pytest.mark.parametrize("scale", [1e-200, 1e200])
 def test_a_normal_may_have_any_length(scale):
     assert pinimpact.Plane(normal=(0, 3 * scale, 4 * scale)).normal == pytest.approx((0, 0.6, 0.8))
 
 
-def test_planes_are_values():
+def test_surfaces_are_values():
     assert pinimpact.Plane(point=[1, 2, 3]) == pinimpact.Plane(point=np.array([1.0, 2.0, 3.0]))
     assert len({pinimpact.Plane(), pinimpact.Plane(normal=(0, 0, 5))}) == 1
+    assert len({pinimpact.Sphere([0, 0, 1], 2), pinimpact.Sphere(np.array([0.0, 0.0, 1.0]), 2.0)}) == 1
+    assert pinimpact.Sphere(radius=1.0) != pinimpact.Plane()
+
+
+def test_distances_from_surfaces():
+    plane = pinimpact.Plane(point=(0, 0, 2), normal=(0, 0, -3))
+    assert [plane.distance((5, 5, z)) for z in (0, 2, 3)] == [2.0, 0.0, -1.0]
+    sphere = pinimpact.Sphere(center=(1, 0, 0), radius=2)
+    assert [sphere.distance(p) for p in ((4, 4, 0), (1, 0, 2), (1, 1, 0))] == [3.0, 0.0, -1.0]

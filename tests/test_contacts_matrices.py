@@ -1,5 +1,6 @@
 """Gap, J, M and W of contacts, against finite differences, inverse dynamics and dense algebra."""
 
+import dataclasses
 import gc
 import weakref
 
@@ -20,25 +21,33 @@ def rng(request):
 
 
 def points(model, contact, q):
-    """Contact point and plane from forward kinematics of every frame, in world axes."""
+    """Contact point, gap, normal from forward kinematics of every frame, and the point in both frames."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    plane, frame = contact.plane, data.oMf[model.getFrameId(contact.frame)]
-    carrier = pin.SE3.Identity() if plane.body is None else data.oMf[model.getFrameId(plane.body)]
-    normal = carrier.rotation @ plane.normal
-    point = frame.act(np.array(contact.offset)) - contact.radius * normal
-    return point, carrier.act(np.array(plane.point)), normal, frame.actInv(point), carrier.actInv(point)
+    surface, frame = contact.plane, data.oMf[model.getFrameId(contact.frame)]
+    carrier = pin.SE3.Identity() if surface.body is None else data.oMf[model.getFrameId(surface.body)]
+    tip = frame.act(np.array(contact.offset))
+    if isinstance(surface, pinimpact.Plane):
+        normal = carrier.rotation @ surface.normal
+        distance = normal @ (tip - carrier.act(np.array(surface.point)))
+    else:
+        away = tip - carrier.act(np.array(surface.center))
+        distance = np.linalg.norm(away) - surface.radius
+        normal = away / np.linalg.norm(away)
+    point = tip - contact.radius * normal
+    return point, distance - contact.radius, normal, frame.actInv(point), carrier.actInv(point)
 
 
+@pytest.mark.parametrize("surface", [cases.random_plane, cases.random_sphere])
 @pytest.mark.parametrize("body", [None, "panda_link2"])
-def test_gap_and_jacobian_are_those_of_the_moving_points(rng, body):
+def test_gap_and_jacobian_are_those_of_the_moving_points(rng, body, surface):
     model, data = cases.load("panda")
     for _ in range(10):
         q, v = cases.random_state(model, rng)
-        contact = cases.random_contact("panda_hand_tcp", rng, cases.random_plane(rng, body))
+        contact = cases.random_contact("panda_hand_tcp", rng, surface(rng, body))
         matrices = pinimpact.contact_matrices(model, data, q, contact)
-        point, origin, normal, in_frame, in_carrier = points(model, contact, q)
-        assert contact.gap(model, data, q) == pytest.approx(normal @ (point - origin), abs=1e-14)
+        point, gap, normal, in_frame, in_carrier = points(model, contact, q)
+        assert contact.gap(model, data, q) == pytest.approx(gap, abs=1e-14)
         assert matrices.gap == contact.gap(model, data, q)
         assert np.abs(matrices.point - point).max() < 1e-14
         assert np.abs(matrices.axes - contact_axes(normal)).max() < 1e-14
@@ -92,20 +101,70 @@ def test_rotor_inertia_counts(rng):
     assert np.abs(loaded.delassus - expected).max() < 1e-13
 
 
-def test_surface_velocity_is_that_of_the_surface_at_the_contact_point(rng):
+@pytest.mark.parametrize(
+    ("surface", "about"), [(cases.random_plane, "point"), (cases.random_sphere, "center")]
+)
+def test_surface_velocity_is_that_of_the_surface_at_the_contact_point(rng, surface, about):
     model, data = cases.load("panda")
     q, _ = cases.random_state(model, rng)
     velocity, spin = rng.normal(size=3), rng.normal(size=3)
-    plane = cases.random_plane(rng, velocity=velocity, angular_velocity=spin)
-    seen = contact_geometry(model, data, q, cases.random_contact("panda_hand_tcp", rng, plane))
-    expected = velocity + np.cross(spin, seen.point - plane.point)
+    moving = surface(rng, velocity=velocity, angular_velocity=spin)
+    seen = contact_geometry(model, data, q, cases.random_contact("panda_hand_tcp", rng, moving))
+    expected = velocity + np.cross(spin, seen.point - getattr(moving, about))
     assert np.abs(seen.surface_velocity - seen.axes @ expected).max() < 1e-14
 
-    carried = cases.random_plane(rng, "panda_link1", velocity=velocity, angular_velocity=spin)
+    carried = surface(rng, "panda_link1", velocity=velocity, angular_velocity=spin)
     seen = contact_geometry(model, data, q, cases.random_contact("panda_hand_tcp", rng, carried))
     placement = data.oMf[model.getFrameId("panda_link1")]
-    local = velocity + np.cross(spin, placement.actInv(seen.point) - carried.point)
+    local = velocity + np.cross(spin, placement.actInv(seen.point) - getattr(carried, about))
     assert np.abs(seen.surface_velocity - seen.axes @ placement.rotation @ local).max() < 1e-14
+
+
+def test_a_sphere_without_end_is_a_plane(rng):
+    model, data = cases.load("panda")
+    q, v = cases.random_state(model, rng)
+    plane = cases.random_plane(rng, "panda_link2", velocity=(1, 2, 3), angular_velocity=(3, 2, 1))
+    flat = cases.random_contact("panda_hand_tcp", rng, plane)
+    reach = flat.gap(model, data, q) + np.linalg.norm(plane.point) + 2.0
+    for radius in (1e4, 1e6):
+        center = np.subtract(plane.point, radius * np.array(plane.normal))
+        velocity = plane.velocity + np.cross(plane.angular_velocity, center - plane.point)
+        sphere = pinimpact.Sphere(center, radius, velocity, plane.angular_velocity, plane.body)
+        curved = dataclasses.replace(flat, plane=sphere)
+        one, other = (pinimpact.contact_matrices(model, data, q, contact) for contact in (flat, curved))
+        sagitta = reach**2 / radius
+        assert abs(one.gap - other.gap) < sagitta
+        for field in ("axes", "delassus", "jacobian", "surface_velocity"):
+            expected = getattr(one, field)
+            off = np.abs(expected - getattr(other, field)).max()
+            assert off < 30 * sagitta * max(1.0, np.abs(expected).max()), field
+        hits = [pinimpact.impact(model, data, q, -np.sign(one.velocity(v)[2]) * v, c) for c in (flat, curved)]
+        assert np.abs(hits[0].v - hits[1].v).max() < 100 * sagitta * np.abs(hits[0].v).max()
+
+
+def test_axes_on_a_sphere_are_those_of_its_normal_wherever_the_tip_is(rng):
+    model, data = cases.load("ur5")
+    q, _ = cases.random_state(model, rng)
+    tip = pin.Data(model)
+    pin.framesForwardKinematics(model, tip, q)
+    tip = tip.oMf[model.getFrameId("tool0")].translation
+    for normal in (*rng.normal(size=(5, 3)), (0, 0, 1), (0, 0, -1)):
+        normal = np.array(normal) / np.linalg.norm(normal)
+        sphere = pinimpact.Sphere(center=tip - 0.5 * normal, radius=0.3)
+        seen = contact_geometry(model, data, q, pinimpact.Contact("tool0", sphere, radius=0.05))
+        assert seen.gap == pytest.approx(0.15, abs=1e-15)
+        assert np.abs(seen.axes - contact_axes(seen.axes[2])).max() < 1e-15
+        assert seen.axes[2] == pytest.approx(normal, abs=1e-15)
+
+
+def test_a_tip_inside_a_sphere_and_at_its_very_centre():
+    model, data = cases.load("ellipsoid")
+    q = pin.neutral(model)
+    for depth in (0.1, 0.3, 0.5):
+        q[:3] = 0.0, 0.5 - depth, 0.0
+        seen = contact_geometry(model, data, q, pinimpact.Contact("ellipsoid", pinimpact.Sphere(radius=0.5)))
+        assert seen.gap == pytest.approx(-depth, abs=1e-15)
+        assert seen.axes[2].tolist() == ([0.0, 1.0, 0.0] if depth < 0.5 else [0.0, 0.0, 1.0])
 
 
 def test_a_plane_on_a_fixed_frame_is_a_plane_in_the_world(rng):

@@ -6,12 +6,17 @@ import numba
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from pinimpact import Contact, Plane, Scene, contact_matrices
+from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
 from pinimpact.robot._kernels import contact_motion
-from pinimpact.scene._kernels import lie_charts
+from pinimpact.scene._kernels import gap_bounds, lie_charts
+from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
 from pinimpact.scene.joint_charts import joint_table
+
+from .scene_models import slider
 
 
 @numba.njit
@@ -26,6 +31,18 @@ def bounds(work, peak, h):
         peak,
         h,
     )
+
+
+@numba.njit
+def curvatures(gap, rate, later_gap, later_rate, width, bounds):
+    """Return `gap_bounds.curvatures`, which is called from kernels only."""
+    return gap_bounds.curvatures(gap, rate, later_gap, later_rate, width, bounds)
+
+
+def placements(model, data, q):
+    """Return the placement of each frame, by name."""
+    pin.framesForwardKinematics(model, data, q)
+    return {frame.name: pin.SE3(place) for frame, place in zip(model.frames, data.oMf, strict=True)}
 
 
 def curved_model():
@@ -72,16 +89,30 @@ def test_charts_move_as_the_model_does(size):
     assert pin.isNormalized(model, moved, 1e-15)
 
 
-@pytest.mark.parametrize("body", [None, "frame6"])
-@pytest.mark.parametrize("radius", [0.0, 0.4])
-def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, radius):
-    model = curved_model()
-    other = model.createData()
+def random_surfaces(body):
+    """A belt that turns, and balls that the tip is beside, above and below of, with spin."""
     normal = np.array([0.2, -0.5, 0.8])
     normal /= np.linalg.norm(normal)
     belt = np.cross(normal, [0.3, 0.7, -0.2])
-    plane = Plane((0.1, 0.2, -0.3), tuple(normal), tuple(belt), tuple(1.3 * normal), body)
-    contact = Contact("frame5", plane, offset=(0.1, -0.2, 0.3), radius=radius)
+    yield Plane((0.1, 0.2, -0.3), tuple(normal), tuple(belt), tuple(1.3 * normal), body)
+    model = curved_model()
+    data, (q, _, _) = model.createData(), random_state(model, 2)
+    pin.framesForwardKinematics(model, data, q)
+    tip = data.oMf[model.getFrameId("frame5")].act(np.array([0.1, -0.2, 0.3]))
+    if body is not None:
+        tip = data.oMf[model.getFrameId(body)].actInv(tip)
+    for away in ((0.3, 0.2, 0.8), (0.9, -0.3, -0.1), (0.1, 0.3, -0.7), (0.0, 0.0, -0.6)):
+        yield Sphere(tip - away, 0.5, angular_velocity=(0.4, -0.3, 0.9), body=body)
+
+
+@pytest.mark.parametrize("kind", range(5))
+@pytest.mark.parametrize("body", [None, "frame6"])
+@pytest.mark.parametrize("radius", [0.0, 0.4])
+def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, radius, kind):
+    model = curved_model()
+    other = model.createData()
+    surface = list(random_surfaces(body))[kind]
+    contact = Contact("frame5", surface, offset=(0.1, -0.2, 0.3), radius=radius)
     q, v, tau = random_state(model, 2)
     scene = Scene(model, [contact], control=lambda *_: tau)
     dynamics = SceneDynamics(scene, model, [contact], [], [])
@@ -102,9 +133,14 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     assert velocity[2] == pytest.approx(expected[2], abs=1e-12)
     assert np.hypot(*velocity[:2]) == pytest.approx(np.hypot(*expected[:2]), rel=1e-11)
     assert closed.jacobian[0, 2] == pytest.approx(matrices.h, abs=1e-12)
+    # so are both rows together, and nothing is mirrored
+    turn = np.linalg.lstsq(matrices.K, closed.jacobian[0, :2].T, rcond=None)[0]
+    assert matrices.K @ turn == pytest.approx(closed.jacobian[0, :2].T, abs=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1.0, abs=1e-12)
     assert closed.jacobian[0] @ v - velocity == pytest.approx(closed.surface[0], abs=1e-12)
     gap, rate = gap_and_rate(q, v)
     assert gap == pytest.approx(closed.gap[0], abs=1e-13)
+    assert rate == pytest.approx(velocity[2], abs=1e-12)
 
     h = 1e-5
     states = [(pin.integrate(model, q, s * v + 0.5 * s * s * a), v + s * a) for s in (h, -h)]
@@ -114,6 +150,32 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     )
     assert (ahead - behind) / (2 * h) == pytest.approx(acceleration, rel=1e-7, abs=1e-6)
     assert (gap_ahead - gap_behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
+
+
+def test_the_axes_of_a_scene_go_around_a_sphere_without_a_jump():
+    model = slider()
+    contact = Contact("point", Sphere(radius=1.0))
+    dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+    rows = []
+    for angle in np.linspace(0.0, 4.0 * np.pi, 400):  # twice over both poles
+        q = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        rows.append(dynamics.free_motion_at(0.0, q, np.zeros(3), [0]).jacobian[0])
+        assert rows[-1] @ rows[-1].T == pytest.approx(np.eye(3), abs=1e-14)
+        assert rows[-1][2] == pytest.approx(q, abs=1e-14)
+    assert np.abs(np.diff(rows, axis=0)).max() < 0.04
+    # along a great circle nothing turns about the normal
+    assert rows[-1] == pytest.approx(rows[0], abs=1e-13)
+
+
+def test_the_axes_of_a_scene_where_a_sphere_is_first_met_at_its_lowest_point():
+    model = slider()
+    contact = Contact("point", Sphere(radius=1.0))
+    for tilt in (0.0, 1e-17, -1e-17, 1e-9):
+        dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+        before = dynamics.free_motion_at(0.0, np.array([tilt, 0.0, -1.0]), np.zeros(3), [0]).jacobian[0]
+        after = dynamics.free_motion_at(0.0, np.array([-tilt, 1e-6, -1.0]), np.zeros(3), [0]).jacobian[0]
+        assert before @ before.T == pytest.approx(np.eye(3), abs=1e-14)
+        assert after == pytest.approx(before, abs=1e-5)
 
 
 def test_the_bound_of_the_curvature_holds():
@@ -128,3 +190,54 @@ def test_the_bound_of_the_curvature_holds():
         peak = np.array([abs(v), abs(a), 0 * v, 0 * v])
         size, *_ = bounds(dynamics.work, peak, 0.0)
         assert abs(closed.acceleration[0, 2]) <= size + 9.82  # the acceleration has gravity in it
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from(["", "frame5", "frame5 on frame6"]),
+    st.booleans(),
+    st.floats(-3, -0.5),
+)
+def test_the_bounds_of_a_gap_hold_between_any_two_times_of_a_step(seed, where, flat, size):
+    """Against differences of gaps along a motion of constant v̇; the tip may go right through the sphere."""
+    rng = np.random.default_rng(seed)
+    model, tip = (curved_model(), "frame5") if where else (slider(), "point")
+    body = "frame6" if "on" in where else None
+    data = model.createData()
+    h = 10.0**size
+    q, v, a = random_state(model, seed)
+    a = a / h * rng.uniform()  # what changes in the step is of the size of what is there
+    steps = 64
+    path = [q]
+    for k in range(steps):
+        path.append(pin.integrate(model, path[-1], h / steps * (v + (k + 0.5) / steps * h * a)))
+    place = [placements(model, data, q) for q in path]
+    tips = np.array([frames[tip].act(np.array([0.1, 0, 0.2])) for frames in place])
+    if body is not None:
+        tips = np.array([f[body].actInv(x) for f, x in zip(place, tips, strict=True)])
+    reach = np.abs(tips - tips[0]).max()
+    if flat:
+        surface = Plane(tips[0], rng.normal(size=3), body=body)
+    else:
+        surface = Sphere(tips[steps // 2] + rng.normal(size=3) * reach * rng.uniform(), 0.05, body=body)
+    contact = Contact(tip, surface, offset=(0.1, 0, 0.2), radius=0.05 * rng.integers(2))
+    gaps = np.array([contact.gap(model, data, q) for q in path])
+    dt = h / steps
+    rates = np.gradient(gaps, dt, edge_order=2)
+    second = np.concatenate([[np.nan], np.diff(gaps, 2) / dt**2, [np.nan]])
+    blur = 2e-15 * max(1.0, np.abs(tips).max()) / dt**2  # of the differences
+
+    dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+    dynamics.free_motion_at(0.0, path[int(rng.integers(steps))], v, [0])
+    ends = v, v + h * a
+    peak = np.array([np.maximum(*np.abs(ends)), abs(a), abs(h * a), 0 * v])
+    found = np.array(bounds(dynamics.work, peak, h))
+    found[:3] *= SAFETY
+    for _ in range(20):
+        i, j = sorted(rng.choice(np.arange(1, steps), 2, replace=False).tolist())
+        between = second[i : j + 1]
+        fall, bend = curvatures(gaps[i], rates[i], gaps[j], rates[j], (j - i) * dt, found)
+        slack = blur + 1e-3 * np.abs(between).max()
+        assert -between.min() <= fall + slack
+        assert np.abs(between).max() <= bend + slack

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
+    from .robot.sphere import Sphere
     from .scene.scene import Scene
     from .scene.simulation import simulate
     from .scene.trajectory import Trajectory
@@ -62,6 +63,7 @@ __all__ = [
     "Segment",
     "SimulationError",
     "Solution",
+    "Sphere",
     "Status",
     "Trajectory",
     "UnknownNameError",
@@ -98,6 +100,7 @@ _HOMES = {
     "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
+    "robot.sphere": ("Sphere",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),

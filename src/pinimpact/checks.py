@@ -52,6 +52,14 @@ def at_least_zero(name: str, value: Any) -> float:
     return number
 
 
+def above_zero(name: str, value: Any) -> float:
+    """Return `value` as a finite float > 0, or raise `InputError`."""
+    number = _finite(name, value)
+    if number <= 0.0:
+        raise InputError(f"{name}: {number} given; it must be above 0", field=name, value=value)
+    return number
+
+
 def _finite(name: str, value: Any) -> float:
     try:
         number = float(value)

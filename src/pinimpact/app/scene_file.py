@@ -1,4 +1,4 @@
-"""What a scene file may say: robots, planes, contacts, the start, what is computed and what is written."""
+"""What a scene file may say: robots, surfaces, contacts, the start, what is computed and what is written."""
 
 from __future__ import annotations
 
@@ -65,10 +65,20 @@ class PlaneTable(_Table):
     body: FrameKey | None = None
 
 
-class ContactTable(_Table):
-    """``[[contact]]``: a point of a robot and the plane it may meet; see `Contact`.
+class SphereTable(_Table):
+    """``[sphere.NAME]``: a surface; see `Sphere`."""
 
-    Without a name it is called "frame on plane", by their names in the file.
+    center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    radius: Length
+    velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
+    body: FrameKey | None = None
+
+
+class ContactTable(_Table):
+    """``[[contact]]``: a point of a robot and the surface it may meet, its ``plane``; see `Contact`.
+
+    Without a name it is called "frame on surface", by their names in the file.
     """
 
     frame: FrameKey
@@ -120,6 +130,7 @@ class SceneFile(_Table):
     control: ControlTable | None = None
     robot: list[RobotTable]
     plane: dict[str, PlaneTable] = {}
+    sphere: dict[str, SphereTable] = {}
     contact: list[ContactTable] = []
     start: StartTable = StartTable()
     locked: list[str] = []
@@ -155,6 +166,7 @@ _TABLES: dict[tuple[str, ...], type[_Table]] = {
     (): SceneFile,
     ("robot",): RobotTable,
     ("plane",): PlaneTable,
+    ("sphere",): SphereTable,
     ("contact",): ContactTable,
     ("start",): StartTable,
     ("control",): ControlTable,

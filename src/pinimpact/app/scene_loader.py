@@ -17,6 +17,8 @@ from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
 from ..robot.plane import Plane
+from ..robot.sphere import Sphere
+from ..robot.surfaces import Surface
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
@@ -114,7 +116,7 @@ def load_scene(path: str | Path) -> LoadedScene:
 
     Raises:
         InputError: No such file, no TOML, a key with a bad value; the message names the key.
-        UnknownNameError: A key, plane, joint, frame or robot that does not exist; near matches are offered.
+        UnknownNameError: A key, surface, joint, frame or robot that does not exist; near matches are offered.
         ModelError: A robot that cannot be used.
     """
     path = Path(path)
@@ -213,7 +215,7 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
 
 
 def _contacts(file: SceneFile) -> list[Contact]:
-    """Return the contacts; one without a name is called "frame on plane", by the names in the file."""
+    """Return the contacts; one without a name is called "frame on surface", by the names in the file."""
     tables = file.contact
     for index, table in enumerate(tables):
         if table in tables[:index]:
@@ -231,16 +233,18 @@ def _contacts(file: SceneFile) -> list[Contact]:
 
 
 def _contact(index: int, table: ContactTable, file: SceneFile, label: str) -> Contact:
-    key = f"contact[{index}]"
-    if table.plane not in file.plane:
-        raise UnknownNameError(
-            f"{key}.plane: no [plane.{table.plane}] in the file; {near_matches(table.plane, file.plane)}",
-            field=f"{key}.plane",
-            value=table.plane,
-        )
+    key, name = f"contact[{index}]", table.plane
+    tables: dict[type[Surface], dict[str, Any]] = {Plane: file.plane, Sphere: file.sphere}
+    kinds = [kind for kind, named in tables.items() if name in named]
+    if len(kinds) != 1:
+        known = [known for named in tables.values() for known in named]
+        trouble = f"no [plane.{name}] or [sphere.{name}] in the file; {near_matches(name, known)}"
+        if kinds:
+            trouble = f"{name!r} is both a plane and a sphere; give each its own name"
+        raise UnknownNameError(f"{key}.plane: {trouble}", field=f"{key}.plane", value=name)
     try:
-        plane = Plane(**file.plane[table.plane].model_dump())
-        return Contact(plane=plane, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
+        surface = kinds[0](**tables[kinds[0]][name].model_dump())
+        return Contact(plane=surface, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
     except InputError as error:
         raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
     except UnknownNameError as error:

@@ -32,7 +32,7 @@ class Contact:
 
     Attributes:
         frame: Frame that carries the point, by name or id.
-        plane: The surface it meets, a `Plane` or another `Surface`.
+        plane: The surface it meets: a `Plane` or a `Sphere`.
         friction: Coulomb coefficient μ ≥ 0.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
@@ -59,7 +59,9 @@ class Contact:
     def __post_init__(self) -> None:
         check_frame_key("frame", self.frame)
         if not isinstance(self.plane, Surface):
-            raise InputError(f"plane: {self.plane!r} is not a surface", field="plane", value=self.plane)
+            raise InputError(
+                f"plane: {self.plane!r} is not a Plane or a Sphere", field="plane", value=self.plane
+            )
         keep = object.__setattr__
         keep(self, "friction", at_least_zero("friction", self.friction))
         if not callable(self.restitution):

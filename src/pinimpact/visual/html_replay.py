@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..robot.contact import Contact
 from ..robot.matrices import contact_geometry
 from ..robot.plane import Plane
+from ..robot.sphere import Sphere
 from ..robot.surfaces import Surface, contact_axes
 from .collada import one_material_per_mesh
 
@@ -268,7 +269,16 @@ def _plate(plane: Plane, points: Array) -> tuple[Any, Array]:
     return shapes.Box([high[0] - low[0], high[1] - low[1], thickness]), placement
 
 
-_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[Any, Array]]] = {Plane: _plate}
+def _ball(sphere: Sphere, _: Array) -> tuple[Any, Array]:
+    """Return a whole sphere, and its placement."""
+    import meshcat.geometry as shapes
+
+    placement = np.eye(4)
+    placement[:3, 3] = sphere.center
+    return shapes.Sphere(sphere.radius), placement
+
+
+_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[Any, Array]]] = {Plane: _plate, Sphere: _ball}
 """What each kind of surface is drawn as: (surface, points) -> shape, placement."""
 
 

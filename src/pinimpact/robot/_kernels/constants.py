@@ -11,5 +11,5 @@ from __future__ import annotations
 
 TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, CONSTANTS = 0, 3, 4, 7, 16, 19, 22, 23, 24
 
-PLANE = 0
+PLANE, SPHERE = range(2)
 """The codes of kinds."""

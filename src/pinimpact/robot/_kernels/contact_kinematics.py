@@ -30,17 +30,21 @@ def contact_axes(nx, ny, nz):
     return 1.0 - f * u1 * u1, -f * u1 * u2, -nx, -f * u1 * u2, 1.0 - f * u2 * u2, -ny
 
 
+LEAST_RISE = 1e-12
+"""Of 1 + a₃·n: next to n = −a₃ the carried axes mean nothing, but are numbers."""
+
+
 @inner
 def carried_axes(k, n1, n2, n3):
     """Return t₁ and t₂ (3 + 3) in the carrier's axes: where the smallest rotation a₃ → n takes a₁ and a₂.
 
-    a₁, a₂, a₃ are the axes in the constants. So a scene's axes move with the surface and along it without a
-    jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
+    a₁, a₂, a₃ are the axes in the constants, which `follow` n. So a scene's axes move with the surface and
+    along it without a jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
     """
     a1, a2, a3 = k[AXES], k[AXES + 1], k[AXES + 2]
     b1, b2, b3 = k[AXES + 3], k[AXES + 4], k[AXES + 5]
     e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
-    w = 1.0 + e1 * n1 + e2 * n2 + e3 * n3
+    w = max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, LEAST_RISE)
     f, g = (a1 * n1 + a2 * n2 + a3 * n3) / w, (b1 * n1 + b2 * n2 + b3 * n3) / w
     m1, m2, m3 = e1 + n1, e2 + n2, e3 + n3
     return a1 - f * m1, a2 - f * m2, a3 - f * m3, b1 - g * m1, b2 - g * m2, b3 - g * m3
@@ -54,8 +58,25 @@ def carried_spin(k, n1, n2, n3, m1, m2, m3):
     """
     e1, e2, e3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
     w1, w2, w3 = cross(n1, n2, n3, m1, m2, m3)
-    f = (e1 * w1 + e2 * w2 + e3 * w3) / (1.0 + e1 * n1 + e2 * n2 + e3 * n3)
+    f = (e1 * w1 + e2 * w2 + e3 * w3) / max(1.0 + e1 * n1 + e2 * n2 + e3 * n3, LEAST_RISE)
     return w1 - f * n1, w2 - f * n2, w3 - f * n3
+
+
+@inner
+def follow(R, S, k):
+    """Let the axes in the constants become the present ones where n has turned more than 60° from them.
+
+    Components along the present axes stay what they are; those along axes at other places change a little.
+    """
+    _, _, _, x1, x2, x3 = relative(R, S, k)
+    _, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
+    c = k[AXES + 6] * n1 + k[AXES + 7] * n2 + k[AXES + 8] * n3
+    if c >= 0.5:
+        return
+    axes = carried_axes(k, n1, n2, n3) if c > -0.99 else contact_axes(n1, n2, n3)
+    for i in range(6):
+        k[AXES + i] = axes[i]
+    k[AXES + 6], k[AXES + 7], k[AXES + 8] = n1, n2, n3
 
 
 @inner

@@ -1,24 +1,31 @@
-"""The kinds of surfaces: the one place where a kernel asks which it is."""
+"""The kinds of surfaces: the one place where a kernel asks which it is; see `surface_plane` for the rest."""
 
 from __future__ import annotations
 
 from ..._numeric.jit import inner
-from . import surface_plane
+from . import surface_plane, surface_sphere
+from .constants import KIND, SPHERE
 
 
 @inner
 def distance(k, x1, x2, x3):
-    """Return the signed distance of x from the surface, and n (3); see `surface_plane` for all three."""
+    """Return the signed distance of x from the surface, and n (3)."""
+    if k[KIND] == SPHERE:
+        return surface_sphere.distance(k, x1, x2, x3)
     return surface_plane.distance(k, x1, x2, x3)
 
 
 @inner
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return the rate (3) of n when x moves at v."""
+    if k[KIND] == SPHERE:
+        return surface_sphere.normal_rate(k, x1, x2, x3, v1, v2, v3)
     return surface_plane.normal_rate(k, x1, x2, x3, v1, v2, v3)
 
 
 @inner
 def least_radius(k):
     """Return the least radius of curvature [m]."""
+    if k[KIND] == SPHERE:
+        return surface_sphere.least_radius(k)
     return surface_plane.least_radius(k)

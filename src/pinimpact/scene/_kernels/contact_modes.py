@@ -14,7 +14,13 @@ from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
 from .closed_set import close, delassus_of_rows, scalar_row, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK
-from .dynamics import evaluate_without_contacts, invert_mass_matrix, motion_of_contact, set_state
+from .dynamics import (
+    evaluate_without_contacts,
+    follow_surface,
+    invert_mass_matrix,
+    motion_of_contact,
+    set_state,
+)
 from .force_sweeps import forces_by_sweeps
 
 STANDARD_GRAVITY = 9.80665
@@ -85,6 +91,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     slip = np.zeros((nc, 2))  # left zero where a contact may stick
     for k in range(nc):
         b, i = 3 * k, contacts[k]
+        follow_surface(work, i)
         motion_of_contact(work, i, rows[b : b + 3], velocity[k], free[b : b + 3], surface)
         mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
         if goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1]):

@@ -7,7 +7,7 @@ import math
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner
 from ..._numeric.loops import assign
-from ...robot._kernels import contact_motion
+from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 
@@ -105,6 +105,13 @@ def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
         acceleration,
         surface,
     )
+
+
+@inner
+def follow_surface(work, i):
+    """Let the axes of a contact follow its surface, see `contact_kinematics.follow`."""
+    tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
+    contact_kinematics.follow(work.placements[tip], work.placements[base], work.contact_constants[i])
 
 
 @inner

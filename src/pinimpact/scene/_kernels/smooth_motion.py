@@ -16,6 +16,7 @@ from .dynamics import (
     contact_gaps,
     evaluate,
     evaluate_without_contacts,
+    follow_surface,
     motion_of_contact,
     motion_of_contacts,
     set_state,
@@ -89,6 +90,8 @@ def finish(work, t, h, error, explicit):
     for k in range(len(velocity)):
         assign(velocity[k], work.contact_velocity[k])
     stiffness = stiffness_of_slip(work)
+    for i in work.closed_index:
+        follow_surface(work, i)
     if len(work.end_gaps):
         contact_gaps(work, work.end_gaps)
     if explicit:
@@ -132,4 +135,6 @@ def free_motion_at(work, t, q, v, index, joints, jacobian, velocity, acceleratio
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
     assign(joints, work.acceleration)
+    for i in index:
+        follow_surface(work, i)
     motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap)

@@ -1,0 +1,34 @@
+"""A sphere about the surface's point, n pointing out of it; see `surface_plane` for what each function is."""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.jit import inner
+from .constants import SIZE
+
+
+@inner
+def distance(k, x1, x2, x3):
+    """Return |x| − R and x/|x|; at the very centre, where no direction is nearest, n is z."""
+    away = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3)
+    if away == 0.0:
+        return -k[SIZE], 0.0, 0.0, 1.0
+    return away - k[SIZE], x1 / away, x2 / away, x3 / away
+
+
+@inner
+def normal_rate(k, x1, x2, x3, v1, v2, v3):
+    """Return (v − n n·v)/|x|."""
+    away = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3)
+    if away == 0.0:
+        return 0.0, 0.0, 0.0
+    n1, n2, n3 = x1 / away, x2 / away, x3 / away
+    rise = n1 * v1 + n2 * v2 + n3 * v3
+    return (v1 - rise * n1) / away, (v2 - rise * n2) / away, (v3 - rise * n3) / away
+
+
+@inner
+def least_radius(k):
+    """Return R."""
+    return k[SIZE]

@@ -1,0 +1,75 @@
+"""A sphere to strike: a ball or the head of a post, in the world or carried by a body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import above_zero
+from ._kernels.constants import SPHERE
+from .surfaces import Surface, Vector, vector
+
+
+@dataclass(frozen=True)
+class Sphere(Surface):
+    """A sphere fixed in the world, moving at a given rate, or carried by a body; n points out of it.
+
+    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in that frame's
+    axes, `center` is from its origin, and the sphere moves with the frame; `velocity` and
+    `angular_velocity` are then what the surface does beyond that.
+
+    The gap of a contact whose tip has the radius r and its centre at c is |c − center| − `radius` − r. Where
+    c is `center` no direction is nearest, and n is taken as z.
+
+    Attributes:
+        center: Its centre [m].
+        radius: > 0 [m]; it must be given.
+        velocity: Velocity of the surface's material at `center` [m/s].
+        angular_velocity: Angular velocity of the surface's material about `center` [rad/s].
+        body: Frame that carries the sphere, by name or id; None for the world.
+
+    The velocities are rates of this instant: they do not move `center`.
+
+    Raises:
+        InputError: A vector that is not three finite numbers, or a radius that is not positive.
+    """
+
+    code: ClassVar[int] = SPHERE
+    center: Vector = (0.0, 0.0, 0.0)
+    radius: float = 0.0
+    velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
+    body: str | int | None = None
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "center", vector("center", self.center))
+        object.__setattr__(self, "radius", above_zero("radius", self.radius))
+
+    @property
+    def origin(self) -> Vector:
+        """The centre."""
+        return self.center
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) the axes at the pole on z: x, y, z."""
+        return np.eye(3)
+
+    @property
+    def size(self) -> float:
+        """The radius."""
+        return self.radius
+
+    def distance(self, point: ArrayLike) -> float:
+        """Return the signed distance of a point from the sphere, negative inside [m]."""
+        return float(np.linalg.norm(np.subtract(point, self.center))) - self.radius
+
+    def departure(self) -> str | None:
+        """Return how the material leaves the place, None for a spin about the centre."""
+        if not any(self.velocity):
+            return None
+        return f"moves at {float(np.linalg.norm(self.velocity)):.6g} m/s"
