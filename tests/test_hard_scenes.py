@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from benchmarks.fuzz_scenes import draw, unaccounted
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
 
+from .random_scenes import draw, unaccounted
 from .scene_models import G, run, unbounded
 
 MU = 2.0
