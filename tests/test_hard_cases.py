@@ -124,6 +124,7 @@ def test_4_reversal_in_a_plane(decade):
     assert near.velocity == pytest.approx(solution.velocity, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_4_half_integer_exponents():
     """Around the diverging direction the speed goes with the angle to the power −1/2, or almost."""
     delassus, velocity = np.array([[2.0, 0, -3], [0, 1, 0], [-3, 0, 5]]), np.array([-1.5, 1, -2])
@@ -136,6 +137,7 @@ def test_4_half_integer_exponents():
 # ---- 5: jam ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-100, 1e-12, 1e-3])
 def test_5_jam_at_first_touch(approach, law):
@@ -325,6 +327,7 @@ def test_sweeps_jump_only_where_they_may(name):
 # ---- the fuzz run, short ----
 
 
+@pytest.mark.slow
 def test_fuzz():
     report = random_impacts.run(seed=2, count=9000)
     assert [(what, category, law) for what, category, law, _ in report.violations] == []

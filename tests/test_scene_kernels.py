@@ -109,6 +109,7 @@ def test_the_motion_of_a_contact_is_that_of_its_surface_and_its_bodies(body, rad
     assert (gap_ahead - gap_behind) / (2 * h) == pytest.approx(rate, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_the_bound_of_the_curvature_holds():
     model = curved_model()
     contact = Contact("frame5", Plane(), offset=(0.1, 0, 0.2))
