@@ -8,109 +8,11 @@ places, circles the multiple-precision reference of the tests.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
-from pinimpact import ImpactProblem, solve_impact
-
-W = np.array([[1.5, 0.25, 0.875], [0.25, 1.125, -0.5], [0.875, -0.5, 1.375]])
-SYMMETRIC = np.array([[1.0, 0, 0.75], [0, 2.0, 0], [0.75, 0, 1.0]])
-JAMS = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]])
-THRESHOLD = float(np.linalg.norm(np.linalg.solve(W[:2, :2], W[:2, 2])))
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """A line through a regime boundary.
-
-    Attributes:
-        label: What x is.
-        start, end: Its range.
-        problem: The problem at x.
-        jumps: How many jumps the impact map has there.
-    """
-
-    label: str
-    start: float
-    end: float
-    problem: Callable[[float], ImpactProblem]
-    jumps: int = 0
-
-    def answer(self, x: float) -> np.ndarray:
-        """v⁺ and P at x, six numbers."""
-        solution = solve_impact(self.problem(x))
-        return np.concatenate([solution.velocity, solution.impulse])
-
-    def steepest(self, places: int, number: int) -> list[tuple[float, float]]:
-        """The intervals between equidistant places over which the answer changes the most."""
-        x = np.linspace(self.start, self.end, places)
-        steps = np.abs(np.diff([self.answer(y) for y in x], axis=0)).max(axis=1)
-        return [(x[k], x[k + 1]) for k in np.argsort(-steps)[:number]]
-
-    def close_in(self, low: float, high: float) -> tuple[float, float, float]:
-        """Halve an interval, keeping the half with the larger change; return it and the change left."""
-        first, last = self.answer(low), self.answer(high)
-        while True:
-            middle = (low + high) / 2
-            if not low < middle < high:
-                return low, high, float(np.abs(last - first).max())
-            half = self.answer(middle)
-            if np.abs(half - first).max() >= np.abs(last - half).max():
-                high, last = middle, half
-            else:
-                low, first = middle, half
-
-
-def _edge(law: str) -> Callable[[float], ImpactProblem]:
-    return lambda v3: ImpactProblem(JAMS, [0.5, 12, v3], 1.5, 1.0, law)
-
-
-SWEEPS = {
-    "1 friction through the stick threshold": Sweep(
-        "μ / threshold − 1",
-        -0.3,
-        0.3,
-        lambda x: ImpactProblem(W, [0.1, -0.2, -1.0], THRESHOLD * (1 + x), 0.5),
-    ),
-    "2 slip through the stable invariant direction": Sweep(
-        "angle off it [rad]",
-        -0.5,
-        0.5,
-        lambda x: ImpactProblem(SYMMETRIC, [2 * np.cos(x), 2 * np.sin(x), -1.0], 0.4, 0.5),
-    ),
-    "2 slip through the unstable invariant direction": Sweep(
-        "angle off it [rad]",
-        -0.5,
-        0.5,
-        lambda x: ImpactProblem(SYMMETRIC, [-2 * np.cos(x), 2 * np.sin(x), -1.0], 0.4, 0.5),
-    ),
-    "3 sliding speed through zero": Sweep(
-        "v₁ [m/s]", -0.2, 0.2, lambda x: ImpactProblem(W, [x, x * x, -1.0], 0.4, 0.5)
-    ),
-    "5 approach speed towards zero in jam": Sweep(
-        "v₃ [m/s]", -0.2, 0.0, lambda x: ImpactProblem(JAMS, [1.0, 0.5, x], 1.5, 0.5)
-    ),
-    "6 the second compression's edge, Poisson": Sweep("v₃ [m/s]", -0.56, -0.5, _edge("poisson"), 1),
-    "6 the second compression's edge, energetic": Sweep("v₃ [m/s]", -0.48, -0.42, _edge("energetic"), 1),
-    "7 restitution towards zero": Sweep(
-        "e", 0.0, 0.1, lambda e: ImpactProblem(JAMS, [0.5, 12, -0.5], 1.5, e, "energetic")
-    ),
-    "8 smallest eigenvalue through its tolerance": Sweep(
-        "ln λ / ‖W‖",
-        -40.0,
-        -10.0,
-        lambda x: ImpactProblem(
-            np.array([[1.5, 0, 1.5], [0, 3, 0], [1.5, 0, 1.5]])
-            + 1.5 * np.exp(x) * np.outer([1, 0, -1], [1, 0, -1]),
-            [-0.75, 0.75, -0.75],
-            0.5,
-            0.8,
-        ),
-    ),
-}
+from tests.reference.reference import solve_reference
+from tests.sweeps import SWEEPS, Sweep
 
 
 def main() -> None:
@@ -119,7 +21,6 @@ def main() -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from tests.reference.reference import solve_reference
 
     figure, panels = plt.subplots(3, 3, figsize=(15, 11), layout="constrained")
     for (name, sweep), panel in zip(SWEEPS.items(), panels.flat, strict=True):

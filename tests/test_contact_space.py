@@ -4,11 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import pinimpact
 from pinimpact import Flag, ImpactProblem, InputError, Status, solve_impact, solve_impacts
+
+from .drawing import examples
 
 LAWS = pinimpact.LAWS
 W = np.array([[1.0, 0.2, 0.3], [0.2, 1.5, -0.4], [0.3, -0.4, 2.0]])
@@ -42,7 +44,7 @@ def _sizes(problem, solution):
 
 
 @given(problems())
-@settings(max_examples=300, deadline=None)
+@examples(300)
 def test_every_impact_obeys_mechanics(problem):
     solution = solve_impact(problem)
     v0, v, P = np.asarray(problem.velocity), solution.velocity, solution.impulse
@@ -77,7 +79,7 @@ def test_every_impact_obeys_mechanics(problem):
 
 
 @given(problems())
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_segments_tile_the_impact(problem):
     solution = solve_impact(problem)
     assume(solution.status != Status.NO_IMPACT)
@@ -96,7 +98,7 @@ def test_segments_tile_the_impact(problem):
 
 
 @given(problems())
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_recorded_path_ends_where_the_solution_does(problem):
     solution = solve_impact(problem, record=True)
     assume(solution.status != Status.NO_IMPACT)
@@ -120,7 +122,7 @@ MAPS = {
 
 @pytest.mark.parametrize("name", MAPS)
 @given(problem=problems())
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_the_same_answer_in_mapped_axes_bit_for_bit(name, problem):
     T = MAPS[name]
     mapped = ImpactProblem(
@@ -133,7 +135,7 @@ def test_the_same_answer_in_mapped_axes_bit_for_bit(name, problem):
 
 
 @given(problems(), st.integers(-60, 60), st.integers(-60, 60))
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_masses_and_speeds_scale_bit_for_bit(problem, mass, speed):
     """W → W/m and v → s v for powers of two give v⁺ → s v⁺ and P → m s P."""
     m, s = 2.0**mass, 2.0**speed
@@ -148,7 +150,7 @@ def test_masses_and_speeds_scale_bit_for_bit(problem, mass, speed):
 
 
 @given(problems(laws=("poisson", "energetic")), st.floats(0, 6.3))
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_tangent_axes_do_not_matter(problem, angle):
     """Where the impact map does not jump, turned axes give the turned answer to rounding."""
     co, si = np.cos(angle), np.sin(angle)
@@ -166,7 +168,7 @@ def test_tangent_axes_do_not_matter(problem, angle):
 
 
 @given(problems(), st.tuples(*[st.floats(-5, 5)] * 3))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_a_moving_surface_only_adds_its_work(problem, surface):
     moving = ImpactProblem(
         problem.delassus, problem.velocity, problem.friction, problem.restitution, problem.law, surface
@@ -178,7 +180,7 @@ def test_a_moving_surface_only_adds_its_work(problem, surface):
 
 
 @given(st.lists(problems(laws=("energetic",)), min_size=1, max_size=6))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_batch_is_the_single_problem_row_by_row(rows):
     batch = solve_impacts(
         [p.delassus for p in rows],

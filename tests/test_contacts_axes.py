@@ -3,7 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import pinimpact
@@ -27,7 +27,6 @@ tilt = st.tuples(st.floats(-150, 0), st.floats(0, 2 * np.pi)).map(
 )
 
 
-@settings(deadline=None)
 @given(tilt, st.sampled_from([-1.0, 1.0]), st.floats(1e-3, 1e3))
 @example((1e-12, 0.0), -1.0, 1.0)
 @example((0.0, -1e-12), -1.0, 1.0)
@@ -39,7 +38,6 @@ def test_axes_are_those_of_the_smallest_rotation(xy, z, length):
     assert np.abs(contact_axes(normal) - rotated_axes(normal)).max() < 1e-15
 
 
-@settings(deadline=None)
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda n: max(map(abs, n)) > 1e-3))
 def test_axes_of_any_normal_are_orthonormal_and_right_handed(normal):
     axes = contact_axes(normal)

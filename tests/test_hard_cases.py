@@ -4,14 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks import fuzz
-from benchmarks.sweeps import JAMS, SWEEPS, SYMMETRIC, THRESHOLD, W
 
 import pinimpact
 from pinimpact import Flag, ImpactProblem, Status, solve_impact, solve_impacts
-from tests.reference.generate import sensitivity
-from tests.reference.problems import Problem
-from tests.reference.reference import solve_reference
+
+from . import random_impacts
+from .reference.generate import sensitivity
+from .reference.problems import Problem
+from .reference.reference import solve_reference
+from .sweeps import JAMS, SWEEPS, SYMMETRIC, THRESHOLD, W
 
 LAWS = pinimpact.LAWS
 MOST_ITERATIONS = 250
@@ -80,7 +81,7 @@ def test_2_slip_along_an_invariant_direction(along, off):
 @pytest.mark.parametrize("off", [0.0, 1e-12])
 def test_2_in_turned_axes(off):
     """In turned axes nothing is exact; a stable direction forgives it."""
-    T = fuzz.turned(np.array([0.7]))[0]
+    T = random_impacts.turned(np.array([0.7]))[0]
     delassus, velocity = T @ SYMMETRIC @ T.T, T @ [-3.0, off, -1.0]
     solution = solve((delassus + delassus.T) / 2, velocity, 0.4)
     straight = solve(SYMMETRIC, [-3.0, off, -1.0], 0.4)
@@ -123,18 +124,20 @@ def test_4_reversal_in_a_plane(decade):
     assert near.velocity == pytest.approx(solution.velocity, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_4_half_integer_exponents():
     """Around the diverging direction the speed goes with the angle to the power −1/2, or almost."""
     delassus, velocity = np.array([[2.0, 0, -3], [0, 1, 0], [-3, 0, 5]]), np.array([-1.5, 1, -2])
     agrees(delassus, velocity, 1.0, 0.75)
     for angle in np.linspace(0.1, 6, 20):
-        T = fuzz.turned(np.array([angle]))[0]
+        T = random_impacts.turned(np.array([angle]))[0]
         agrees((T @ delassus @ T.T + (T @ delassus @ T.T).T) / 2, T @ velocity, 1.0, 0.75)
 
 
 # ---- 5: jam ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("approach", [0.0, 1e-300, 1e-100, 1e-12, 1e-3])
 def test_5_jam_at_first_touch(approach, law):
@@ -185,7 +188,7 @@ def test_6_the_map_jumps_where_the_reference_does():
 
 @pytest.mark.parametrize("law", LAWS)
 def test_6_never_a_third(law):
-    p = fuzz.draw(np.random.default_rng(6), "second compression", 150)
+    p = random_impacts.draw(np.random.default_rng(6), "second compression", 150)
     for k in range(150):
         phases = [s.phase for s in solve(*(x[k] for x in p), law).segments]
         starts = [a for a, b in zip(phases, ["", *phases], strict=False) if a == "compression" != b]
@@ -324,8 +327,9 @@ def test_sweeps_jump_only_where_they_may(name):
 # ---- the fuzz run, short ----
 
 
+@pytest.mark.slow
 def test_fuzz():
-    report = fuzz.run(seed=2, count=9000)
+    report = random_impacts.run(seed=2, count=9000)
     assert [(what, category, law) for what, category, law, _ in report.violations] == []
     assert max(t.iterations for t in report.tallies.values()) <= MOST_ITERATIONS
     seen = {name for t in report.tallies.values() for name, number in t.flags.items() if number}
@@ -340,7 +344,7 @@ def test_fuzz_sees_a_wrong_answer(monkeypatch):
         batch.impulse[:, 0] *= 1 + 1e-8
         return batch
 
-    monkeypatch.setattr(fuzz, "solve_impacts", wrong)
-    report = fuzz.Report()
-    fuzz.check(np.random.default_rng(0), "isotropic", "poisson", 10, report)
+    monkeypatch.setattr(random_impacts, "solve_impacts", wrong)
+    report = random_impacts.Report()
+    random_impacts.check(np.random.default_rng(0), "isotropic", "poisson", 10, report)
     assert {"momentum", "ledger"} <= {what for what, *_ in report.violations}

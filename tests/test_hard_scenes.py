@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from benchmarks.fuzz_scenes import draw, unaccounted
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
 
+from .random_scenes import draw, unaccounted
 from .scene_models import G, run, unbounded
 
 MU = 2.0
@@ -117,6 +117,7 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
         assert min(heights) - lowest + 0.05 > -1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3000072, 3000170, 5000621, *range(4000001, 4000013)])
 def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
     _, scene, q, v, rtol = draw(seed)

@@ -8,12 +8,13 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from pinimpact import METHODS, Flag, ImpactProblem, InputError, PinimpactError, UnknownNameError, solve_impact
 from pinimpact.studies.cost import problem_classes, relative_error
 
+from .drawing import examples
 from .reference import table as stored
 
 TABLE = stored.load()
@@ -99,7 +100,7 @@ def problems(draw):
 
 
 @pytest.mark.parametrize("method", list(STEPPING))
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(problem=problems())
 def test_every_stepped_impact_obeys_mechanics(method, problem):
     try:

@@ -3,15 +3,17 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial.legendre import leggauss
 
 import pinimpact
 from pinimpact.robot.loading import bundled_models
 
+from .drawing import examples
+
 angle = st.floats(-3.0, 3.0)
-relaxed = settings(deadline=None, max_examples=40)
+relaxed = examples(40)
 
 
 def derivative(position, q):

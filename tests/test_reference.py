@@ -206,6 +206,7 @@ def test_table_covers_every_regime():
         assert np.sum(TABLE.flags >> bit & 1) >= 10, name
 
 
+@pytest.mark.slow
 def test_table_obeys_the_laws_of_mechanics():
     """Impulse-momentum, friction cone, energy, separation, and the law, to the last stored digit."""
     with mp.workdps(60):
@@ -318,6 +319,7 @@ def test_solve_impact(row):
             assert (Flag[name] in solution.flags) == bool(TABLE.flags[row] >> bit & 1), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rank", [1, 2])
 def test_singular_w_as_doubles_form_it(rank):
     """W = XXᵀ and v = Xw rounded to doubles, against the reference with X and w taken exactly."""

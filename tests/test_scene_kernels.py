@@ -178,6 +178,7 @@ def test_the_axes_of_a_scene_where_a_sphere_is_first_met_at_its_lowest_point():
         assert after == pytest.approx(before, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_bound_of_the_curvature_holds():
     model = curved_model()
     contact = Contact("frame5", Plane(), offset=(0.1, 0, 0.2))

@@ -103,6 +103,7 @@ def test_slip_begins_and_ends_when_a_swelling_force_says_so():
     assert trajectory.v[-1, 0] == pytest.approx(swell * (4.0 - start) ** 2 / (2 * mass), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_pendulum_keeps_period_and_energy_over_many_swings():
     amplitude, swings = 2.0, 10_000
     m = np.sin(amplitude / 2) ** 2

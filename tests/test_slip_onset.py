@@ -52,6 +52,7 @@ def test_the_onset_of_slip_takes_few_steps():
     assert trajectory.statistics["steps"] < 50  # an explicit method needs hundreds at the onset
 
 
+@pytest.mark.slow
 def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
     """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""
     model, parent = pin.Model(), 0

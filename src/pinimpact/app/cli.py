@@ -22,6 +22,9 @@ OUT = click.option(
 )
 
 
+STARTING = "starting; the first time, kernels are compiled for about a minute"
+"""What one waits for until the first step is done."""
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
@@ -59,7 +62,8 @@ def demo(robot: str, out: Path) -> None:
     from .report import impact_report
 
     out.mkdir(parents=True, exist_ok=True)
-    shown = run_demo(robot)
+    with Console(stderr=True).status(STARTING):
+        shown = run_demo(robot)
     impact = shown.impact
     Console().print(impact_report(shown.robot.model, shown.contact, impact))
     contact, e = shown.contact, impact.problem.restitution
@@ -99,9 +103,9 @@ def run(scene: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     stopped: PinimpactError | None = None
     with Progress(transient=True) as bar:
-        task = bar.add_task("simulating", total=loaded.file.duration)
+        task = bar.add_task(STARTING, total=loaded.file.duration)
         try:
-            trajectory = loaded.run(lambda t, _: bar.update(task, completed=t))
+            trajectory = loaded.run(lambda t, _: bar.update(task, completed=t, description="simulating"))
         except SimulationError as error:
             if error.partial is None:
                 raise

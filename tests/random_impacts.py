@@ -1,0 +1,542 @@
+"""Random contact-space problems drawn to hit the solver's edges, and checks of what must hold of each answer.
+
+What is checked of each answer: that it is finite; v₃⁺ ≥ 0; P in the friction cone; v⁺ = v⁻ + W P; friction
+takes work; the works add up to the change of kinetic energy, which does not grow under the energetic law and
+for e = 0; the restitution law's own sum; the same bits after mirroring, swapping the tangent axes, and
+scaling by powers of two; the same answer, within what roundings of the input change, after turning the axes
+and scaling by other numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinimpact import LAWS, Flag, Status, solve_impacts
+
+Array = NDArray[np.float64]
+EPS = 2.0**-52
+ROUNDINGS = 8.0
+"""Size of the changes, in units of EPS, by which the sensitivity is measured."""
+TRIALS = (3, 300)
+"""How often it is measured: for every problem, and for one that would violate without."""
+ALLOWED = 8.0
+"""Disagreement over sensitivity that counts as a violation."""
+
+
+class Problems(NamedTuple):
+    """N problems: W (N, 3, 3), v (N, 3), μ (N,), e (N,)."""
+
+    delassus: Array
+    velocity: Array
+    friction: Array
+    restitution: Array
+
+    def __getitem__(self, rows):
+        return Problems(*(tuple.__getitem__(self, k)[rows] for k in range(4)))
+
+
+# ---- drawing ----
+
+
+def power(rng, n, low, high) -> Array:
+    """Ten to uniform powers."""
+    return 10.0 ** rng.uniform(low, high, n)
+
+
+def sign(rng, n) -> Array:
+    return rng.choice([-1.0, 1.0], n)
+
+
+def gram(rng, n, columns=7) -> Array:
+    X = rng.standard_normal((n, 3, columns))
+    return symmetric(X @ X.transpose(0, 2, 1) / columns)
+
+
+def symmetric(W: Array) -> Array:
+    return (W + W.transpose(0, 2, 1)) / 2
+
+
+def approach(rng, n, slip=1.0, normal=1.0) -> Array:
+    v = rng.standard_normal((n, 3))
+    v[:, :2] *= np.reshape(slip, (-1, 1))
+    v[:, 2] = -(np.abs(v[:, 2]) + 0.01) * normal
+    return v
+
+
+def critical(W: Array) -> Array:
+    """The stick threshold ‖A⁻¹b‖."""
+    return np.linalg.norm(np.linalg.solve(W[:, :2, :2], W[:, :2, 2:]), axis=(1, 2))
+
+
+def turned(angle: Array) -> Array:
+    """(N, 3, 3) rotations of the tangent axes."""
+    R = np.zeros((len(angle), 3, 3))
+    R[:, 0, 0] = R[:, 1, 1] = np.cos(angle)
+    R[:, 1, 0] = np.sin(angle)
+    R[:, 0, 1] = -R[:, 1, 0]
+    R[:, 2, 2] = 1.0
+    return R
+
+
+def mapped(T: Array, W: Array, v: Array) -> tuple[Array, Array]:
+    return symmetric(T @ W @ T.transpose(0, 2, 1)), np.einsum("nij,nj->ni", T, v)
+
+
+def outer(x: Array) -> Array:
+    return x[:, :, None] * x[:, None, :]
+
+
+def general(rng, n):
+    W = gram(rng, n, int(rng.choice([3, 4, 7])))
+    D = power(rng, (n, 3), -2, 0)
+    return W * outer(D), approach(rng, n, power(rng, n, -3, 1), power(rng, n, -3, 1)), power(rng, n, -2, 1)
+
+
+def near_critical(rng, n):
+    W = gram(rng, n, 4)
+    mu = critical(W) * (1 + sign(rng, n) * power(rng, n, -16, -2))
+    slip = np.where(rng.random(n) < 0.3, 0.0, power(rng, n, -12, 0))
+    return W, approach(rng, n, slip), mu
+
+
+def exactly_critical(rng, n):
+    a, d, ratio = 2.0 ** rng.integers(-2, 3, (3, n))
+    ratio /= 32
+    p, q, h = np.array([(3, 4, 5), (5, 12, 13), (8, 15, 17), (1, 0, 1)])[rng.integers(4, size=n)].T
+    W = np.zeros((n, 3, 3))
+    W[:, 0, 0], W[:, 1, 1] = a, d
+    W[:, 0, 2], W[:, 1, 2] = a * p * ratio, d * q * ratio * sign(rng, n)
+    W[:, 2, 2] = W[:, 0, 2] ** 2 / a + W[:, 1, 2] ** 2 / d + 2.0 ** -rng.integers(0, 6, n)
+    W = np.maximum(W, W.transpose(0, 2, 1)) + np.minimum(W, W.transpose(0, 2, 1))
+    W[:, [0, 1, 2], [0, 1, 2]] /= 2
+    slip = np.where(rng.random(n) < 0.3, 0.0, power(rng, n, -300, 0))
+    return W, approach(rng, n, slip), h * ratio
+
+
+def invariant(rng, n):
+    """Slip on an invariant direction or a hair off, stable and unstable; exactly in half of them."""
+    W, mu = gram(rng, n, 4), power(rng, n, -2, 0.5)
+    plane = rng.random(n) < 0.5
+    W[plane, 0, 1] = W[plane, 1, 0] = W[plane, 1, 2] = W[plane, 2, 1] = 0.0
+    angle = np.where(plane, np.pi * rng.integers(0, 2, n), rng.uniform(0, 2 * np.pi, n))
+    for _ in range(50):  # g(φ) = σ⊥ᵀ(b − μAσ) by Newton's method
+        co, si = np.cos(angle), np.sin(angle)
+        lean = (W[:, 1, 1] - W[:, 0, 0]) * co * si + W[:, 0, 1] * (co * co - si * si)
+        slope = (W[:, 1, 1] - W[:, 0, 0]) * (co * co - si * si) - 4 * W[:, 0, 1] * co * si
+        g = W[:, 1, 2] * co - W[:, 0, 2] * si - mu * lean
+        dg = -W[:, 1, 2] * si - W[:, 0, 2] * co - mu * slope
+        angle = np.where(plane, angle, angle - np.clip(g / dg, -0.5, 0.5))
+    off = sign(rng, n) * power(rng, n, -30, -1) * (rng.random(n) < 0.7)
+    co, si = np.cos(angle), np.where(plane, 0.0, np.sin(angle))
+    direction = np.stack([co - off * si, si + off * co], axis=1)
+    v = approach(rng, n, 0.0)
+    v[:, :2] = direction * power(rng, n, -2, 1)[:, None]
+    return W, v, mu
+
+
+def tiny_slip(rng, n):
+    slip = np.where(rng.random(n) < 0.1, 0.0, power(rng, n, rng.choice([-16, -300], n), -2))
+    return gram(rng, n, 4), approach(rng, n, slip), power(rng, n, -2, 1)
+
+
+def jam(rng, n):
+    """Slip nearly along b, and enough friction to drive the surface in; some without any approach."""
+    W = gram(rng, n, int(rng.choice([3, 4])))
+    b = W[:, :2, 2]
+    angle = np.arctan2(b[:, 1], b[:, 0]) + rng.uniform(-1, 1, n)
+    v = np.stack([np.cos(angle), np.sin(angle), -power(rng, n, -3, 1)], axis=1)
+    v[:, 2] *= rng.random(n) < 0.8
+    mu = power(rng, n, -2, 0.5) + W[:, 2, 2] / np.abs(np.sum(b * v[:, :2], axis=1))
+    v[:, :2] *= power(rng, n, -3, 1)[:, None]
+    return W, v, mu
+
+
+def slow_approach(rng, n):
+    W, v, mu = jam(rng, n)
+    v[:, 2] = -power(rng, n, rng.choice([-16, -300], n), -2)
+    return W, v, np.where(rng.random(n) < 0.5, mu, power(rng, n, -2, 0))
+
+
+def second_compression(rng, n):
+    """Around a family in which slip turns into jam after the first compression, up to its edge."""
+    W = np.tile([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], (n, 1, 1))
+    v = np.tile([0.5, 12, 0], (n, 1))
+    spread = np.where(rng.random(n) < 0.3, 0.0, 0.1)
+    W[:, 0, 0] *= 1 + 0.2 * spread * rng.random(n)
+    W[:, 1, 1] *= 1 + spread * rng.uniform(-1, 1, n)
+    v[:, 1] *= 1 + spread * rng.uniform(-1, 1, n)
+    v[:, 2] = -rng.uniform(0.3, 0.6, n)
+    edge = spread == 0
+    v[edge, 2] = -0.529177 + (sign(rng, n) * power(rng, n, -9, -3))[edge]
+    some = rng.random(n) < 0.7
+    T = turned(np.where(some, rng.uniform(0, 7, n), 0.0))
+    W, v = mapped(T, W, v)
+    return W, v, np.where(edge, 1.5, rng.uniform(1.3, 1.7, n))
+
+
+def rank_exact(rng, n, rank, inside=0.9):
+    """XXᵀ of integers: singular in exact arithmetic; now and then with a velocity that it cannot produce."""
+    X = rng.integers(-5, 6, (n, 3, rank)).astype(float)
+    v = np.einsum("nij,nj->ni", X, rng.integers(-64, 65, (n, rank)) / 32)
+    v[v[:, 2] > 0] *= -1
+    v = np.where((rng.random(n) < inside)[:, None], v, rng.integers(-64, 1, (n, 3)) / 32)
+    return (
+        X @ X.transpose(0, 2, 1) * (2.0 ** rng.integers(-6, 3, n))[:, None, None],
+        v,
+        power(rng, n, -1.5, 1.5),
+    )
+
+
+def rank_rounded(rng, n, rank):
+    """XXᵀ and Xw as doubles form them."""
+    X = rng.standard_normal((n, 3, rank))
+    X *= power(rng, (n, 3), -1, 0)[:, :, None]
+    v = np.einsum("nij,nj->ni", X, rng.standard_normal((n, rank)))
+    v[v[:, 2] > 0] *= -1
+    return symmetric(X @ X.transpose(0, 2, 1)), v, power(rng, n, -1.5, 1.5)
+
+
+def nearly_singular(rng, n):
+    """One or two eigenvalues about where they stop to count."""
+    Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
+    small = power(rng, n, -18, -12)
+    values = np.stack([np.ones(n), np.where(rng.random(n) < 0.7, power(rng, n, -2, 0), small), small], axis=1)
+    return symmetric(Q * values[:, None, :] @ Q.transpose(0, 2, 1)), approach(rng, n), power(rng, n, -1.5, 1)
+
+
+def ill_conditioned(rng, n):
+    Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
+    last = power(rng, n, -13.5, -3)
+    values = np.stack([np.ones(n), last ** rng.random(n), last], axis=1)
+    return symmetric(Q * values[:, None, :] @ Q.transpose(0, 2, 1)), approach(rng, n), power(rng, n, -1.5, 1)
+
+
+def planar(rng, n):
+    """A mechanism that moves in a plane; the surface of some moves across it; some in turned axes."""
+    W, v = gram(rng, n, 3), approach(rng, n, power(rng, n, -3, 1))
+    W[:, 1, :] = W[:, :, 1] = 0.0
+    v[rng.random(n) < 0.7, 1] = 0.0
+    W, v = mapped(turned(np.where(rng.random(n) < 0.5, rng.uniform(0, 7, n), 0.0)), W, v)
+    return W, v, power(rng, n, -1.5, 1)
+
+
+def high_friction(rng, n):
+    return gram(rng, n), approach(rng, n, power(rng, n, -3, 3)), power(rng, n, 1, 6)
+
+
+def frictionless(rng, n):
+    return gram(rng, n, int(rng.integers(3, 8))), approach(rng, n, power(rng, n, -9, 9)), np.zeros(n)
+
+
+def coincident(rng, n):
+    """Slip that stops exactly as compression or the impact ends, and other meetings of small integers."""
+    X = rng.integers(-2, 3, (n, 3, 3)).astype(float)
+    W = X @ X.transpose(0, 2, 1)
+    v = rng.integers(-4, 5, (n, 3)) / 2.0
+    v[:, 2] = -np.abs(v[:, 2])
+    mu = rng.integers(0, 9, n) / 4.0
+    stop = rng.random(n) < 0.5
+    a, d, c = 2.0 ** rng.integers(-2, 4, (3, n))
+    m, v3 = rng.integers(1, 64, (2, n)) / 32
+    W[stop] = (np.eye(3) * np.stack([a, d, c], axis=1)[:, None, :])[stop]
+    mu[stop] = m[stop]
+    v[stop] = np.stack([m * a * v3 / c * rng.choice([1, 1.5], n), np.zeros(n), -v3], axis=1)[stop]
+    return W, v, mu
+
+
+def scaled(rng, n):
+    """Masses from 1e-9 to 1e9 kg, speeds from 1e-12 to 1e6 m/s."""
+    W, v, mu = general(rng, n)
+    return W * power(rng, n, -9, 9)[:, None, None], v * power(rng, n, -12, 6)[:, None], mu
+
+
+def isotropic(rng, n):
+    """A a multiple of the identity; in some b = 0 as well, where slip never turns."""
+    W, v = gram(rng, n), approach(rng, n, power(rng, n, -3, 1))
+    W[:, 0, 1] = W[:, 1, 0] = 0.0
+    W[:, 1, 1] = W[:, 0, 0] = W[:, 0, 0] + W[:, 1, 1]
+    W[rng.random(n) < 0.3, 2, :2] = 0.0
+    W[:, :2, 2] = W[:, 2, :2]
+    return W, v, power(rng, n, -1.5, 0.5)
+
+
+CATEGORIES: dict[str, Callable] = {
+    "general": general,
+    "near-critical friction": near_critical,
+    "exactly critical friction": exactly_critical,
+    "invariant direction": invariant,
+    "tiny slip": tiny_slip,
+    "jam": jam,
+    "slow approach": slow_approach,
+    "second compression": second_compression,
+    "rank two, exactly": lambda rng, n: rank_exact(rng, n, 2),
+    "rank two, rounded": lambda rng, n: rank_rounded(rng, n, 2),
+    "rank one, exactly": lambda rng, n: rank_exact(rng, n, 1),
+    "rank one, rounded": lambda rng, n: rank_rounded(rng, n, 1),
+    "nearly singular": nearly_singular,
+    "ill-conditioned": ill_conditioned,
+    "planar": planar,
+    "high friction": high_friction,
+    "frictionless": frictionless,
+    "coincident events": coincident,
+    "scaled": scaled,
+    "isotropic": isotropic,
+}
+
+
+def draw(rng: np.random.Generator, category: str, count: int) -> Problems:
+    """Draw problems of a category; a third of them with e = 0 or e = 1."""
+    W, v, mu = CATEGORIES[category](rng, count)
+    e = np.where(rng.random(count) < 0.35, rng.integers(0, 2, count), rng.random(count))
+    if category == "second compression":
+        e = 1 - (rng.random(count) < 0.5) * rng.uniform(0, 0.1, count)
+    if category == "coincident events":
+        e = rng.integers(0, 5, count) / 4
+    return Problems(np.ascontiguousarray(W), v, np.asarray(mu, dtype=float), e.astype(float))
+
+
+# ---- solving, changing, comparing ----
+
+
+class Answers(NamedTuple):
+    """What `solve_impacts` says of N problems."""
+
+    velocity: Array
+    impulse: Array
+    compression: Array
+    status: NDArray[np.int64]
+    flags: NDArray[np.int64]
+    iterations: NDArray[np.int64]
+
+
+def solve(p: Problems, law: str) -> Answers:
+    s = solve_impacts(*p, law)
+    return Answers(s.velocity, s.impulse, s.compression_impulse, s.status, s.flags, s.iterations)
+
+
+def sizes(p: Problems, s: Answers) -> tuple[Array, Array]:
+    """The sizes of the velocities and impulses that occur in each problem."""
+    P = np.abs(s.impulse).max(axis=1)
+    return np.abs(p.velocity).max(axis=1) + np.abs(p.delassus).max(axis=(1, 2)) * P, P
+
+
+def difference(p: Problems, a: Answers, velocity: Array, impulse: Array, status) -> Array:
+    """The largest change of v⁺ and P over their sizes; infinite where only one has an answer."""
+    speed, size = sizes(p, a)
+    tiny = np.finfo(float).tiny
+    with np.errstate(over="ignore"):
+        gap = np.abs(velocity - a.velocity).max(axis=1) / np.maximum(speed, tiny)
+        gap = np.maximum(gap, np.abs(impulse - a.impulse).max(axis=1) / np.maximum(size, tiny))
+    one, other = a.status <= Status.LOCKED, status <= Status.LOCKED
+    return np.where(one & other, gap, np.where(one == other, 0.0, np.inf))
+
+
+def perturbed(rng: np.random.Generator, p: Problems) -> Problems:
+    """The problem after a few roundings: W → TWTᵀ and v → Tv with T close to one, rounded relative to ‖W‖."""
+    n = len(p.friction)
+
+    def noise(*shape: int) -> Array:
+        return ROUNDINGS * EPS * rng.uniform(-1, 1, (n, *shape))
+
+    T = np.eye(3) + noise(3, 3) * [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
+    W, v = mapped(T, p.delassus, p.velocity)
+    # as turning the axes does; a singular W must not be taken for another
+    W = W + symmetric(noise(3, 3)) / 4 * np.abs(W).max(axis=(1, 2), keepdims=True)
+    return Problems(W, v, p.friction * (1 + noise()), np.minimum(p.restitution * (1 + noise()), 1.0))
+
+
+def sensitivity(rng: np.random.Generator, p: Problems, law: str, answers: Answers, trials: int) -> Array:
+    """What roundings of the input change, at least one of the answer's own; measured."""
+    largest = np.full(len(p.friction), ROUNDINGS * EPS)
+    for _ in range(trials):
+        s = solve(perturbed(rng, p), law)
+        largest = np.maximum(largest, difference(p, answers, s.velocity, s.impulse, s.status))
+    return largest
+
+
+EXACT_MAPS = {
+    "mirrored": np.diag([-1.0, 1.0, 1.0]),
+    "axes swapped": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "half turn": np.diag([-1.0, -1.0, 1.0]),
+}
+
+
+def bits(a: Answers) -> Array:
+    return np.column_stack([a.velocity, a.impulse, a.compression, a.status, a.flags])
+
+
+def same_bits(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> dict[str, NDArray[np.bool_]]:
+    """Whether maps that cost no rounding change no bit."""
+    wrong = {}
+    for name, T in EXACT_MAPS.items():
+        s = solve(Problems(T @ p.delassus @ T.T, p.velocity @ T.T, p.friction, p.restitution), law)
+        s = s._replace(velocity=s.velocity @ T, impulse=s.impulse @ T)
+        wrong[name] = ~np.equal(bits(s), bits(a)).all(axis=1) & (a.status <= Status.LOCKED)
+        wrong[name] |= s.status != a.status
+    # up, never down: numbers that underflow would be rounded
+    m, u = 2.0 ** rng.integers(0, 60, (2, len(p.friction)))
+    s = solve(
+        Problems(p.delassus / m[:, None, None], p.velocity * u[:, None], p.friction, p.restitution), law
+    )
+    s = s._replace(
+        velocity=s.velocity / u[:, None],
+        impulse=s.impulse / (m * u)[:, None],
+        compression=s.compression / (m * u),
+    )
+    wrong["powers of two"] = ~np.equal(bits(s), bits(a)).all(axis=1) & (a.status <= Status.LOCKED)
+    return wrong
+
+
+def seen_otherwise(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> Array:
+    """The disagreement after turning the axes, and after changing units by factors that round."""
+    n = len(p.friction)
+    T = turned(rng.uniform(0, 2 * np.pi, n))
+    back = T.transpose(0, 2, 1)
+    W, v = mapped(T, p.delassus, p.velocity)
+    s = solve(Problems(W, v, p.friction, p.restitution), law)
+    turn = difference(
+        p, a, np.einsum("nij,nj->ni", back, s.velocity), np.einsum("nij,nj->ni", back, s.impulse), s.status
+    )
+    m, u = power(rng, (n, 1), -3, 3), power(rng, (n, 1), -3, 3)
+    s = solve(Problems(p.delassus / m[:, :, None], p.velocity * u, p.friction, p.restitution), law)
+    return np.maximum(turn, difference(p, a, s.velocity / u, s.impulse / (m * u), s.status))
+
+
+# ---- what must hold ----
+
+
+def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
+    """Which rows break which law of mechanics."""
+    s = solve_impacts(*p, law)
+    W, v0, mu, e = p
+    v, P, pc, status = s.velocity, s.impulse, s.compression_impulse, s.status
+    ok = status <= Status.LOCKED
+    wrong = {"not converged": status == Status.NOT_CONVERGED}
+    wrong["refused"] = ~ok & (np.linalg.eigvalsh(W)[:, 0] > 1e-13 * np.abs(W).max(axis=(1, 2)))
+    wrong["refused"] |= ~ok & (status != Status.UNSTOPPABLE) & (status != Status.LAW_UNREACHABLE)
+    wrong["not finite"] = ok != np.isfinite(np.column_stack([v, P, pc])).all(axis=1)
+    # from here on in units of each problem, so that nothing under- or overflows
+    w, u = np.abs(W).max(axis=(1, 2)), np.abs(v0).max(axis=1)
+    w, u = np.where(w > 0, w, 1.0), np.where(u > 0, u, 1.0)
+    W, v0, v = W / w[:, None, None], v0 / u[:, None], v / u[:, None]
+    P, pc = P / u[:, None] * w[:, None], pc / u * w
+    works = [x / u / u * w for x in (s.work.compression, s.work.restitution, s.work.friction)]
+    wc, wr, wf = works
+    size = np.abs(P).max(axis=1)
+    speed = 1.0 + size
+    magnitude = np.abs(wc) + np.abs(wr) + np.abs(wf)
+    gained = np.sum(P * (v0 + v), axis=1) / 2
+    wrong["v3 < 0"] = v[:, 2] < 0
+    wrong["outside the cone"] = np.hypot(P[:, 0], P[:, 1]) > mu * P[:, 2] * (1 + 1e-13)
+    # parts of v that a singular W cannot have made are rounding, amplified by its smallest other eigenvalue
+    values = np.sort(np.abs(np.linalg.eigvalsh(W)), axis=1)
+    least = np.where(values[:, 0] > 32 * EPS * values[:, 2], values[:, 0], values[:, 1])
+    singular = s.flags & Flag.SINGULAR_DELASSUS != 0
+    projected = np.where(singular, np.minimum(64 * EPS * values[:, 2] / np.maximum(least, EPS), 4e-6), 0.0)
+    imbalance = np.abs(v - v0 - np.einsum("nij,nj->ni", W, P)).max(axis=1)
+    wrong["momentum"] = imbalance > (1e-11 + projected) * speed
+    wrong["friction gives work"] = wf > 0
+    wrong["normal works' signs"] = (wc > 1e-12 * magnitude) | (wr < -1e-12 * magnitude)
+    wrong["ledger"] = np.abs(wc + wr + wf - gained) > (1e-11 + projected) * (magnitude + speed * size)
+    passive = (law == "energetic") | (e == 0)
+    wrong["energy grows"] = passive & (wc + wr + wf > 1e-12 * magnitude)
+    wrong["energy created, not said"] = (s.flags & Flag.ENERGY_CREATED == 0) & (gained > 1e-12 * speed * size)
+    if law == "poisson":
+        lack = np.abs(P[:, 2] - (1 + e) * pc) > 1e-13 * P[:, 2]
+    elif law == "energetic":
+        lack = np.abs(wr + e * e * wc) > 1e-12 * magnitude
+    else:
+        lack = v[:, 2] != -e * v0[:, 2]
+        lack &= np.abs(v[:, 2] + e * v0[:, 2]) > 4 * EPS * np.abs(v0[:, 2])
+    held = (status == Status.SEPARATED) | (status == Status.ENDED_AT_REST) | (law == "poisson")
+    wrong["law"] = lack & held & (status != Status.NO_IMPACT)
+    return {
+        name: rows & (ok | (name in ("not converged", "refused", "not finite")))
+        for name, rows in wrong.items()
+    }
+
+
+@dataclass
+class Tally:
+    """What the run saw in one category."""
+
+    problems: int = 0
+    refused: int = 0
+    iterations: int = 0
+    disagreement: float = 0.0
+    flags: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass
+class Report:
+    """The tallies by category, and every violation as (what, category, law, problem)."""
+
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    violations: list[tuple[str, str, str, Problems]] = field(default_factory=list)
+    longest: tuple[int, str, Problems] | None = None
+
+    def markdown(self) -> str:
+        """Return the tallies as tables."""
+        lines = [
+            "| category | problems | refused | most iterations | worst disagreement / sensitivity |",
+            "| --- | ---: | ---: | ---: | ---: |",
+        ]
+        for name, t in self.tallies.items():
+            lines.append(f"| {name} | {t.problems} | {t.refused} | {t.iterations} | {t.disagreement:.2g} |")
+        total = sum(t.problems for t in self.tallies.values())
+        refused = sum(t.refused for t in self.tallies.values())
+        most = max(t.iterations for t in self.tallies.values())
+        worst = max(t.disagreement for t in self.tallies.values())
+        lines.append(f"| **all** | {total} | {refused} | {most} | {worst:.2g} |")
+        lines += ["", "| flag | problems that raised it |", "| --- | ---: |"]
+        for flag in Flag:
+            lines.append(f"| {flag.name} | {sum(t.flags[flag.name] for t in self.tallies.values())} |")
+        return "\n".join(lines)
+
+
+def check(rng: np.random.Generator, category: str, law: str, count: int, report: Report) -> None:
+    """Draw problems of a category, solve them, and enter what was seen into the report."""
+    p = draw(rng, category, count)
+    a = solve(p, law)
+    wrong = mechanics(p, law) | same_bits(rng, p, law, a)
+
+    gap = seen_otherwise(rng, p, law, a)
+    sensitive = sensitivity(rng, p, law, a, TRIALS[0])
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(np.isinf(sensitive), 0.0, gap / sensitive)
+    for k in np.flatnonzero(ratio > 2.0):  # measured too coarsely, or a violation
+        one = p[np.full(TRIALS[1], k)]
+        same = Answers(*(x[np.full(TRIALS[1], k)] for x in a))
+        most = sensitivity(rng, one, law, same, 1).max()
+        ratio[k] = 0.0 if np.isinf(most) else gap[k] / max(most, sensitive[k])
+    wrong["seen otherwise"] = ratio > ALLOWED
+
+    tally = report.tallies.setdefault(category, Tally())
+    tally.problems += count
+    tally.refused += int(np.sum(a.status > Status.LOCKED))
+    tally.disagreement = max(tally.disagreement, float(ratio.max()))
+    longest = int(a.iterations.argmax())
+    tally.iterations = max(tally.iterations, int(a.iterations[longest]))
+    if report.longest is None or a.iterations[longest] > report.longest[0]:
+        report.longest = int(a.iterations[longest]), law, p[longest]
+    for flag in Flag:
+        tally.flags[flag.name] = tally.flags.get(flag.name, 0) + int(np.sum(a.flags & flag != 0))
+    for name, rows in wrong.items():
+        report.violations += [(name, category, law, p[k]) for k in np.flatnonzero(rows)]
+
+
+def run(seed: int, count: int, chunk: int = 5000) -> Report:
+    """Check `count` problems, spread over the categories and laws, in chunks that depend on the seed only."""
+    report = Report()
+    kinds = [(category, law) for category in CATEGORIES for law in LAWS]
+    shares = [count // len(kinds) + (k < count % len(kinds)) for k in range(len(kinds))]
+    for k, (category, law) in enumerate(kinds):
+        for j, start in enumerate(range(0, shares[k], chunk)):
+            rng = np.random.default_rng((seed, k, j))
+            check(rng, category, law, min(chunk, shares[k] - start), report)
+    return report
