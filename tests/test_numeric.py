@@ -15,9 +15,9 @@ COMPILES = settings(deadline=None)
 
 
 @numba.njit
-def solve_least_norm(matrix, right, x):
+def solve_least_norm(matrix, right, x, null):
     """Call the kernel, which only kernels can."""
-    return least_norm.least_norm(matrix, right, TOLERANCE, x)
+    return least_norm.least_norm(matrix, right, TOLERANCE, x, null)
 
 
 @numba.njit
@@ -48,16 +48,19 @@ def test_least_norm_is_that_of_the_singular_values(seed, rows, columns, rank, co
     rng = np.random.default_rng(seed + 1)
     right = matrix @ rng.normal(size=columns) if consistent else rng.normal(size=rows)
     before = matrix.copy()
-    x = np.empty(columns)
-    assert solve_least_norm(matrix, right, x) == rank
+    x, null = np.empty(columns), np.empty((columns, columns))
+    assert solve_least_norm(matrix, right, x, null) == rank
     assert (matrix == before).all()
+    null = null[: columns - rank]
+    assert np.abs(matrix @ null.T).max(initial=0.0) <= 1e-13
+    assert null @ null.T == pytest.approx(np.eye(columns - rank), abs=1e-14)
     expected = np.linalg.pinv(matrix, rcond=TOLERANCE) @ right if rank else np.zeros(columns)
     assert x == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
 def test_least_norm_of_columns_that_repeat_shares_evenly():
     x = np.empty(4)
-    assert solve_least_norm(np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([2.0]), x) == 1
+    assert solve_least_norm(np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([2.0]), x, np.empty((0, 4))) == 1
     assert x == pytest.approx(0.5, rel=1e-15)
 
 

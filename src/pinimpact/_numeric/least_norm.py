@@ -15,21 +15,23 @@ from .jit import inner
 
 
 @inner
-def least_norm(matrix, right, rank_tolerance, x):
-    """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
+def decompose(matrix, right, rank_tolerance, order, factor):
+    """Replace a matrix (m, n) by its complete orthogonal decomposition, and right (m,) by Qᵀ right.
 
     Args:
-        matrix: (m, n) A, which is left as it is.
-        right: (m,) b.
+        matrix: A; takes T above the diagonal of the rank, and beside it the vectors of Z.
+        right: b.
         rank_tolerance: Part of the largest pivot below which pivots count as zero.
-        x: (n,) takes the solution.
+        order: (n,) takes the columns Π.
+        factor: (min(m, n),) takes what else Z needs.
 
     Returns:
-        The rank that was found.
+        The rank.
     """
     m, n = matrix.shape
-    r, b = matrix.copy(), right.copy()
-    order = np.arange(n)
+    r, b = matrix, right
+    for j in range(n):
+        order[j] = j
     rank, largest = 0, 0.0
     for k in range(min(m, n)):
         # anew at every step, for updated norms lose their digits just where the rank is decided
@@ -68,7 +70,6 @@ def least_norm(matrix, right, rank_tolerance, x):
         rank += 1
     # reflections from the right take rows [R₁₁ R₁₂] to [T 0], from the last row up; each acts on its own
     # diagonal and the columns past the rank
-    factor = np.empty(rank)
     for k in range(rank - 1, -1, -1):
         length = r[k, k] * r[k, k]
         for j in range(rank, n):
@@ -86,20 +87,53 @@ def least_norm(matrix, right, rank_tolerance, x):
             r[i, k] += total * head
             for j in range(rank, n):
                 r[i, j] += total * r[k, j]
-    y = np.zeros(n)
+    return rank
+
+
+@inner
+def rotate_back(matrix, rank, order, factor, y, x):
+    """Fill x (n,) with Π Z y, for a decomposed matrix; y (n,) is overwritten."""
+    n = len(y)
+    for k in range(rank):
+        total = y[k] * factor[k]
+        for j in range(rank, n):
+            total += y[j] * matrix[k, j]
+        total /= matrix[k, k] * factor[k]
+        y[k] += total * factor[k]
+        for j in range(rank, n):
+            y[j] += total * matrix[k, j]
+    for k in range(n):
+        x[order[k]] = y[k]
+
+
+@inner
+def least_norm(matrix, right, rank_tolerance, x, null):
+    """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
+
+    Args:
+        matrix: (m, n) A, which is left as it is.
+        right: (m,) b.
+        rank_tolerance: Part of the largest pivot below which pivots count as zero.
+        x: (n,) takes the solution.
+        null: (k, n) takes, in its first n − rank rows as far as it has them, an orthonormal basis of what A
+            takes to zero.
+
+    Returns:
+        The rank.
+    """
+    m, n = matrix.shape
+    r, b, y = matrix.copy(), right.copy(), np.zeros(n)
+    order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
+    rank = decompose(r, b, rank_tolerance, order, factor)
     for k in range(rank - 1, -1, -1):
         total = b[k]
         for j in range(k + 1, rank):
             total -= r[k, j] * y[j]
         y[k] = total / r[k, k]
-    for k in range(rank):  # y ← Z y
-        total = y[k] * factor[k]
-        for j in range(rank, n):
-            total += y[j] * r[k, j]
-        total /= r[k, k] * factor[k]
-        y[k] += total * factor[k]
-        for j in range(rank, n):
-            y[j] += total * r[k, j]
-    for k in range(n):
-        x[order[k]] = y[k]
+    rotate_back(r, rank, order, factor, y, x)
+    for k in range(min(n - rank, len(null))):
+        for j in range(n):
+            y[j] = 0.0
+        y[rank + k] = 1.0
+        rotate_back(r, rank, order, factor, y, null[k])
     return rank

@@ -15,10 +15,9 @@ from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact, contact_constants
 from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
-from ._kernels import approach, closed_set, contact_forces, contact_modes, dynamics, jamming, smooth_motion
+from ._kernels import approach, closed_set, contact_modes, dynamics, jamming, smooth_motion
 from ._kernels import drift as drifting
 from ._kernels import end_of_modes as ending
-from ._kernels.contact_forces import HELD, SLIP
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import WORKS, DenseStep
 from .joint_charts import joint_table
@@ -72,7 +71,7 @@ class SceneDynamics:
         # by address from the kernels, so these must live as long as this
         self._calls = (
             *(robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics),
-            *(Call(self._take_least_norm, ()), Call(self._ask_control, ())),
+            Call(self._ask_control, ()),
         )
         calls = call_addresses(self._calls)
         if self.control is None:
@@ -150,11 +149,6 @@ class SceneDynamics:
                 value=tau,
             )
         work.control_force[:] = tau
-
-    def _take_least_norm(self) -> None:
-        """Solve for the forces of least norm, without forces that pull where none need to."""
-        work = self.work
-        work.solution[:] = least_norm(work.system, work.target, work.closed_mode)
 
     def check(self) -> None:
         """Raise what went wrong in a call from a kernel, if anything did."""
@@ -262,26 +256,3 @@ class SceneDynamics:
         smooth_motion.free_motion_at(self.work, t, q, v, np.array(contacts, dtype=np.int64), *found)
         self.check()
         return found
-
-
-def least_norm(system: Array, target: Array, modes: NDArray[np.int64]) -> NDArray[Any]:
-    """Return the solution of least norm, without forces that pull where none need to."""
-    solution = np.linalg.lstsq(system, target, rcond=contact_forces.SINGULAR_STILL)[0]
-    widths = [1 if mode == SLIP else 3 for mode in modes]
-    starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
-    kept = np.ones(len(target), dtype=bool)
-    trial = solution
-    while True:
-        pulls = [
-            (trial[starts[k] + widths[k] - 1], k)
-            for k in range(len(modes))
-            if modes[k] != HELD and kept[starts[k]]
-        ]
-        normal, k = min(pulls, default=(0.0, 0))
-        if normal >= 0.0:
-            return trial
-        kept[starts[k] : starts[k + 1]] = False
-        trial = np.zeros(len(target))
-        trial[kept] = np.linalg.lstsq(system[:, kept], target, rcond=contact_forces.SINGULAR_STILL)[0]
-        if np.abs(system @ trial - target).max() > 1e-9 * np.abs(target).max():
-            return solution

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from ..._numeric.jit import inner
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, products
 
@@ -118,6 +119,45 @@ def set_up_equations(work, acceleration):
             system[a, a] = largest
             target[a] = 0.0
     return least
+
+
+@inner
+def solve_least_norm(work):
+    """Fill the solution of least norm, without contacts that pull where the others can do without them."""
+    modes, system, target, solution = work.closed_mode, work.system, work.target, work.solution
+    size = len(target)
+    no_basis = np.empty((0, size))
+    least_norm(system, target, SINGULAR_STILL, solution, no_basis)
+    largest = 0.0
+    for a in range(size):
+        largest = max(largest, abs(target[a]))
+    trial, columns, part = np.empty(size), np.empty((size, size)), np.empty(size)
+    pushes = np.ones(size, dtype=np.bool_)
+    assign(trial, solution)
+    while True:
+        pull, pulling, width = 0.0, size, 0
+        a = 0
+        for k in range(len(modes)):
+            rows = 1 if modes[k] == SLIP else 3
+            if modes[k] != HELD and pushes[a] and trial[a + rows - 1] < pull:
+                pull, pulling, width = trial[a + rows - 1], a, rows
+            a += rows
+        if pulling == size:
+            assign(solution, trial)
+            return
+        for a in range(pulling, pulling + width):
+            pushes[a] = False
+        for b in range(size):
+            for a in range(size):
+                columns[a, b] = system[a, b] if pushes[b] else 0.0
+        least_norm(columns, target, SINGULAR_STILL, part, no_basis)
+        for a in range(size):
+            missing = -target[a]
+            for b in range(size):
+                missing += columns[a, b] * part[b]
+            if not abs(missing) <= 1e-9 * largest:
+                return
+        assign(trial, part)
 
 
 @inner

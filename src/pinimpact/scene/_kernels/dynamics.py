@@ -11,7 +11,7 @@ from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 
-ABA, INVERT, KINEMATICS, LEAST_NORM, CONTROL = 0, 2, 4, 6, 8
+ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
 """Where `calls` has the function; its arguments follow."""
 
 LEAST_EFFECTIVE = 1e-9
@@ -177,8 +177,8 @@ def evaluate(work, t, out):
             out[j] = math.nan
         return
     work.forces_unique = orientation != 0
-    if orientation == 0 and not call_python(work, LEAST_NORM):
-        return
+    if orientation == 0:
+        contact_forces.solve_least_norm(work)
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
     lost = effective <= LEAST_EFFECTIVE or orientation < 0

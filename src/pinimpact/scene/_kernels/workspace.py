@@ -34,7 +34,7 @@ class SceneWorkspace(Workspace):
     closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
     # the robot, where Pinocchio reads and writes it
-    calls = integers(10, meaning="addresses of functions and their arguments, see `dynamics`")
+    calls = integers(8, meaning="addresses of functions and their arguments, see `dynamics`")
     q = reals("nq", given=True, meaning="configuration that is evaluated")
     v = reals("nv", given=True, meaning="velocity that is evaluated")
     tau = reals("nv", given=True, meaning="generalized forces without those of contacts")
