@@ -17,7 +17,6 @@ from ..robot.contact import Contact, contact_constants
 from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
 from ._kernels import approach, closed_set, contact_modes, dynamics, jamming, smooth_motion
 from ._kernels import drift as drifting
-from ._kernels import end_of_modes as ending
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import WORKS, DenseStep
 from .joint_charts import joint_table
@@ -121,7 +120,7 @@ class SceneDynamics:
                 "limit_bound": np.array([limit.bound for limit in limits], dtype=float),
             },
         )
-        self.work.force_margin = self.work.least_force_margin = math.inf
+        self.work.force_margin = math.inf
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
@@ -185,12 +184,6 @@ class SceneDynamics:
         """Let the contacts keep these gaps (n,) where they are closed, and close what the scene holds."""
         self.work.rest_gap[:] = gaps
         closed_set.close_held(self.work)
-
-    def end_of_modes(self, step: DenseStep, end: float) -> float:
-        """Return when no forces exist any more for the modes that hold, within a step until `end`."""
-        time = ending.end_of_modes(self.work, step.start, step.h, end, step.q, step.v, step.coefficients)
-        self.check()
-        return float(time)
 
     def correct_drift(self, t: float, q: Array, v: Array) -> float:
         """Bring what is closed back, changing q and v; return the kinetic energy gained."""

@@ -15,7 +15,7 @@ from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import step_dop853, step_radau
 from ._kernels.events.consequences import ARRIVAL
-from ._kernels.events.registry import EVENTS, gap
+from ._kernels.events.registry import EVENTS, force_bound, gap
 from .dense_step import WORKS, DenseStep
 from .records import Energy, ModeInterval
 from .scene import Scene
@@ -279,10 +279,6 @@ class _Run:
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
         self.dense_steps.append(step)
         time, arriving = work.event_time, self._arriving()
-        if work.force_bound_ignored:
-            ended = self.dynamics.end_of_modes(step, min(time, step.end))
-            if ended <= step.end:
-                time, arriving = ended, None
         if time <= step.end:
             self._end_at_event(step, time, arriving)
             return natural
@@ -331,7 +327,10 @@ class _Run:
             state.correct_drift()
         if arriving is None:
             state.stop_jammed_slip(certain=False)
+        bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         self._settle(arriving)
+        if bounded and self.work.force_bound_ignored:
+            self.state.set_modes_ahead(step)
         self._begin_motion()
         self._sample()
 

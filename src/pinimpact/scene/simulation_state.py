@@ -14,6 +14,7 @@ from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, TOUCHING
 from ._kernels.contact_forces import SLIP
+from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
@@ -33,6 +34,9 @@ STICK_FRACTION = 0.1
 
 LEAST_APPROACH_FRACTION = 1e-9
 """An approach slower than this part of the resting speed is rounding."""
+
+LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
+"""How far to look ahead for modes that begin without a jump, in parts of a step."""
 
 MAX_ROUNDS = 1000
 """Impacts at one instant, after which the approach left is taken away at once (and noted)."""
@@ -204,6 +208,25 @@ class SimulationState:
         if not same:
             self.modes.update(self.t, work.modes)
         return -1
+
+    def set_modes_ahead(self, step: DenseStep) -> bool:
+        """Set the modes that the forces call for just after now; return whether they differ.
+
+        Where forces leave their bounds without a jump nothing moves yet at that very time, so what begins to
+        move is seen a little later, in the smooth continuation of the step.
+        """
+        work = self.dynamics.work
+        before = work.modes.copy()
+        ahead = LEAST_AHEAD * step.h
+        while ahead <= MOST_AHEAD * step.h:
+            q, v = step.at(self.t + ahead)
+            jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
+            if jammed < 0 and (work.modes != before).any():
+                work.force_bound_ignored = False
+                self.modes.update(self.t, work.modes)
+                return True
+            ahead *= 4.0
+        return False
 
     def correct_drift(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""

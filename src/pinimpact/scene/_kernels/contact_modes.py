@@ -108,17 +108,15 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         b = 3 * jamming + 2
         return contacts[jamming], True, stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
     stopped = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
-    unique, pace = resulting_accelerations(delassus, free, force, strength)
-    modes_of_contacts(
-        work, contacts, velocity, slip, mu, held, force, free, unique, pace, stopped, modes, reference
-    )
+    pace = resulting_accelerations(delassus, free, force, strength)
+    modes_of_contacts(work, contacts, velocity, slip, mu, held, force, free, pace, stopped, modes, reference)
     for m in range(ns):
         a, j = 3 * nc + m, joints[m]
         stopped[a] = True
         if j < work.limits:
             closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
             stopped[a] = closed
-        elif abs(strength[m]) >= work.dry_friction[scalars[m]] * (1.0 - 1e-9):
+        elif abs(free[a]) > pace:
             stopped[a] = False
             breaking[scalars[m]] = strength[m]
             v[scalars[m]] = 0.0
@@ -144,7 +142,7 @@ def resulting_accelerations(delassus, free, force, scalar_force):
         scalar_force: (ns,) those of the scalar rows.
 
     Returns:
-        Whether the forces are the only ones, and an acceleration that counts as none.
+        An acceleration that counts as none.
     """
     size, closed = len(free), 3 * len(force)
     largest = 0.0
@@ -159,12 +157,12 @@ def resulting_accelerations(delassus, free, force, scalar_force):
     for a in range(size):
         rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
     unique = rank == size
-    return unique, (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)
+    return (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)
 
 
 @inner
 def modes_of_contacts(
-    work, contacts, velocity, slip, mu, held, force, acceleration, unique, pace, stopped, modes, reference
+    work, contacts, velocity, slip, mu, held, force, acceleration, pace, stopped, modes, reference
 ):
     """Fill modes, directions of slip, and which velocities vanish, from the forces on the contacts.
 
@@ -177,7 +175,6 @@ def modes_of_contacts(
         held: (nc,) True for bilateral contacts.
         force: (nc, 3) forces.
         acceleration: (m,) of the rows, with the forces.
-        unique: Whether the forces are the only ones.
         pace: An acceleration that counts as none.
         stopped: (m,) takes whether the velocity of a row becomes zero.
         modes, reference: As in `find_modes`.
@@ -196,10 +193,10 @@ def modes_of_contacts(
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
-        # a force on its cone means slip, unless another one would do, and then only what moves slips
-        inside = tangent <= mu[k] * normal * (1.0 - 1e-9)
-        inside |= not unique and math.hypot(acceleration[b], acceleration[b + 1]) <= pace
-        if mu[k] > 0.0 and speed == 0.0 and inside:
+        # what rests and is not set in motion sticks, also with its force on the cone: whether that leaves it
+        # is seen just after, see `events.force_bound`
+        still = math.hypot(acceleration[b], acceleration[b + 1]) <= pace
+        if mu[k] > 0.0 and speed == 0.0 and still:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True
             continue

@@ -183,4 +183,3 @@ def evaluate(work, t, out):
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
     lost = effective <= LEAST_EFFECTIVE or orientation < 0
     work.force_margin = -math.inf if lost else work.force_tolerance + margin
-    work.least_force_margin = min(work.least_force_margin, work.force_margin)

@@ -22,6 +22,7 @@ from .dynamics import (
     set_state,
 )
 from .events.registry import find_first_event
+from .samples import along, record_sample
 from .slip import stiffness_of_slip, turn_references
 
 
@@ -49,7 +50,10 @@ def begin(work, t, q, v):
     for m in range(n):
         rates[0, m] = v[m]
     evaluate(work, t, rates[0, n:])
+    for m in range(n):
+        work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     turn_references(work, work.contact_velocity)
+    record_sample(work, 0, 0.0)
     work.slip_stiffness = stiffness_of_slip(work)
     work.previous_length = 0.0
     guess = math.inf
@@ -104,6 +108,9 @@ def finish(work, t, h, error, explicit):
             assign(work.start_gaps[i], work.end_gaps[i])
         work.slip_stiffness = stiffness
         turn_references(work, velocity)
+        work.sample_margins[0] = work.end_margin
+        for k in range(len(velocity)):
+            work.sample_slip[0, k] = along(work, k, velocity)
         set_growth(work, h, error)
 
 

@@ -27,6 +27,7 @@ from .dense_output import rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
+from .samples import record_sample
 
 STAGES = 5
 ITERATIONS = 12
@@ -97,7 +98,6 @@ def turn(work, k, s1, s2, across, effect):
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    work.least_force_margin = math.inf
     reference = work.slip_reference
     remembered, slowest = reference.copy(), work.direction_speed
     work.direction_speed = math.inf  # so that friction takes the direction that it is given
@@ -109,6 +109,9 @@ def attempt(work, t, h, rtol, atol):
     else:  # where slip is slow, friction goes on in the direction that was found
         set_state(work, work.q1, work.v1)
         evaluate(work, t + h, work.stage_rates[LAST, len(work.v1) :])
+        for m in range(len(work.v1)):
+            work.stage_reactions[LAST, m] = work.stage_rates[LAST, len(work.v1) + m] - work.acceleration[m]
+        work.samples = 1 + STAGES
         complete(work, h)
     return error
 
@@ -148,7 +151,6 @@ def solve_stages(work, t, h, rtol, atol):
             assign(directions[i, c], reference[slips[c]])
     before = math.inf
     for iteration in range(ITERATIONS):
-        work.least_force_margin = math.inf
         for i in range(s):
             advance_to(i, h, rates, v0, xi, v)
             if turned_too_far(joints, xi):
@@ -162,6 +164,7 @@ def solve_stages(work, t, h, rtol, atol):
             evaluate(work, t + ABSCISSAE[i] * h, found[i, n:])
             if work.callback_failed:
                 return math.inf
+            record_sample(work, i + 1, ABSCISSAE[i])
             for m in range(width):
                 found[i, m] -= rates[1 + i, m]
             for c in range(count):

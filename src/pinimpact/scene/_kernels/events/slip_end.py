@@ -9,7 +9,8 @@ import numpy as np
 from ...._numeric.jit import inner
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
-from ..event_location import sampled, search_for_root
+from ..event_location import sampled, search_for_fall
+from ..samples import along, clear_of_zero
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
@@ -25,14 +26,7 @@ def value(work, k, t):
     return along(work, k, work.contact_velocity), 0.0
 
 
-value_at, root = sampled(value), search_for_root(value)
-
-
-@inner
-def along(work, k, velocity):
-    """Return the speed along the direction last known of contact velocities (nc, 3)."""
-    reference = work.slip_reference
-    return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
+value_at, first_fall = sampled(value), search_for_fall(value)
 
 
 @inner
@@ -43,18 +37,13 @@ def first(work, end):
     step the direction has turned too far to be followed.
     """
     mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
-    start, last = work.step_start, work.step_start + work.step_length
     time, which = math.inf, 0
     for k in range(len(mode)):
         if mode[k] != SLIP or mu[k] == 0.0:
             continue
-        end_speed = along(work, k, work.end_velocity)
-        if end_speed >= -BEHIND * work.stick_speed:
+        if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
             continue
-        start_speed = value_at(work, k, start)[0]
-        if start_speed <= 0.0:  # a step before has left it there, for it was next to nothing
-            return start, k
-        found = root(work, k, start, last, start_speed, end_speed)
+        found = first_fall(work, k, end, BEHIND * work.stick_speed)
         if found < end:
             value_at(work, k, found)
             if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:

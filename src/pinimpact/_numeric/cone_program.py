@@ -1,0 +1,310 @@
+"""Small convex programs over half-lines and second-order cones, by a primal-dual interior-point method.
+
+    minimise ½ xᵀP x + cᵀx   with   s = h − G x in K,
+
+K being a number of half-lines, then cones s₀ ≥ |(s₁, …)|. The directions are those of Nesterov and Todd with
+Mehrotra's corrector. (L. Vandenberghe, The CVXOPT linear and quadratic cone program solvers, 2010)
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .jit import inner
+
+MAX_ITERATIONS = 60
+"""What no program needs; badly scaled ones stop there."""
+
+STEP = 0.99
+"""Part of the way to the boundary of the cone that an iteration goes."""
+
+
+@inner
+def scaling(lines, sizes, s, z, beta, v, lam):
+    """Fill Nesterov and Todd's scaling W at (s, z), and λ = W z; return False outside of the cone."""
+    for i in range(lines):
+        if not (s[i] > 0.0 and z[i] > 0.0):
+            return False
+        v[i] = math.sqrt(s[i] / z[i])
+        lam[i] = math.sqrt(s[i] * z[i])
+    start = lines
+    for k in range(len(sizes)):
+        n = sizes[k]
+        ns = nz = 0.0
+        for i in range(start + 1, start + n):
+            ns += s[i] * s[i]
+            nz += z[i] * z[i]
+        ns, nz = math.sqrt(ns), math.sqrt(nz)
+        as2 = (s[start] - ns) * (s[start] + ns)
+        az2 = (z[start] - nz) * (z[start] + nz)
+        if not (as2 > 0.0 and az2 > 0.0 and s[start] > 0.0 and z[start] > 0.0):
+            return False
+        a_s, a_z = math.sqrt(as2), math.sqrt(az2)
+        dot = 0.0
+        for i in range(start, start + n):
+            dot += (s[i] / a_s) * (z[i] / a_z)
+        gamma = math.sqrt(0.5 * (1.0 + dot))
+        w0 = 0.5 / gamma * (s[start] / a_s + z[start] / a_z)
+        root = math.sqrt(2.0 * (w0 + 1.0))
+        v[start] = (w0 + 1.0) / root
+        for i in range(start + 1, start + n):
+            v[i] = 0.5 / gamma * (s[i] / a_s - z[i] / a_z) / root
+        beta[k] = math.sqrt(a_s / a_z)
+        start += n
+    scale(lines, sizes, beta, v, z, lam, False)
+    return True
+
+
+@inner
+def scale(lines, sizes, beta, v, x, out, inverse):
+    """Fill out with W x, or with W⁻¹ x."""
+    for i in range(lines):
+        out[i] = x[i] / v[i] if inverse else x[i] * v[i]
+    start = lines
+    for k in range(len(sizes)):
+        n = sizes[k]
+        dot = v[start] * x[start]
+        for i in range(start + 1, start + n):
+            dot += -v[i] * x[i] if inverse else v[i] * x[i]
+        b = 1.0 / beta[k] if inverse else beta[k]
+        out[start] = b * (2.0 * v[start] * dot - x[start])
+        for i in range(start + 1, start + n):
+            vi = -v[i] if inverse else v[i]
+            out[i] = b * (2.0 * vi * dot + x[i])
+        start += n
+
+
+@inner
+def product(lines, sizes, x, y, out):
+    """Fill out with the Jordan product x ∘ y."""
+    for i in range(lines):
+        out[i] = x[i] * y[i]
+    start = lines
+    for k in range(len(sizes)):
+        n = sizes[k]
+        dot = 0.0
+        for i in range(start, start + n):
+            dot += x[i] * y[i]
+        x0, y0 = x[start], y[start]
+        for i in range(start + 1, start + n):
+            out[i] = x0 * y[i] + y0 * x[i]
+        out[start] = dot
+        start += n
+
+
+@inner
+def quotient(lines, sizes, lam, y, out):
+    """Fill out with the x for which λ ∘ x = y."""
+    for i in range(lines):
+        out[i] = y[i] / lam[i]
+    start = lines
+    for k in range(len(sizes)):
+        n = sizes[k]
+        norm = dot = 0.0
+        for i in range(start + 1, start + n):
+            norm += lam[i] * lam[i]
+            dot += lam[i] * y[i]
+        norm = math.sqrt(norm)
+        l0, y0 = lam[start], y[start]
+        det = (l0 - norm) * (l0 + norm)
+        x0 = (l0 * y0 - dot) / det
+        for i in range(start + 1, start + n):
+            out[i] = (y[i] - x0 * lam[i]) / l0
+        out[start] = x0
+        start += n
+
+
+@inner
+def longest_step(lines, sizes, lam, d):
+    """Return 1/α for the longest α with λ + α d in the cone, not less than zero."""
+    worst = 0.0
+    for i in range(lines):
+        worst = max(worst, -d[i] / lam[i])
+    start = lines
+    for k in range(len(sizes)):
+        n = sizes[k]
+        norm = 0.0
+        for i in range(start + 1, start + n):
+            norm += lam[i] * lam[i]
+        norm = math.sqrt(norm)
+        a = math.sqrt((lam[start] - norm) * (lam[start] + norm))
+        rho = lam[start] / a * d[start]
+        for i in range(start + 1, start + n):
+            rho -= lam[i] / a * d[i]
+        total = 0.0
+        share = (rho + d[start]) / (lam[start] / a + 1.0)
+        for i in range(start + 1, start + n):
+            total += (d[i] - share * lam[i] / a) ** 2
+        worst = max(worst, (math.sqrt(total) - rho) / a)
+        start += n
+    return worst
+
+
+@inner
+def cholesky(matrix):
+    """Replace a positive definite matrix by its factor; a pivot lost to rounding counts as a large one."""
+    n = len(matrix)
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, matrix[i, i])
+    for k in range(n):
+        pivot = matrix[k, k]
+        if not pivot > 1e-15 * largest * n:
+            pivot = max(largest, 1e-300) * 1e64  # what does not matter stays where it is
+        root = math.sqrt(pivot)
+        matrix[k, k] = root
+        for i in range(k + 1, n):
+            matrix[i, k] /= root
+        for j in range(k + 1, n):
+            for i in range(j, n):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+
+
+@inner
+def substitute(lower, x):
+    """Replace x by the solution of lower lowerᵀ y = x."""
+    n = len(x)
+    for i in range(n):
+        for j in range(i):
+            x[i] -= lower[i, j] * x[j]
+        x[i] /= lower[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= lower[j, i] * x[j]
+        x[i] /= lower[i, i]
+
+
+@inner
+def lift(lines, sizes, x, by):
+    """Add a multiple of the cone's axis to x."""
+    for i in range(lines):
+        x[i] += by
+    start = lines
+    for size in sizes:
+        x[start] += by
+        start += size
+
+
+@inner
+def outside(lines, sizes, x):
+    """Return how far x lies outside of the cone, along its axis; negative inside."""
+    worst = -math.inf
+    for i in range(lines):
+        worst = max(worst, -x[i])
+    start = lines
+    for size in sizes:
+        norm = 0.0
+        for i in range(start + 1, start + size):
+            norm += x[i] * x[i]
+        worst = max(worst, math.sqrt(norm) - x[start])
+        start += size
+    return worst
+
+
+@inner
+def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
+    """Fill x, s and z with the solution, starting from x = 0.
+
+    Args:
+        P: (n, n) positive semidefinite.
+        c: (n,).
+        G: (m, n).
+        h: (m,).
+        lines: Number of half-lines.
+        sizes: (k,) sizes of the second-order cones.
+        tolerance: Of the gap sᵀz and of the equations, absolute: scale the problem to order one.
+        x: (n,) takes the solution.
+        s: (m,) takes h − G x.
+        z: (m,) takes the multipliers, with P x + Gᵀz + c = 0.
+
+    Returns:
+        The larger of the gap and of what the equations miss by; above the tolerance where it goes no further.
+    """
+    m, n = G.shape
+    degree = lines + len(sizes)
+    beta, v, lam = np.ones(len(sizes)), np.zeros(m), np.empty(m)
+    scaled, lower = np.empty((m, n)), np.empty((n, n))
+    rx, rz, dx, column = np.empty(n), np.empty(m), np.empty(n), np.empty(m)
+    ds, dz, right, work, reduced = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    for i in range(n):
+        x[i] = 0.0
+    for i in range(m):
+        s[i], z[i] = h[i], 0.0
+    lift(lines, sizes, s, 1.0 + max(outside(lines, sizes, s), 0.0))
+    lift(lines, sizes, z, 1.0)
+    accuracy = math.inf
+    for _ in range(MAX_ITERATIONS):
+        gap = 0.0
+        for i in range(m):
+            gap += s[i] * z[i]
+        accuracy = gap
+        for i in range(n):
+            total = c[i]
+            for j in range(n):
+                total += P[i, j] * x[j]
+            for j in range(m):
+                total += G[j, i] * z[j]
+            rx[i] = total
+            accuracy = max(accuracy, abs(total))
+        for i in range(m):
+            total = s[i] - h[i]
+            for j in range(n):
+                total += G[i, j] * x[j]
+            rz[i] = total
+            accuracy = max(accuracy, abs(total))
+        if accuracy <= tolerance or not scaling(lines, sizes, s, z, beta, v, lam):
+            break
+        for j in range(n):
+            for i in range(m):
+                column[i] = G[i, j]
+            scale(lines, sizes, beta, v, column, work, True)
+            for i in range(m):
+                scaled[i, j] = work[i]
+        for i in range(n):
+            for j in range(i + 1):
+                total = P[i, j]
+                for k in range(m):
+                    total += scaled[k, i] * scaled[k, j]
+                lower[i, j] = total
+        cholesky(lower)
+        centring = 0.0
+        for corrected in range(2):
+            # right = λ⋄(σμe − λ∘λ − ds∘dz), the last with the directions of the first pass
+            product(lines, sizes, lam, lam, work)
+            if corrected == 1:
+                product(lines, sizes, ds, dz, right)
+            for i in range(m):
+                work[i] = -work[i] - right[i] if corrected == 1 else -work[i]
+            lift(lines, sizes, work, centring * gap / degree)
+            quotient(lines, sizes, lam, work, right)
+            # P dx + GᵀW⁻¹dz = −rx,  W⁻¹G dx − dz = −W⁻¹rz − right, with dz = W δz and ds = W⁻¹δs
+            scale(lines, sizes, beta, v, rz, work, True)
+            for i in range(m):
+                reduced[i] = -work[i] - right[i]
+            for j in range(n):
+                total = -rx[j]
+                for i in range(m):
+                    total += scaled[i, j] * reduced[i]
+                dx[j] = total
+            substitute(lower, dx)
+            for i in range(m):
+                total = -reduced[i]
+                for j in range(n):
+                    total += scaled[i, j] * dx[j]
+                dz[i] = total
+                ds[i] = right[i] - total
+            shortest = max(longest_step(lines, sizes, lam, ds), longest_step(lines, sizes, lam, dz))
+            if corrected == 0:
+                centring = (1.0 - 1.0 / max(shortest, 1.0)) ** 3
+        step = STEP / max(shortest, STEP)
+        for i in range(n):
+            x[i] += step * dx[i]
+        scale(lines, sizes, beta, v, ds, work, False)
+        for i in range(m):
+            s[i] += step * work[i]
+        scale(lines, sizes, beta, v, dz, work, True)
+        for i in range(m):
+            z[i] += step * work[i]
+    return accuracy

@@ -1,0 +1,136 @@
+"""Motions that friction holds, against closed forms: rest, the onset of slip, reversal, and rest again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene, simulate
+
+from .scene_models import G, free_body, slider, unbounded
+from .stick_slip import Swing, stick_slip
+
+
+def rough_joint(friction):
+    model = pin.Model()
+    index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    unbounded(model)
+    model.friction = np.array([friction])
+    return model
+
+
+def box_on(corners):
+    """A box of 1 kg whose lower corners lie on an ellipse, and contacts there of μ = 0.5."""
+    turn = 2.0 * math.pi * np.arange(corners) / corners + 0.3
+    points = np.column_stack([0.3 * np.cos(turn), 0.2 * np.sin(turn), np.full(corners, -0.1)])
+    model = free_body(pin.Inertia.FromBox(1.0, 0.6, 0.4, 0.2), points)
+    return model, [Contact(f"tip{k}", Plane(), friction=0.5) for k in range(corners)]
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
+@pytest.mark.parametrize(
+    ("a", "b", "t_c"), [(0.1, 1.0, 10.0), (0.1, 1.0, 5.0), (0.02, 0.3, 8.0), (1.0, 2.0, 4.0)]
+)
+def test_dry_friction_holds_between_two_crossings_and_lets_go_gently(a, b, t_c, rtol):
+    k = 2.0 * a / b**2
+    scene = Scene(rough_joint(0.5), control=lambda t, q, v: np.array([-k * (t - t_c) - 0.5]))
+    start = [a - a * t_c**2 / b**2]
+    trajectory = simulate(scene, [0.0], start, t_c + 10.0, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.v[-1, 0] == pytest.approx(-0.5 * k * 100.0, rel=1e2 * rtol)
+    (stuck,) = [interval for interval in trajectory.modes if interval.mode == "stuck"]
+    assert stuck.start == pytest.approx(t_c - b, abs=1e3 * rtol)
+    assert stuck.end == pytest.approx(t_c, abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_joint_with_dry_friction_under_a_swinging_force(seed):
+    rng = np.random.default_rng(seed)
+    load = Swing(
+        rng.uniform(0.1, 2.0), 10 ** rng.uniform(-0.5, 1.3), rng.uniform(0, 6.28), rng.uniform(-0.45, 0.45)
+    )
+    x, v, _ = stick_slip(load, 0.5, 20.0)
+    scene = Scene(rough_joint(0.5), control=lambda t, q, v: np.array([load.force(t)]))
+    trajectory = simulate(scene, [0.0], [0.0], 20.0, rtol=1e-8, atol=1e-10)
+    assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-5)
+    assert trajectory.v[-1, 0] == pytest.approx(v, abs=1e-5)
+    assert np.diff(trajectory.energy.joints).max() <= 1e-12
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
+def test_a_point_that_a_swinging_force_moves_again_and_again(rtol):
+    load = Swing(0.3, 10.0, 0.0, 0.25)
+    x, _, slips = stick_slip(load, 0.5, 20.0)
+    assert slips == 32
+    scene = Scene(
+        slider(),
+        [Contact("point", Plane(), friction=0.5 / G)],
+        control=lambda t, q, v: np.array([load.force(t), 0.0, 0.0]),
+    )
+    trajectory = simulate(scene, np.zeros(3), np.zeros(3), 20.0, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.q[-1, 0] == pytest.approx(x, rel=1e3 * rtol)
+    assert sum(interval.mode == "slip" for interval in trajectory.modes) == 32
+
+
+@pytest.mark.parametrize("corners", [3, 4, 8, 16])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
+def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, rtol):
+    model, contacts = box_on(corners)
+    scene = Scene(model, contacts, control=lambda t, q, v: np.array([5.0 * t, 0, 0, 0, 0.5 * t, 0]))
+    trajectory = simulate(scene, [0, 0, 0.1, 0, 0, 0, 1.0], np.zeros(6), 2.0, rtol=rtol, atol=1e-2 * rtol)
+    late = 2.0 - 0.5 * G / 5.0
+    assert trajectory.v[-1, 0] == pytest.approx(2.5 * late**2, rel=1e3 * rtol)
+    assert trajectory.q[-1, 0] == pytest.approx(2.5 * late**3 / 3.0, rel=1e3 * rtol)
+
+
+@pytest.mark.parametrize("corners", [3, 4])
+def test_a_box_on_corners_moves_as_a_point_does(corners):
+    load = Swing(5.5, 3.0, 0.4, 1.0)
+    x, _, slips = stick_slip(load, 0.5 * G, 10.0)
+    assert slips > 3
+    model, contacts = box_on(corners)
+    scene = Scene(
+        model, contacts, control=lambda t, q, v: np.array([load.force(t), 0, 0, 0, 0.1 * load.force(t), 0])
+    )
+    trajectory = simulate(scene, [0, 0, 0.1, 0, 0, 0, 1.0], np.zeros(6), 10.0)
+    assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-6)
+
+
+@pytest.mark.parametrize("mus", [(0.5, 0.5), (0.5, 0.4), (0.3, 0.3)])
+def test_two_boxes_on_a_belt(mus):
+    model = pin.Model()
+    for k in range(2):
+        parent = 0
+        for i, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
+            parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"{k}{'xyz'[i]}")
+        inertia = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    belt = Plane(velocity=(1.0, 0.0, 0.0))
+    scene = Scene(model, [Contact(f"point{k}", belt, friction=mu) for k, mu in enumerate(mus)])
+    trajectory = simulate(scene, np.zeros(6), np.zeros(6), 2.0)
+    for k, mu in enumerate(mus):
+        assert trajectory.q[-1, 3 * k] == pytest.approx(2.0 - 0.5 / (mu * G), abs=1e-7)
+    assert not any("jam" in note.text for note in trajectory.notes)
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-6, 1e-4, 2e-4, 5e-4, -1e-4])
+def test_a_box_near_the_friction_angle(excess):
+    slope = math.atan(0.546)
+    mu = math.tan(slope) * (1.0 + excess)
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    corners = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
+    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.3, 0.2), corners)
+    turn = pin.Quaternion(pin.utils.rotate("y", slope)).coeffs()
+    q0 = np.array([*(0.1 * normal), *turn])
+    plane = Plane(normal=tuple(normal))
+    scene = Scene(model, [Contact(f"tip{k}", plane, friction=mu) for k in range(4)])
+    trajectory = simulate(scene, q0, np.zeros(6), 1.0)
+    assert trajectory.statistics["steps"] < 500
+    moved = float(np.linalg.norm(trajectory.q[-1, :3] - q0[:3]))
+    assert moved == pytest.approx(0.5 * max(0.0, -excess) * G * math.sin(slope), abs=1e-8)
+    assert not any("jam" in note.text for note in trajectory.notes)
