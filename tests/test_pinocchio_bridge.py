@@ -322,7 +322,7 @@ def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
         return hit
 
     monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
-    monkeypatch.setattr("pinimpact.scene.state.impact", impact)
+    monkeypatch.setattr("pinimpact.scene.scene_impacts.impact", impact)
     floor = Plane(point=(0, 0, -0.9))
     simulate(Scene(pendulum(), [Contact("tip", floor, restitution=0.5)]), [1.0], [0.0], 0.5)
     assert compared
