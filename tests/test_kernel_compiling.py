@@ -225,6 +225,28 @@ def test_kernels_can_be_called_from_functions_that_numba_itself_compiles() -> No
     assert foreign(2.0) == 8.0
 
 
+def times(factor):
+    @inner
+    def product(x):
+        return factor * x
+
+    return product
+
+
+twice, thrice = times(2.0), times(3.0)
+
+
+@jit
+def both(x):
+    return twice(x) + 100.0 * thrice(x)
+
+
+def test_inner_kernels_made_by_one_function_are_told_apart() -> None:
+    assert both(1.0) == 302.0
+    with pytest.raises(ValueError, match="made by a function"):
+        jit(twice.py_func)
+
+
 @jit
 def with_array(x, n):
     return x[0] + n

@@ -68,6 +68,13 @@ class KernelLibrary(JITCodeLibrary):
         self._linking_libraries.clear()
         super().finalize()
 
+    def _finalize_final_module(self) -> None:
+        """Keep what was taken in to itself: its names may mean something else in other processes' code."""
+        for function in self._final_module.functions:
+            if function.linkage == llvm.Linkage.linkonce_odr:
+                function.linkage = llvm.Linkage.internal
+        super()._finalize_final_module()
+
     def _get_module_for_linking(self) -> Any:
         """Return no code: callers have the symbol."""
         return llvm.parse_assembly("")
@@ -168,7 +175,8 @@ class KernelCompiler(compiler.CompilerBase):
         """Return the one list of passes."""
         state = self.state
         function = state.func_id
-        function.unique_id = stamp(function.modname)[:16]
+        if self.library is KernelLibrary:  # the symbol has to be the same in every process
+            function.unique_id = stamp(function.modname)[:16]
         if state.library is None:
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
