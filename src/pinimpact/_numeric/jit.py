@@ -81,7 +81,9 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
 
 def _cached(function: F, **options: Any) -> F:
     if function.__closure__:
-        raise ValueError(f"{function.__qualname__}: made by a function, so its symbol is not its own; see inner")
+        raise ValueError(
+            f"{function.__qualname__}: made by a function, so its symbol is not its own; see inner"
+        )
     compiled = numba.njit(pipeline_class=KernelCompiler, **_OPTIONS, **options)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
         compiled._cache = _Cache(function)

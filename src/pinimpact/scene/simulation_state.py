@@ -66,6 +66,7 @@ class SimulationState:
         check_inertia(model, data, q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
         self._impacts = SceneImpacts(scene, model, self.dynamics, held)
+        self._impacts.compile_kernels(q)
         contact_names = [contact.label for contact in self.dynamics.contacts]
         limit_names = [limit.name for limit in limits]
         self.names = [*contact_names, *limit_names]

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inner, separate
 from . import surfaces
 from .constants import POINT, RADIUS, TIP
 from .contact_kinematics import carried_axes, carried_spin, column, material_velocity, relative
 from .placement import cross, place, rotate, rotate_back
 
 
-@inner
+@separate
 def gap_and_rate(R, V, S, U, k):
     """Return the gap [m] and its rate [m/s].
 
@@ -106,7 +106,7 @@ def bounds(J, weights, group, R, k, peak, h):
     return straight + bent, change, speed, surfaces.least_radius(k) + k[RADIUS]
 
 
-@inner
+@separate
 def contact_motion(R, V, A, S, U, B, k, J, weights, rows, velocity, acceleration, surface):
     """Fill what a closed contact needs, in axes t₁, t₂, n that the surface carries, see `carried_axes`.
 
