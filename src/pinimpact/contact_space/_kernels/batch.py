@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 from .codes import INDEFINITE_DELASSUS
 from .delassus import ZERO
 from .path import SCRATCH, solve_into
 
 
-@jit
+@inner
 def _asymmetry(w):
     largest = max(
         max(abs(w[0, 0]), abs(w[1, 1]), abs(w[2, 2])), max(abs(w[0, 1]), abs(w[0, 2]), abs(w[1, 2]))

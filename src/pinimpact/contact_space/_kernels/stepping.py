@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 from .codes import (
     COMPRESSION,
     ENDED_AT_REST,
@@ -67,14 +67,14 @@ TURNED = 64.0 * EPS
 SLIP_ENDS, V3_ZERO, LAW = 0, 1, 2
 
 
-@jit
+@inner
 def norm(x, y):
     """Return √(x² + y²); the slower function of the library only where squares would vanish."""
     square = x * x + y * y
     return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
 
 
-@jit
+@inner
 def slip_step(table, tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 
@@ -120,7 +120,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
     return d1, d2, h * h * q1, h * h * q2, u1, u2, h * math.hypot(e1, e2), least
 
 
-@jit
+@inner
 def gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
     """Measure how far the end of a step over h lies before an event: positive before it."""
     if kind == LAW and law == POISSON:
@@ -137,7 +137,7 @@ def gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
     return v3 + dv3 if phase == RESTITUTION else -v3 - dv3
 
 
-@jit
+@inner
 def locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
     """Bisect a step that crosses an event, with secants in between, and return its length to the event."""
     low, high = 0.0, h
@@ -159,7 +159,7 @@ def locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
     return high
 
 
-@jit
+@inner
 def stop_impulse(a11, a12, a22, v1, v2):
     """Return −A⁺v_t, the tangential impulse that ends slip."""
     det, trace = a11 * a22 - a12 * a12, a11 + a22

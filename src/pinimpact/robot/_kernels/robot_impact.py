@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 from ...contact_space._kernels.codes import INVALID_NUMBERS, NO_IMPACT
 from ...contact_space._kernels.path import SCRATCH, solve_into
 from .contact_kinematics import jacobian
@@ -18,7 +18,7 @@ SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
 
 
-@jit
+@inner
 def all_finite(x):
     """Whether no number of a vector is infinite or NaN."""
     total = 0.0
@@ -27,7 +27,7 @@ def all_finite(x):
     return total == 0.0
 
 
-@jit
+@inner
 def dot(x, y):
     """Return xᵀy."""
     total = 0.0
