@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
     from .robot.sphere import Sphere
+    from .scene.events import Event
     from .scene.scene import Scene
     from .scene.simulation import simulate
     from .scene.trajectory import Trajectory
@@ -46,6 +47,7 @@ __all__ = [
     "BatchSolution",
     "Contact",
     "ContactMatrices",
+    "Event",
     "Flag",
     "HeldContactWarning",
     "Hit",
@@ -101,6 +103,7 @@ _HOMES = {
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),
+    "scene.events": ("Event",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
 from .effects import Plan, check_names, make_plan
+from .events import Event, Guard, as_events
 from .reach import chain_length, link_lengths, out_of_reach
 
 Array = NDArray[np.float64]
@@ -67,6 +68,8 @@ class Scene:
             with the model's gravity (standard gravity if it has none) and L the size of the robot, `extent`.
         record: Whether each impact's path is recorded.
         without: Effects to leave out, by the names in `plan`.
+        events: Events of the user's own, see `Event`; plain guards count as such, with the ``terminal`` and
+            ``direction`` that they may carry as scipy's do.
 
     Raises:
         InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
@@ -83,6 +86,7 @@ class Scene:
     resting_speed: float | None = None
     record: bool = False
     without: Sequence[str] = ()
+    events: Sequence[Event | Guard] = ()
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
@@ -97,6 +101,7 @@ class Scene:
         assign(self, "locked", (self.locked,) if isinstance(self.locked, (str, int)) else tuple(self.locked))
         free_velocities(self.model, self.locked)
         assign(self, "without", check_names(self.without))
+        assign(self, "events", as_events(self.events))
         if self.control is not None and not callable(self.control):
             raise InputError(
                 f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
@@ -145,6 +150,7 @@ class Scene:
             locked=self.locked,
             resting_speed=self.rest,
             record=self.record,
+            events=[event.label for event in as_events(self.events)],
             without=self.without,
         )
 
