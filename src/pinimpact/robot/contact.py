@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import at_least_zero, coefficient
-from ..contact_space.problem import law_code
+from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.constants import AXES, KIND, POINT, RADIUS, TIP

@@ -6,7 +6,6 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
-from ..contact_space._kernels.path import SCRATCH, solve_into
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Inputs, Solution
-from ..contact_space.solve import TRACE_ROWS, solve_impact, solve_inputs
+from ..contact_space.solve import solve_impact, solve_inputs
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
@@ -110,9 +108,9 @@ class Hit:
         """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
             inputs = self._inputs()
-            raw = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
+            answer = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
             surface = self._part(kernel.SURFACE, 3)
-            self._solution = Solution(raw, inputs, partial(_trace, inputs), None, surface)
+            self._solution = Solution(answer, inputs, surface_velocity=surface)
         return self._solution
 
     def __repr__(self) -> str:
@@ -131,12 +129,6 @@ class Hit:
     def _part(self, start: int, count: int) -> Array:
         start += self._nv
         return self._answer[start : start + count]
-
-
-def _trace(inputs: Inputs) -> Array:
-    """Return the trace of the exact method; see `solve_into`."""
-    rows = np.empty((TRACE_ROWS, 6))
-    return rows[: solve_into(*inputs, np.empty(SCRATCH), rows, rows[:0])[11]]
 
 
 def impact(
