@@ -101,7 +101,7 @@ class Contact:
         """
         model = model_of(model)
         cache = data_cache(model, data)
-        pin.forwardKinematics(model, data, checked_configuration(cache, model, q))
+        cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
         frame = _placement(model, data, cache.frame(self.frame)).homogeneous
         carrier = None
         if self.plane.body is not None:

@@ -110,13 +110,23 @@ def model_of(robot: Any) -> pin.Model:
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:
     """Return the error for a mass matrix whose factorization stops at a velocity."""
     joint = next(
-        name
-        for name, start, count in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        j
+        for j, (start, count) in enumerate(zip(model.idx_vs, model.nvs, strict=True))
         if start <= velocity < start + count
     )
+    name = model.names[joint]
+    reason = (
+        f"moves no inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock "
+        "the joint"
+    )
+    for carried in model.subtrees[joint]:
+        mass = model.inertias[carried].mass
+        if mass < 0.0:
+            reason = (
+                f"moves the negative mass {mass:.6g} kg of joint {model.names[carried]!r}; give it one ≥ 0"
+            )
     return ModelError(
-        f"model: the mass matrix is not positive definite: joint {joint!r} (velocity {velocity}) moves no "
-        f"inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock the joint",
+        f"model: the mass matrix is not positive definite: joint {name!r} (velocity {velocity}) {reason}",
         field="model",
-        value=joint,
+        value=name,
     )

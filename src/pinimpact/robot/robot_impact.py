@@ -242,14 +242,15 @@ def impacts(
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; what changes is told in `contact_matrices`.
-        q: (N, nq) configurations.
-        v: (N, nv) pre-impact velocities.
+        q: (N, nq) configurations, or (nq,) one for all rows.
+        v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
         contact: The contact that collides.
         friction: Scalar or (N,) to take instead of the contact's.
         restitution: Scalar or (N,) to take instead of the contact's.
 
     Returns:
-        Row by row the answers; a row with bad numbers gets its status and NaN and spoils no other.
+        Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
+        and spoils no other.
 
     Raises:
         InputError: Wrong shapes.
@@ -259,12 +260,15 @@ def impacts(
     model = model_of(model)
     cache = data_cache(model, data)
     check_contact("contact", contact)
-    count = np.shape(q)[0] if np.ndim(q) == 2 else 0
-    q = float_array("q", q, (count, *cache.q_shape))
-    v = float_array("v", v, (count, *cache.v_shape))
-    mu = _per_row("friction", contact.friction if friction is None else friction, count)
+    mu = contact.friction if friction is None else friction
     law = contact.restitution if restitution is None else restitution
-    e = None if callable(law) else _per_row("restitution", law, count)
+    e = None if callable(law) else law
+    given = ((q, 1), (v, 1), (mu, 0), (e, 0))
+    count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
+    q = _per_row("q", q, count, cache.q_shape)
+    v = _per_row("v", v, count, cache.v_shape)
+    mu = _per_row("friction", mu, count)
+    e = None if e is None else _per_row("restitution", e, count)
     found = Hits(
         np.full((count, cache.nv), np.nan),
         np.full((count, 3), np.nan),
@@ -368,5 +372,8 @@ def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array)
             )
 
 
-def _per_row(name: str, value: ArrayLike, count: int) -> Array:
-    return float_array(name, np.full(count, value) if np.ndim(value) == 0 else value, (count,))
+def _per_row(name: str, value: ArrayLike, count: int, shape: tuple[int, ...] = ()) -> Array:
+    """Return (count, *shape) of what is given for each row, or once for all."""
+    if np.ndim(value) == len(shape):
+        value = np.broadcast_to(float_array(name, value, shape) if shape else value, (count, *shape))
+    return float_array(name, value, (count, *shape))
