@@ -41,7 +41,8 @@ class Contact:
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
         offset: From the frame's origin, in the frame's axes [m].
         radius: Of a spherical tip [m], 0 for a point.
-        name: How reports call the contact; None for "frame on plane".
+        name: How reports call the contact; None for "frame on plane" or "frame on sphere",
+            with the name of the body that carries the surface where one does.
 
     Raises:
         InputError: A number out of its range or not finite.

@@ -25,7 +25,7 @@ class ContactGeometry:
 
     Attributes:
         point: (3,) contact point in world axes [m].
-        gap: Signed distance of the point from the plane [m].
+        gap: Signed distance of the point from the surface [m].
         axes: (3, 3) contact axes t₁, t₂, n as rows, in world axes.
         K: (nv, 2) tangential columns of Jᵀ.
         h: (nv,) normal column of Jᵀ.
@@ -42,7 +42,7 @@ class ContactGeometry:
 
     @property
     def jacobian(self) -> Array:
-        """(3, nv) J = [K h]ᵀ: velocity of the point relative to the plane's carrier, in contact axes."""
+        """(3, nv) J = [K h]ᵀ: velocity of the point relative to the surface's carrier, in contact axes."""
         return np.column_stack([self.K, self.h]).T
 
     def velocity(self, v: ArrayLike) -> Array:
@@ -99,7 +99,7 @@ def contact_matrices(
             ``pin.computeJointJacobians`` write; ``data.oMf`` is brought to q only for the frames in question.
         q: (nq,) configuration.
         contact: The contact that the impulse acts at.
-        held: Contacts whose points cannot move relative to their planes: three bilateral rows each,
+        held: Contacts whose points cannot move relative to their surfaces: three bilateral rows each,
             projected out of M⁻¹. One holds a standing point foot; with ``Plane(body=…)`` it closes a loop;
             three that are not in line make a grasp. Rows that repeat others are allowed: of the impulses
             that do the same, the least (in norm) are given.
