@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ..checks import finite_array
 from ..errors import InputError
-from .names import frame_id
+from .names import frame_id, motion_signs
 from .pinocchio_bridge import MassAndColumns
 
 
@@ -19,8 +19,8 @@ class DataCache:
     """What does not change about a model and its data from one call to the next; see `data_cache`."""
 
     __slots__ = (
-        *("columns", "curved", "data", "forward_kinematics", "frames", "joint_jacobian", "mass_matrix"),
-        *("model", "nframes", "nv", "parents", "q_shape", "supports", "v_shape"),
+        *("columns", "contacts", "curved", "data", "forward_kinematics", "frames", "joint_jacobian"),
+        *("mass_matrix", "model", "nframes", "nv", "parents", "q_shape", "v_shape"),
     )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
@@ -37,7 +37,7 @@ class DataCache:
         if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
             self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
-        self.supports: dict[int, np.ndarray] = {}
+        self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         bridge = MassAndColumns(model, data)
         self.columns = bridge.columns
         self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
@@ -71,15 +71,19 @@ class DataCache:
             self.frames[key] = found
         return found
 
-    def support(self, frame: int) -> np.ndarray:
-        """Return (nv,) booleans: the velocities that move a frame given by id."""
-        found = self.supports.get(frame)
-        if found is None:
-            model: Any = self.model()
-            # with mimic joints a column holds what the frame's own joints do, and nothing else
-            found = self.supports[frame] = np.full(self.nv, self.columns is None)
-            for joint in list(model.supports[model.frames[frame].parentJoint])[1:]:
-                found[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = True
+    def contact(self, frame: str | int, body: str | int | None) -> tuple[int, int, np.ndarray]:
+        """Return the ids of a contact's frame and of the frame that carries its surface, and signs.
+
+        The id for the world is 0. The signs (nv,) are 1 for a velocity that moves the contact's frame alone,
+        −1 the carrier alone, else 0.
+        """
+        model: Any = self.model()
+        ends = self.frame(frame), 0 if body is None else self.frame(body, "body")
+        if self.columns is None:  # with mimic joints each column holds what it does to either
+            signs = np.ones(self.nv)
+        else:
+            signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
+        found = self.contacts[frame, body] = (*ends, signs)
         return found
 
 

@@ -60,6 +60,15 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     return ids[0]
 
 
+def motion_signs(model: pin.Model, joint: int, other: int) -> np.ndarray:
+    """Return (nv,) 1 for velocities that move a joint and not the other, −1 for the reverse, else 0."""
+    signs = np.zeros(model.nv)
+    for end, sign in ((joint, 1.0), (other, -1.0)):
+        for support in list(model.supports[end])[1:]:
+            signs[model.idx_vs[support] : model.idx_vs[support] + model.nvs[support]] += sign
+    return signs
+
+
 def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray:
     """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`.
 

@@ -58,7 +58,7 @@ class Scene:
     Attributes:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
-        contacts: The points that may meet their planes.
+        contacts: The points that may meet their surfaces.
         control: control(t, q, v) -> (nv,) generalized forces; None for none.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
@@ -73,7 +73,7 @@ class Scene:
 
     Raises:
         InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
-            limit or of a joint with dry friction as that of a contact, a plane that moves along its normal.
+            limit or of a joint with dry friction as that of a contact, a surface that moves out of its place.
         UnknownNameError: A frame, joint or effect that does not exist.
     """
 
@@ -199,7 +199,7 @@ class Scene:
         return tuple(found)
 
     def unreachable(self) -> tuple[str, ...]:
-        """Return the names of the contacts that can never reach their plane, whatever the joints do."""
+        """Return the names of the contacts that can never reach their surface, whatever the joints do."""
         limited = "joint limits" not in self.without
         return tuple(c.label for c in self.contacts if out_of_reach(self.model, c, limited))
 
@@ -255,9 +255,8 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
     for contact in contacts:
         check_contact(field, contact)
         frame_id(model, contact.frame)
-        plane = contact.plane
-        if plane.body is not None:
-            frame_id(model, plane.body, "body")
+        if contact.plane.body is not None:
+            frame_id(model, contact.plane.body, "body")
         _check_surface_motion(field, contact)
     return contacts
 
