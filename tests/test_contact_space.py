@@ -1,5 +1,7 @@
 """Contact space: what must hold for every impact, and what is said of input that cannot be used."""
 
+import copy
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -372,3 +374,101 @@ def test_empty_batch():
     batch = solve_impacts(np.empty((0, 3, 3)), np.empty((0, 3)), 0.3, 0.5)
     assert len(batch) == 0
     assert batch.velocity.shape == (0, 3)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_stick_and_resumed_slip_are_flagged_with_a_segment_only(law):
+    """Slip that stops exactly as the impact ends sticks no more."""
+    at_the_end = ImpactProblem(np.diag([1.0, 1.0, 1.0]), [0.5, 0.0, -1.0], 0.5, 0.0, law)
+    solution = solve_impact(at_the_end)
+    assert solution.velocity.tolist() == [0.0, 0.0, 0.0]
+    assert [s.mode for s in solution.segments] == ["slip"]
+    assert Flag.STICK not in solution.flags
+    assert "stick" not in solution.effects
+    with_rest = solve_impact(ImpactProblem(np.diag([1.0, 1.0, 1.0]), [0.5, 0.0, -1.0], 0.5, 0.5, law))
+    assert Flag.STICK in with_rest.flags
+    assert with_rest.segments[-1].mode == "stick"
+
+
+@pytest.mark.parametrize("method", ["exact", "euler", "adaptive"])
+@pytest.mark.parametrize(
+    "problem",
+    [
+        ImpactProblem(np.eye(3), [0.5, 0.0, -1.0], 0.5, 0.0),  # slip stops as the impact ends
+        ImpactProblem(np.eye(3), [0.0, 0.0, -1.0], 0.5, 0.5),  # sticks from the start
+        ImpactProblem([[1, 0, 0.9], [0, 1, 0], [0.9, 0, 1]], [-0.1, 0.0, -1], 0.3, 0.5),
+        ImpactProblem(W, V, 0.3, 0.5, "newton"),
+    ],
+)
+def test_recorded_points_are_distinct(problem, method):
+    path = solve_impact(problem, method, record=True).path
+    assert (np.diff(path.normal_impulse) > 0).all()
+
+
+@pytest.mark.parametrize("method", ["exact", "euler", "solve_ivp"])
+@pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
+def test_solutions_can_be_pickled_and_copied(method, copied):
+    options = {"steps": 50} if method == "euler" else {}
+    solution = solve_impact(ImpactProblem(W, V, 0.3, 0.5, "energetic"), method, record=True, **options)
+    other = copied(solution)  # before anything was looked at
+    assert other.velocity.tolist() == solution.velocity.tolist()
+    assert other.segments == solution.segments
+    assert other.work == solution.work
+    assert other.path.impulse.tolist() == solution.path.impulse.tolist()
+    assert (other.status, other.flags, other.effects) == (solution.status, solution.flags, solution.effects)
+
+
+@pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
+def test_batches_can_be_pickled_and_copied(copied):
+    batch = solve_impacts([W, W], [V, 2 * V], 0.3, 0.5)
+    other = copied(batch)
+    assert other.impulse.tolist() == batch.impulse.tolist()
+    assert other.work.total.tolist() == batch.work.total.tolist()
+
+
+@pytest.mark.parametrize("field", ["delassus", "velocity", "friction", "restitution"])
+def test_none_is_no_number(field):
+    arguments = dict(delassus=[W], velocity=[V], friction=0.3, restitution=0.5) | {field: None}
+    with pytest.raises(InputError, match=f"{field}: None is not an array of numbers") as caught:
+        solve_impacts(**arguments)
+    assert caught.value.field == field
+    one = dict(delassus=W, velocity=V, friction=0.3, restitution=0.5) | {field: None}
+    with pytest.raises(InputError, match=field) as caught:
+        solve_impact(ImpactProblem(**one))
+    assert caught.value.field == field
+
+
+def test_single_precision_is_named_as_the_reason():
+    singular = np.array([[1.0, 2.0, 3.0]]).T @ [[1.0, 2.0, 3.0]] / 7.0 + np.diag([0.0, 0.0, -1e-7])
+    for matrix, word in ((W + 1e-7 * np.tri(3), "symmetric"), (singular, "semidefinite")):
+        with pytest.raises(InputError, match=rf"{word}.*float32.*double precision") as caught:
+            solve_impact(ImpactProblem(matrix.astype(np.float32), V, 0.3, 0.5))
+        assert caught.value.field == "delassus"
+        with pytest.raises(InputError) as caught:
+            solve_impact(ImpactProblem(matrix, V, 0.3, 0.5))
+        assert "float32" not in str(caught.value)
+
+
+def test_laws_are_described():
+    from pinimpact.contact_space.laws import find_law, law_of_code
+
+    for code, name in enumerate(LAWS):
+        law = find_law(name)
+        assert (law.name, law.code, law_of_code(code)) == (name, code, law)
+        assert law.equation
+        assert law.summary
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_counts_what_it_says(law):
+    """What grows in restitution reaches the goal that the registry's equation names."""
+    from pinimpact.contact_space.laws import find_law
+
+    e = 0.6
+    solution = solve_impact(ImpactProblem(W, V, 0.3, e, law))
+    restored = {
+        "impulse": (solution.impulse[2] - solution.compression_impulse, e * solution.compression_impulse),
+        "work": (solution.work.restitution, -(e**2) * solution.work.compression),
+        "velocity": (solution.velocity[2], -e * V[2]),
+    }
+    assert restored[find_law(law).counts][0] == pytest.approx(restored[find_law(law).counts][1], rel=1e-12)

@@ -264,6 +264,80 @@ def test_two_models_do_not_share_what_is_remembered():
         contact.gap(ur5, data, pin.neutral(ur5))
 
 
+@pytest.mark.parametrize("data", [None, 3, pin.Model()])
+def test_data_that_are_none(data):
+    model, _ = cases.load("ur5")
+    state, contact = (pin.neutral(model), np.zeros(model.nv)), pinimpact.Contact("tool0", pinimpact.Plane())
+    for call in (
+        lambda: pinimpact.impact(model, data, *state, contact),
+        lambda: pinimpact.impacts(model, data, *state, contact),
+        lambda: pinimpact.contact_matrices(model, data, state[0], contact),
+        lambda: contact.gap(model, data, state[0]),
+    ):
+        with pytest.raises(pinimpact.InputError, match=r"data: .*createData") as caught:
+            call()
+        assert caught.value.field == "data"
+
+
+def chain(*kinds, parents=(0, 1)):
+    model = pin.Model()
+    for k, (kind, parent) in enumerate(zip(kinds, parents, strict=True)):
+        place = pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.3]))
+        joint = model.addJoint(parent, kind, place, f"joint{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3.Identity())
+        model.addJointFrame(joint)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (chain(pin.JointModelRX(), pin.JointModelPZ()), "joint 'joint1' is PZ, not RevoluteUnaligned"),
+        (
+            chain(pin.JointModelRX(), pin.JointModelRevoluteUnaligned(np.array([0, 0.8, 0.6]))),
+            "joint 'joint1' has another axis",
+        ),
+        (
+            chain(
+                pin.JointModelRX(),
+                pin.JointModelRevoluteUnaligned(np.array([0, 0.6, 0.8])),
+                parents=(0, 0),
+            ),
+            "joints hang together otherwise",
+        ),
+    ],
+)
+def test_data_of_another_robot_of_the_same_size(other, message):
+    axis = np.array([0, 0.6, 0.8])
+    model = chain(pin.JointModelRX(), pin.JointModelRevoluteUnaligned(axis))
+    contact = pinimpact.Contact(2, pinimpact.Plane())
+    q, v = np.array([0.3, 0.4]), np.array([-1.0, 0.2])
+    for call in (
+        lambda data: pinimpact.impact(model, data, q, v, contact),
+        lambda data: pinimpact.impacts(model, data, q, v, contact),
+        lambda data: pinimpact.contact_matrices(model, data, q, contact),
+        lambda data: contact.gap(model, data, q),
+    ):
+        with pytest.raises(pinimpact.InputError, match=f"data: made for another robot, whose {message}"):
+            call(other.createData())
+        call(model.createData())
+    call(chain(pin.JointModelRX(), pin.JointModelRevoluteUnaligned(axis)).createData())  # its equal will do
+
+
+def test_a_model_without_joints_is_told():
+    model = pin.Model()
+    contact = pinimpact.Contact(0, pinimpact.Plane(point=(0, 0, -0.5)))
+    nothing = np.zeros(0)
+    assert contact.gap(model, model.createData(), nothing) == 0.5
+    for call in (
+        lambda data: pinimpact.impact(model, data, nothing, nothing, contact),
+        lambda data: pinimpact.impacts(model, data, nothing, nothing, contact),
+        lambda data: pinimpact.contact_matrices(model, data, nothing, contact),
+    ):
+        with pytest.raises(pinimpact.ModelError, match="no joints"):
+            call(model.createData())
+
+
 MIMIC = """<robot name="gripper"><link name="world"/>
 <joint name="arm" type="revolute"><parent link="world"/><child link="hand"/><axis xyz="0 1 0"/>{limit}</joint>
 <link name="hand">{inertial}</link>

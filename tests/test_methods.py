@@ -11,7 +11,18 @@ import pytest
 from hypothesis import given, reject
 from hypothesis import strategies as st
 
-from pinimpact import METHODS, Flag, ImpactProblem, InputError, PinimpactError, UnknownNameError, solve_impact
+import pinimpact.contact_space.methods as methods_module
+from pinimpact import (
+    METHODS,
+    Flag,
+    ImpactProblem,
+    InputError,
+    Method,
+    PinimpactError,
+    UnknownNameError,
+    register_method,
+    solve_impact,
+)
 from pinimpact.studies.cost import problem_classes, relative_error
 
 from .drawing import examples
@@ -58,7 +69,7 @@ def test_adaptive_follows_its_tolerance(name):
 
 
 @pytest.mark.parametrize("name", list(CLASSES))
-def test_scipy_by_hand_agrees(name):
+def test_the_scipy_baseline_agrees(name):
     # its threshold on the speed of slip is ten times rtol
     for rtol in (1e-5, 1e-8):
         assert _errors(CLASSES[name], "solve_ivp", [{"rtol": rtol}])[0] <= 100.0 * rtol
@@ -229,6 +240,44 @@ def test_endless_slip_is_given_up():
     problem = ImpactProblem([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]], (1.0, 0.5, -1e-9), 1.5, 0.5)
     with pytest.raises(PinimpactError, match="exact"):
         solve_impact(problem, "euler", steps=10)
+
+
+@pytest.fixture
+def shifted():
+    """Methods whose answer is known: the impulse is the number that they are made with."""
+
+    def make(number):
+        def run(inputs, trace, path):
+            return (0, 0, 1, *inputs[6:9], 0.0, 0.0, number, number, 0.0, 0, 0)
+
+        return Method(lambda: run, "made for a test")
+
+    names = set(METHODS)
+    yield make
+    for name in set(METHODS) - names:
+        methods_module._methods.pop(name)
+        methods_module._loaded.pop(name, None)
+
+
+def test_a_known_name_is_replaced_only_if_asked(shifted):
+    problem = CLASSES["planar"]
+    register_method("shifted", shifted(1.0))
+    assert solve_impact(problem, "shifted").impulse[2] == 1.0
+    with pytest.raises(InputError, match=r"'shifted'.*replace=True") as caught:
+        register_method("shifted", shifted(2.0))
+    assert caught.value.field == "name"
+    assert solve_impact(problem, "shifted").impulse[2] == 1.0
+    register_method("shifted", shifted(2.0), replace=True)  # also after it was loaded
+    assert solve_impact(problem, "shifted").impulse[2] == 2.0
+
+
+def test_exact_stays(shifted):
+    before = solve_impact(CLASSES["planar"]).impulse
+    with pytest.raises(InputError, match="exact"):
+        register_method("exact", shifted(1.0), replace=True)
+    with pytest.raises(TypeError):
+        METHODS["exact"] = shifted(1.0)
+    assert solve_impact(CLASSES["planar"]).impulse.tolist() == before.tolist()
 
 
 def test_registered_methods():

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import os
 import subprocess
 import sys
 import weakref
+from functools import partial
 
 import numba
 import numpy as np
@@ -19,6 +21,7 @@ from pinimpact.robot import pinocchio_bridge as bridge
 from pinimpact.robot._kernels.python_calls import call, raise_kept_error
 
 from . import robot_cases as cases
+from . import test_contacts_matrices, test_reset_physics, test_simulation
 from .scene_models import UP, ball, pendulum
 
 FLOOR = Plane()
@@ -142,6 +145,39 @@ def test_a_scene_is_the_same_either_way(way):
     assert trajectory.modes[0].start == pytest.approx(zeno, abs=2e-3)
     assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-13)
     assert trajectory.energy.residual[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        test_simulation.test_a_belt_brings_a_block_to_its_speed_and_pays_for_it,
+        partial(test_simulation.test_a_ball_that_slides_comes_to_roll, 0.7),
+        test_simulation.test_a_joint_stops_at_its_limit,
+        test_simulation.test_dry_friction_in_a_joint_stops_it_and_holds_it,
+        test_simulation.test_a_held_tip_is_a_hinge,
+        *(
+            partial(
+                test_contacts_matrices.test_gap_and_jacobian_are_those_of_the_moving_points,
+                body=body,
+                surface=cases.random_plane,
+            )
+            for body in (None, "panda_link2")
+        ),
+        partial(
+            test_contacts_matrices.test_mass_and_delassus_by_inverse_dynamics_and_dense_algebra, name="solo12"
+        ),
+        test_contacts_matrices.test_mimic_joints_move_as_they_are_told,
+        partial(test_reset_physics.test_energy_by_pinocchio_is_the_ledger, "panda", "poisson"),
+        partial(test_reset_physics.test_momentum_changes_by_the_impulse, "kinova"),
+        test_reset_physics.test_two_bodies_may_change_roles,
+        test_reset_physics.test_many_states_at_once,
+    ],
+    ids=lambda test: getattr(test, "func", test).__name__,
+)
+def test_what_holds_of_robots_and_scenes_holds_with_copies(test, rng, monkeypatch):
+    monkeypatch.setattr(bridge, "_trusted", lambda *_: False)
+    asked = inspect.signature(test).parameters
+    test(**({"rng": rng} if "rng" in asked else {}))
 
 
 def test_another_version_is_found_out_said_once_and_answered_alike(other_version, rng):
@@ -322,7 +358,7 @@ def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
         return hit
 
     monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
-    monkeypatch.setattr("pinimpact.scene.state.impact", impact)
+    monkeypatch.setattr("pinimpact.scene.scene_impacts.impact", impact)
     floor = Plane(point=(0, 0, -0.9))
     simulate(Scene(pendulum(), [Contact("tip", floor, restitution=0.5)]), [1.0], [0.0], 0.5)
     assert compared

@@ -1,5 +1,7 @@
 """What an impact of a robot must conserve, whatever the robot, the frame, the plane and the law."""
 
+import pickle
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -338,6 +340,49 @@ def test_many_coefficients_at_once(rng):
         assert found.v[row].tolist() == pinimpact.impact(model, data, q, v, contact).v.tolist()
 
 
+def test_what_is_given_once_holds_for_all_rows(rng):
+    model, data = cases.load("ur5")
+    states = [cases.random_state(model, rng) for _ in range(4)]
+    qs, vs = (np.array(x) for x in zip(*states, strict=True))
+    contact = cases.random_contact("tool0", rng)
+
+    def one_by_one(*rows):
+        return [pinimpact.impact(model, data, q, v, contact).v.tolist() for q, v in rows]
+
+    one_q = pinimpact.impacts(model, data, qs[0], vs, contact)
+    assert one_q.v.tolist() == one_by_one(*((qs[0], v) for v in vs))
+    one_v = pinimpact.impacts(model, data, qs, vs[0], contact)
+    assert one_v.v.tolist() == one_by_one(*((q, vs[0]) for q in qs))
+    assert pinimpact.impacts(model, data, qs[0], vs[0], contact).v.tolist() == one_by_one((qs[0], vs[0]))
+    mu = np.linspace(0, 1, 5)
+    many = pinimpact.impacts(model, data, qs[0], vs[0], contact, friction=mu)
+    tiled = pinimpact.impacts(model, data, [qs[0]] * 5, [vs[0]] * 5, contact, friction=mu)
+    assert many.v.tolist() == tiled.v.tolist()
+
+
+def test_hits_can_be_pickled(rng):
+    model, data = cases.load("panda")
+    q, v = cases.random_state(model, rng)
+    plane = cases.random_plane(rng, "panda_link1", velocity=(0.1, 0.2, 0.3))
+    contact = cases.random_contact("panda_hand_tcp", rng, plane, name="hand")
+    v = cases.approaching(model, data, q, v, contact)
+    for options in ({},):
+        hit = pinimpact.impact(model, data, q, v, contact, **options)
+        again = pickle.loads(pickle.dumps(hit))
+        assert again.v.tolist() == hit.v.tolist()
+        assert again.impulse_world.tolist() == hit.impulse_world.tolist()
+        assert again.solution.segments == hit.solution.segments
+        assert again.solution.work == hit.solution.work
+        assert (again.solution.path is None) is (not options.get("record"))
+        assert again.problem.delassus.tolist() == hit.problem.delassus.tolist()
+    hits = pinimpact.impacts(model, data, [q, q], v, contact)
+    again = pickle.loads(pickle.dumps(hits))
+    assert (again.v.tolist(), again.flags.tolist()) == (hits.v.tolist(), hits.flags.tolist())
+    assert pickle.loads(pickle.dumps(contact)) == contact
+    struck = pinimpact.impact(model, data, q, v, pickle.loads(pickle.dumps(contact)))
+    assert struck.v.tolist() == hits.v[0].tolist()
+
+
 def test_a_bad_row_spoils_no_other(rng):
     model, data = cases.load("solo12")
     contact = cases.random_contact("FL_FOOT", rng)
@@ -358,8 +403,10 @@ def test_a_bad_row_spoils_no_other(rng):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"q": np.zeros(7)}, r"q: shape \(7,\)"),
+        ({"q": np.zeros(6)}, r"q: shape \(6,\) given, \(7,\) expected"),
         ({"q": np.zeros((2, 8))}, "q: shape"),
+        ({"q": np.zeros((1, 2, 7))}, "q: shape"),
+        ({"q": "home"}, "q: 'home'"),
         ({"v": np.zeros((3, 6))}, "v: shape"),
         ({"friction": np.zeros(3)}, "friction: shape"),
         ({"restitution": [[0.5]]}, "restitution: shape"),

@@ -121,3 +121,115 @@ def test_a_robot_without_its_meshes_still_moves(urdf):
         robot = pinimpact.load_robot(urdf(visual=LOST_MESH))
     assert robot.visual_model.ngeoms == 0
     assert np.isfinite(pin.crba(robot.model, robot.data, robot.q0)).all()
+
+
+# ---- what a URDF says and Pinocchio takes without a word
+
+GRIPPER = """<robot name="gripper"><link name="world"/>
+<joint name="arm" type="revolute"><parent link="world"/><child link="hand"/><axis xyz="0 1 0"/>{limit}</joint>
+<link name="hand">{inertial}</link>
+<joint name="left" type="revolute"><parent link="hand"/><child link="left_finger"/>
+  <origin xyz="1 0.1 0"/><axis xyz="0 0 1"/>{limit}</joint>
+<link name="left_finger">{inertial}</link>
+<joint name="right" type="revolute"><parent link="hand"/><child link="right_finger"/>
+  <origin xyz="1 -0.1 0"/><axis xyz="0 0 1"/>{limit}
+  <mimic joint="{leader}" multiplier="-2" offset="0.1"/></joint>
+<link name="right_finger">{inertial}</link>
+<joint name="tip" type="revolute"><parent link="right_finger"/><child link="right_tip"/>
+  <origin xyz="1 0 0"/><axis xyz="0 0 1"/>{limit}<mimic joint="right" multiplier="0.5" offset="-0.3"/></joint>
+<link name="right_tip">{inertial}</link>
+</robot>"""
+
+
+@pytest.fixture
+def gripper(tmp_path):
+    def write(leader="left"):
+        path = tmp_path / "gripper.urdf"
+        limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+        path.write_text(GRIPPER.format(limit=limit, inertial=INERTIAL, leader=leader))
+        return path
+
+    return write
+
+
+def test_mimic_joints_of_a_file_are_told(gripper):
+    with pytest.warns(UserWarning, match=r"right, tip .* mimic others") as caught:
+        robot = pinimpact.load_robot(gripper())
+    assert robot.model.nv == 4
+    assert caught[0].filename == __file__
+    assert pinimpact.load_robot(gripper(), mimic=False).model.nv == 4
+
+
+def test_mimic_joints_follow_where_that_is_asked_for(gripper):
+    """Against the uncoupled robot with q = G p + g: M = Gᵀ M G, J = J G, and v⁺ from those."""
+    one, free = pinimpact.load_robot(gripper(), mimic=True), pinimpact.load_robot(gripper(), mimic=False)
+    assert (one.nq, one.nv, len(one.q0)) == (2, 2, 2)
+    coupling = np.array([[1, 0], [0, 1], [0, -2], [0, -1]])  # the tip follows the leader's leader
+    q, v = np.array([0.3, 0.7]), np.array([1.0, -0.5])
+    full = coupling @ q + [0, 0, 0.1, 0.5 * 0.1 - 0.3]
+    contact = pinimpact.Contact(
+        "right_tip", pinimpact.Plane(normal=(1, 2, 3)), friction=0.3, restitution=0.5, offset=(1, 0, 0)
+    )
+    other = pinimpact.contact_matrices(free.model, free.data, full, contact)
+    mass = coupling.T @ other.mass @ coupling
+    jacobian = other.jacobian @ coupling
+    if (jacobian @ v)[2] > 0:
+        v = -v
+    delassus = jacobian @ np.linalg.solve(mass, jacobian.T)
+    hit = pinimpact.impact(one.model, one.data, q, v, contact)
+    solution = pinimpact.solve_impact(pinimpact.ImpactProblem(delassus, jacobian @ v, 0.3, 0.5))
+    expected = v + np.linalg.solve(mass, jacobian.T @ solution.impulse)
+    assert hit.v == pytest.approx(expected, abs=1e-12)
+    assert np.abs(hit.v - v).max() > 0.1
+
+
+def test_mimic_joints_of_a_named_robot_follow_where_that_is_asked_for():
+    robot = pinimpact.load_robot("panda", mimic=True)
+    assert (robot.nq, robot.nv, len(robot.q0)) == (8, 8, 8)
+    assert robot.visual_model.ngeoms == pinimpact.load_robot("panda").visual_model.ngeoms
+    with pytest.raises(pinimpact.ModelError, match="panda_finger_joint2"):
+        pinimpact.simulate(pinimpact.Scene(robot), robot.q0, np.zeros(8), 0.1)
+
+
+@pytest.mark.parametrize("leader", ["tip", "nobody"])
+def test_mimic_joints_that_cannot_be_coupled_are_named(gripper, leader):
+    with pytest.warns(UserWarning, match=r"cannot couple the joints right\b"):
+        robot = pinimpact.load_robot(gripper(leader), mimic=True)
+    assert robot.model.nv >= 3
+
+
+def test_a_negative_mass_is_said_to_be_one(urdf):
+    path = urdf(inertial=INERTIAL.replace('mass value="1"', 'mass value="-2.5"'))
+    with pytest.raises(pinimpact.ModelError, match=r"link 'arm' is negative \(-2\.5 kg\)"):
+        pinimpact.load_robot(path)
+    model = pin.Model()
+    model.addJointFrame(model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift"))
+    model.appendBodyToJoint(1, pin.Inertia(-2.5, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(pinimpact.ModelError, match=r"the negative mass -2\.5 kg of joint 'lift'"):
+        pinimpact.impact(model, model.createData(), [0.0], [-1.0], pinimpact.Contact(1, pinimpact.Plane()))
+
+
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+MESH = '<visual><geometry><mesh filename="package://shapes/box.obj"/></geometry></visual>'
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_meshes_are_found_where_one_is_told(urdf, tmp_path):
+    package = tmp_path / "far" / "away" / "shapes"
+    package.mkdir(parents=True)
+    (package / "box.obj").write_text(OBJ)
+    path = urdf(visual=MESH)
+    assert pinimpact.load_robot(path, package_dirs=[package.parent]).visual_model.ngeoms == 1
+    with pytest.warns(UserWarning, match=r"package://shapes/box\.obj; package_dirs"):
+        assert pinimpact.load_robot(path).visual_model.ngeoms == 0
+
+
+def test_one_mesh_that_is_missing_costs_its_own_shape_only(urdf, tmp_path):
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "box.obj").write_text(OBJ)
+    path = urdf(visual=LOST_MESH + MESH + BOX + MESH)
+    with pytest.warns(UserWarning, match=r"lost\.stl") as caught:
+        robot = pinimpact.load_robot(path)
+    assert "box.obj" not in str(caught[0].message)
+    assert robot.visual_model.ngeoms == 3
+    assert {shape.parentJoint for shape in robot.visual_model.geometryObjects} == {1}

@@ -38,6 +38,15 @@ def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
     assert loaded.file.duration == 1.5
 
 
+def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
+    ball = '[sphere.post]\ncenter = [0, 0, "-10 cm"]\nradius = "10 cm"\nangular_velocity = [0, "60 rpm", 0]'
+    text = BALL.replace('plane = "belt"', 'plane = "post"').replace("[[contact]]", f"{ball}\n\n[[contact]]")
+    (contact,) = scene_of(tmp_path, text).scene.contacts
+    assert contact.plane == pinimpact.Sphere((0, 0, -0.1), 0.1, angular_velocity=(0, 2 * math.pi, 0))
+    with pytest.raises(pinimpact.UnknownNameError, match="'belt' is both a plane and a sphere"):
+        scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
+
+
 def test_joints_by_name_and_unit() -> None:
     loaded = load_scene(SCENES / "panda_strikes_table.toml")
     model = loaded.robot.model
@@ -105,6 +114,11 @@ WRONG = {
         ('plane = "belt"', 'plane = "bell"'),
         pinimpact.UnknownNameError,
         r"contact\[0\]\.plane.*'belt'",
+    ),
+    "no radius": (
+        ("[plane.belt]", "[sphere.post]\n[plane.belt]"),
+        pinimpact.InputError,
+        r"sphere\.post\.radius: .* does not set it",
     ),
     "unknown frame": (('frame = "ball"', 'frame = "bal"'), pinimpact.UnknownNameError, "'bal'.*'ball'"),
     "unknown law": (

@@ -101,6 +101,41 @@ def test_the_arrow_lies_along_the_impulse(page) -> None:
     np.testing.assert_allclose(matrix[:3, 3], tip, atol=1e-12)
 
 
+def test_surfaces_are_drawn_where_they_are(tmp_path: Path) -> None:
+    robot = pinimpact.load_robot("rod")
+    surfaces = (pinimpact.Sphere((1, 2, 3), 0.4), pinimpact.Plane((0, 0, 0.1), (0, 1, 0)))
+    contacts = [pinimpact.Contact("tip", surface) for surface in surfaces]
+    path = pinimpact.replay(robot, Fall(robot), tmp_path / "x.html", contacts=contacts)
+    sent = [command for command in commands(path) if "surfaces/" in command["path"]]
+    shapes = {
+        command["path"]: command["object"]["geometries"][0]
+        for command in sent
+        if command["type"] == "set_object"
+    }
+    placed = {
+        command["path"]: np.array(command["matrix"]).reshape(4, 4).T
+        for command in sent
+        if command["type"] == "set_transform"
+    }
+    assert len(shapes) == len(placed) == 2
+    (ball,) = [path for path, shape in shapes.items() if shape["type"] == "SphereGeometry"]
+    (plate,) = [path for path, shape in shapes.items() if shape["type"] == "BoxGeometry"]
+    assert shapes[ball]["radius"] == 0.4
+    np.testing.assert_allclose(placed[ball][:3, 3], (1, 2, 3))
+    np.testing.assert_allclose(placed[plate][:3, 2], (0, 1, 0), atol=1e-15)
+    tip = pinimpact.Contact("tip", surfaces[1])
+    data = robot.model.createData()
+    for t in (0.0, 0.5, 1.0):  # the plate lies under all of the tip's way
+        q = Fall(robot).at(t)[0]
+        gap = tip.gap(robot.model, data, q)
+        pin.framesForwardKinematics(robot.model, data, q)
+        foot = data.oMf[robot.model.getFrameId("tip")].translation - gap * np.array((0, 1, 0))
+        local = np.linalg.solve(placed[plate], [*foot, 1.0])[:3]
+        assert (
+            np.abs(local) <= 0.5 * np.array([shapes[plate][k] for k in ("width", "height", "depth")])
+        ).all()
+
+
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="there is no chromium to look at the page with")
 def test_a_browser_shows_it(page, tmp_path: Path) -> None:
     picture = tmp_path / "page.png"

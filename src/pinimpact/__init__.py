@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .contact_space.batch import BatchSolution, solve_impacts
+    from .contact_space.laws import LAWS
     from .contact_space.methods import METHODS, Method, register_method
     from .contact_space.problem import ImpactProblem
     from .contact_space.solution import Path, Segment, Solution, Work
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
     from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
     from .robot.sphere import Sphere
+    from .scene.events import Event
     from .scene.scene import Scene
     from .scene.simulation import simulate
     from .scene.trajectory import Trajectory
-    from .status import EFFECTS, LAWS, Flag, Status
+    from .status import EFFECTS, Flag, Status
     from .visual.html_replay import replay
 
 __version__ = "0.1.0"
@@ -46,6 +48,7 @@ __all__ = [
     "BatchSolution",
     "Contact",
     "ContactMatrices",
+    "Event",
     "Flag",
     "HeldContactWarning",
     "Hit",
@@ -95,12 +98,14 @@ _HOMES = {
         "UnstoppableApproachError",
     ),
     "contact_space.methods": ("METHODS", "Method", "register_method"),
-    "status": ("EFFECTS", "LAWS", "Flag", "Status"),
+    "contact_space.laws": ("LAWS",),
+    "status": ("EFFECTS", "Flag", "Status"),
     "contact_space.problem": ("ImpactProblem",),
     "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),
+    "scene.events": ("Event",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),

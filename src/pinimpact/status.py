@@ -1,4 +1,4 @@
-"""What an impact can come to: the vocabulary of statuses, flags, laws and effects."""
+"""What an impact can come to: the vocabulary of statuses, flags and effects."""
 
 from __future__ import annotations
 
@@ -83,9 +83,6 @@ _FLAG_TEXTS = {
     Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
     Flag.SLIP_TURNED: "The direction of slip turned along the path.",
 }
-
-LAWS = ("poisson", "energetic", "newton")
-"""The restitution laws; a law's position is its code in the kernels."""
 
 EFFECTS = (
     "friction",

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from .jit import inner
+from .jit import inner, separate
 
 MAX_ITERATIONS = 60
 """What no program needs; badly scaled ones stop there."""
@@ -203,7 +203,7 @@ def outside(lines, sizes, x):
     return worst
 
 
-@inner
+@separate
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     """Fill x, s and z with the solution, starting from x = 0.
 

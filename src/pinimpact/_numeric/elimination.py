@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import inner
+from .jit import separate
 
 RANK = 1e-10
 """Pivots and singular values below this part of the largest count as zero."""
 
 
-@inner
+@separate
 def solve(system, target, solution, rank):
     """Solve by elimination with complete pivoting.
 

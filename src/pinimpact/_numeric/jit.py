@@ -1,68 +1,197 @@
-"""The decorators of the kernels: numba's njit, with a disk cache that never goes stale or in the way."""
+"""The decorators of the kernels: numba's njit, each kernel compiled once, and kept on disk from then on.
+
+`jit`: what Python calls. It is compiled on its own when it is first called.
+`separate`: what several kernels call and Python does not. It is compiled on its own too, and whoever calls it
+    has no copy of it but its symbol. The call costs some 2 ns; where the kernel is long, each caller takes a
+    second less to compile. (A kernel that calls a `jit` does the same.)
+`inner`: what is small, or has one caller: its code goes into each caller and is optimized there.
+`inlined`: an `inner` that must not stay a call.
+
+The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
+writable, every process compiles for itself.
+
+Whoever has to wait is told what for, once, by the logger "pinimpact.compiling". It warns, so that it is
+seen where nobody has set up logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences
+it. At the level INFO it counts the kernels of `compile_all`.
+
+With NUMBA_DISABLE_JIT=1 all kernels are plain Python.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
+import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching, dispatcher
+from numba.core import caching, compiler, dispatcher
+
+from .linking import InnerCompiler, KernelCompiler, KernelLibrary, compiling
+from .sources import PACKAGE, memory, stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-
-def _sources_digest() -> str:
-    digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parents[1].rglob("_*/*.py")):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()
-
-
-_DIGEST = _sources_digest()
-
-
-class _Stamp:
-    """Stamp with the sources of all kernels: numba itself watches only the caller's, not its callees'."""
-
-    def get_source_stamp(self) -> str:
-        return _DIGEST
-
-
-class _CacheImpl(caching.CompileResultCacheImpl):
-    _locator_classes = tuple(
-        type(f"Stamped{locator.__name__}", (_Stamp, locator), {})
-        for locator in caching.CompileResultCacheImpl._locator_classes
-    )
-
-
-class _Cache(caching.FunctionCache):
-    _impl_class = _CacheImpl
-
-
-_OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy"}
+_OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "no_cfunc_wrapper": True}
+_LOG = logging.getLogger(f"{PACKAGE}.compiling")
+_PURPOSES = {"scene": ("scenes", 25), "robot": ("impacts of robots", 8), "contact_space": ("impacts", 6)}
+"""What the kernels of a package are for, and the seconds that all of them take to compile, about."""
 
 
 def inner(function: F) -> F:
-    """Compile a kernel that only other kernels call: without what Python would need, which saves seconds."""
-    compiled: F = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function)
+    """Compile a kernel that only other kernels call, in each of them."""
+    compiled: F = numba.njit(no_cpython_wrapper=True, pipeline_class=InnerCompiler, **_OPTIONS)(function)
     return compiled
 
 
 def inlined(function: F) -> F:
     """Like `inner`, for a kernel with one caller: to pass its many values would cost more than its code."""
-    compiled: F = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(
-        function
-    )
+    compiled: F = numba.njit(
+        no_cpython_wrapper=True, forceinline=True, pipeline_class=InnerCompiler, **_OPTIONS
+    )(function)
     return compiled
+
+
+def separate(function: F) -> F:
+    """Compile a kernel that only other kernels call on its own, once for all of them."""
+    return _cached(function, no_cpython_wrapper=True)
 
 
 def jit(function: F) -> F:
-    """Compile `function` on first call; cached on disk where a place is writable."""
-    compiled = numba.njit(**_OPTIONS)(function)
+    """Compile a kernel that Python calls, when it is first called."""
+    return _cached(function)
+
+
+def compile_all(*calls: tuple[Any, ...]) -> None:
+    """Make sure that nothing is compiled later: compile or load kernels, in the order given.
+
+    Args:
+        calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come.
+    """
+    ready = [isinstance(kernel, dispatcher.Dispatcher) for kernel, *_ in calls]
+    if not any(ready):
+        return  # plain Python
+    for done, (kernel, *arguments) in enumerate(calls, start=1):
+        types = tuple(kernel.typeof_pyval(argument) for argument in arguments)
+        if types not in kernel.overloads:
+            waited = len(_told)
+            kernel.compile(types)
+            if len(_told) > waited or kernel.stats.cache_misses.get(types):
+                _LOG.info("compiling, once: %d of %d", done, len(calls))
+
+
+def _cached(function: F, **options: Any) -> F:
+    if function.__closure__:
+        raise ValueError(
+            f"{function.__qualname__}: made by a function, so its symbol is not its own; see inner"
+        )
+    compiled = numba.njit(pipeline_class=KernelCompiler, **_OPTIONS, **options)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
-        with contextlib.suppress(RuntimeError):  # no writable place at all: compile in every process
-            compiled._cache = _Cache(function)
-    return compiled
+        compiled._cache = _Cache(function)
+    result: F = compiled
+    return result
+
+
+class _Stamped:
+    """Where a kernel is cached: by its name, and by the code that it is made from."""
+
+    _module: str
+
+    def get_source_stamp(self) -> str:
+        memory.keep_in(self.get_cache_path())
+        return stamp(self._module)
+
+    def get_disambiguator(self) -> str:
+        return PACKAGE
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        self = super().from_function(py_func, py_file)  # type: ignore[misc]
+        if self is not None:
+            self._module = py_func.__module__
+        return self
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = tuple(
+        type(f"Stamped{locator.__name__}", (_Stamped, locator), {})
+        for locator in caching.CompileResultCacheImpl._locator_classes
+    )
+
+    def reduce(self, result: Any) -> Any:
+        library, fndesc, env, signature, *_, reload_init, envs = result._reduce()
+        return library, fndesc, env, signature, reload_init, tuple(one for one in envs if one.consts)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        state, fndesc, env, signature, reload_init, envs = payload
+        for prepare in reload_init:
+            prepare()
+        codegen = target_context.codegen()
+        library = KernelLibrary.load(codegen, state)
+        entry = target_context.get_executable(library, fndesc, env)
+        for one in envs:
+            codegen.set_env(one.env_name, one)
+        return compiler.compile_result(
+            target_context=target_context,
+            typing_context=target_context.typing_context,
+            library=library,
+            environment=env,
+            entry_point=entry,
+            fndesc=fndesc,
+            signature=signature,
+            objectmode=False,
+            reload_init=reload_init,
+            referenced_envs=envs,
+        )
+
+
+class _DiskCache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return sig, codegen.magic_tuple()  # the stamp covers the code
+
+
+class _Cache(caching.NullCache):
+    """The cache of a kernel, looked for on first use, for that takes time and most kernels are not used."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._disk: Any = None
+
+    @property
+    def cache_path(self) -> str | None:
+        return self._find().cache_path
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        disk = self._find()
+        found = disk.load_overload(sig, target_context)
+        if found is None:
+            _tell(self._function, isinstance(disk, _DiskCache))
+        return found
+
+    def save_overload(self, sig: Any, cres: Any) -> None:
+        self._find().save_overload(sig, cres)
+
+    def _find(self) -> Any:
+        if self._disk is None:
+            try:
+                self._disk = _DiskCache(self._function)
+            except RuntimeError:  # no writable place at all: compile in every process
+                self._disk = caching.NullCache()
+        return self._disk
+
+
+_told: set[str] = set()
+
+
+def _tell(function: Callable[..., Any], kept: bool) -> None:
+    """Say what has to be waited for, once."""
+    package = function.__module__.removeprefix(f"{PACKAGE}.").split(".")[0]
+    if package in _told or compiling():
+        return
+    _told.add(package)
+    purpose, seconds = _PURPOSES.get(package, ("this", 1))
+    often = (
+        "once per machine" if kept else "in every process, for no folder is writable (see NUMBA_CACHE_DIR)"
+    )
+    _LOG.warning("%s: compiling kernels for %s, %s: up to about %d s", PACKAGE, purpose, often, seconds)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from .. import __version__
 from ..errors import PinimpactError, SimulationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 OUT = click.option(
     "-o",
@@ -21,9 +26,6 @@ OUT = click.option(
     help="Folder for the files, made if need be.",
 )
 
-
-STARTING = "starting; the first time, kernels are compiled for about a minute"
-"""What one waits for until the first step is done."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
@@ -40,6 +42,37 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
             raise click.ClickException(str(error)) from error
 
     return wrapped
+
+
+class _Shown(logging.Handler):
+    """Hands on the text of what is logged."""
+
+    def __init__(self, show: Callable[[str], Any]) -> None:
+        super().__init__()
+        self._show = show
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a record."""
+        self._show(record.getMessage())
+
+
+@contextmanager
+def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
+    """Hand what is told of the compiling of kernels to `show`, and to nobody else, if a terminal shows it."""
+    if not console.is_terminal:
+        yield
+        return
+    logger = logging.getLogger("pinimpact.compiling")
+    handler, level, propagates = _Shown(show), logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagates
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -62,7 +95,8 @@ def demo(robot: str, out: Path) -> None:
     from .report import impact_report
 
     out.mkdir(parents=True, exist_ok=True)
-    with Console(stderr=True).status(STARTING):
+    errors = Console(stderr=True)
+    with errors.status("simulating") as status, compiling_shown(errors, status.update):
         shown = run_demo(robot)
     impact = shown.impact
     Console().print(impact_report(shown.robot.model, shown.contact, impact))
@@ -103,9 +137,10 @@ def run(scene: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     stopped: PinimpactError | None = None
     with Progress(transient=True) as bar:
-        task = bar.add_task(STARTING, total=loaded.file.duration)
+        task = bar.add_task("simulating", total=loaded.file.duration)
         try:
-            trajectory = loaded.run(lambda t, _: bar.update(task, completed=t, description="simulating"))
+            with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
+                trajectory = loaded.run(lambda t, _: bar.update(task, description="simulating", completed=t))
         except SimulationError as error:
             if error.partial is None:
                 raise

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .problem import law_code
-from .solution import Array, Work
+from .inputs import Array
+from .laws import law_code
+from .solution import Work
 
 
 class BatchSolution:
@@ -62,7 +63,7 @@ def solve_impacts(
     """Resolve N frictional impacts with the method "exact".
 
     Args:
-        delassus: (N, 3, 3) inverse inertias W [1/kg].
+        delassus: (N, 3, 3) inverse inertias W [1/kg], formed in double precision.
         velocity: (N, 3) pre-impact contact velocities [m/s].
         friction: Coefficient μ, a number or (N,).
         restitution: Coefficient e, a number or (N,).
@@ -101,6 +102,8 @@ def solve_impacts(
 
 def _numbers(field: str, value: ArrayLike) -> Array:
     try:
+        if value is None:  # which NumPy takes for NaN
+            raise TypeError
         return np.asarray(value, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         raise InputError(f"{field}: {value!r} is not an array of numbers", field=field, value=value) from None

@@ -1,23 +1,24 @@
-"""The registry of methods: "exact", the paper's Euler scheme, Runge–Kutta in its place, scipy by hand."""
+"""The registry of methods: "exact", the paper's Euler scheme, Runge–Kutta in its place, SciPy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, PinimpactError
+from ..errors import InputError, PinimpactError, UnknownNameError
 from ..status import Status
-from .solution import Array, Inputs
+from .inputs import Array, Inputs
 
 if TYPE_CHECKING:
     from ._kernels.butcher import Tableau
 
 Raw = tuple[Any, ...]
 Run = Callable[..., Raw]
-"""run(inputs, trace, path, **options) -> the tuple that `solve_into` returns."""
+"""run(inputs, trace, path, **options) -> the thirteen values of `_kernels.ending.Answer`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +36,63 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-METHODS: dict[str, Method] = {}
-"""The registered methods by name."""
+_methods: dict[str, Method] = {}
+_loaded: dict[str, Run] = {}
+
+METHODS: Mapping[str, Method] = MappingProxyType(_methods)
+"""The registered methods by name; `register_method` adds to them."""
 
 
-def register_method(name: str, method: Method) -> None:
-    """Make `method` available to `solve_impact` under `name`."""
-    METHODS[name] = method
+def register_method(name: str, method: Method, *, replace: bool = False) -> None:
+    """Make `method` available to `solve_impact` under `name`.
+
+    Args:
+        name: What ``method=`` of `solve_impact` is to be.
+        method: The method.
+        replace: Whether a method registered under that name before may be replaced. ``"exact"`` never can
+            be: impacts of robots, batches and scenes run its kernel without asking for a name.
+
+    Raises:
+        InputError: The name is taken, and not to be replaced.
+    """
+    if name == "exact" and name in _methods:
+        raise InputError(
+            'name: "exact" is what impacts of robots and scenes are solved by and cannot be replaced; '
+            "choose another name",
+            field="name",
+            value=name,
+        )
+    if name in _methods and not replace:
+        raise InputError(
+            f"name: a method {name!r} is registered already; choose another name, or say replace=True",
+            field="name",
+            value=name,
+        )
+    _methods[name] = method
+    _loaded.pop(name, None)
+
+
+def load_method(name: str) -> Run:
+    """Return the function that runs a registered method, or raise `UnknownNameError`."""
+    run = _loaded.get(name)
+    if run is None:
+        method = _methods.get(name)
+        if method is None:
+            raise UnknownNameError(
+                f"method: {name!r} is not registered; the methods are {', '.join(map(repr, _methods))}",
+                field="method",
+                value=name,
+            )
+        run = _loaded[name] = method.load()
+    return run
 
 
 def _load_exact() -> Run:
     from ._kernels.path import SCRATCH, solve_into
 
     def run(inputs: Inputs, trace: Array, path: Array) -> Raw:
-        raw: Raw = solve_into(*inputs, np.empty(SCRATCH), trace, path)
-        return raw
+        answer: Raw = solve_into(*inputs, np.empty(SCRATCH), trace, path)
+        return answer
 
     return run
 
@@ -75,8 +118,8 @@ def _checked_rtol(rtol: Any) -> float:
 def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array, path: Array) -> Raw:
     from ._kernels.stepping import solve_stepping
 
-    raw: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
-    if raw[0] == Status.NOT_CONVERGED:
+    answer: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
+    if answer[0] == Status.NOT_CONVERGED:
         name, value = ("rtol", rtol) if rtol > 0.0 else ("steps", steps)
         raise PinimpactError(
             f"{name}: with {value:g} the impact takes too many steps; it slips for far longer than |v₃|/c "
@@ -84,7 +127,7 @@ def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array,
             field=name,
             value=value,
         )
-    return raw
+    return answer
 
 
 def _load_euler() -> Run:
@@ -119,10 +162,10 @@ def _load_adaptive() -> Run:
 
 
 def _load_solve_ivp() -> Run:
-    from .scipy_baseline import solve_by_hand
+    from .scipy_baseline import solve_with_scipy
 
     def run(inputs: Inputs, trace: Array, path: Array, rtol: float = 1e-8) -> Raw:
-        return solve_by_hand(inputs, trace, path, _checked_rtol(rtol))
+        return solve_with_scipy(inputs, trace, path, _checked_rtol(rtol))
 
     return run
 

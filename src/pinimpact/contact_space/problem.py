@@ -1,27 +1,35 @@
-"""The contact-space problem: nine numbers of a contact, its friction and its restitution law."""
+"""The contact-space problem: the numbers of a contact, its friction and restitution law, and their checks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import UnknownNameError
-from ..status import LAWS
+from ..checks import float_array
+from ..errors import InputError
+from .inputs import Inputs
+from .laws import law_code
+
+ZERO = 32.0 * 2.0**-52
+"""Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpactProblem:
     """One frictional impact in contact axes (t₁, t₂, n); knows nothing of robots.
 
-    Inputs are checked where they are used, in `solve_impact`.
+    Shapes are those of one contact. Inputs are checked where they are used, in `solve_impact`.
 
     Attributes:
-        delassus: (3, 3) inverse inertia W felt at the contact [1/kg], symmetric positive semidefinite.
+        delassus: (3, 3) inverse inertia W felt at the contact [1/kg], symmetric positive semidefinite, in
+            double precision.
         velocity: (3,) pre-impact contact velocity v relative to the surface [m/s].
         friction: Coulomb coefficient μ ≥ 0.
         restitution: Coefficient 0 ≤ e ≤ 1 of the law.
-        law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
+        law: One of `pinimpact.LAWS`.
         surface_velocity: (3,) velocity of the surface at the contact point [m/s]; only the work
             ``solution.work.surface`` depends on it.
     """
@@ -34,13 +42,52 @@ class ImpactProblem:
     surface_velocity: ArrayLike = (0.0, 0.0, 0.0)
 
 
-def law_code(law: str) -> int:
-    """Return the kernels' code of a law, or raise `UnknownNameError`."""
+def contact_inputs(problem: ImpactProblem) -> Inputs:
+    """Return a problem's numbers as the methods take them, or raise what its shapes and types call for.
+
+    Values out of range are left to the solver, whose status `solve.raise_for_status` puts into words.
+
+    Raises:
+        InputError: Not numbers, a wrong shape, or a W that is not symmetric.
+        UnknownNameError: No such law.
+    """
+    v1, v2, v3 = float_array("velocity", problem.velocity, (3,)).tolist()
     try:
-        return LAWS.index(law)
-    except ValueError:
-        raise UnknownNameError(
-            f"law: {law!r} is not a restitution law; the laws are {', '.join(map(repr, LAWS))}",
-            field="law",
-            value=law,
-        ) from None
+        mu = float(problem.friction)
+    except (TypeError, ValueError):
+        raise _no_number("friction", problem.friction) from None
+    try:
+        e = float(problem.restitution)
+    except (TypeError, ValueError):
+        raise _no_number("restitution", problem.restitution) from None
+    return (*delassus_upper(problem.delassus), v1, v2, v3, mu, e, law_code(problem.law))
+
+
+def _no_number(field: str, value: Any) -> InputError:
+    return InputError(f"{field}: {value!r} is not a number", field=field, value=value)
+
+
+def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, float]:
+    """Return the upper triangle of a (3, 3) W, row by row; refuse a W that is not symmetric."""
+    rows = float_array("delassus", delassus, (3, 3)).tolist()
+    (w11, w12, w13), (w21, w22, w23), (w31, w32, w33) = rows
+    if not (w12 == w21 and w13 == w31 and w23 == w32):
+        asymmetry = max(abs(w12 - w21), abs(w13 - w31), abs(w23 - w32))
+        largest = max(abs(x) for row in rows for x in row)
+        if asymmetry > ZERO * largest:  # NaN is left to the solver's own checks
+            raise InputError(
+                f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, "
+                f"but W and its transpose differ by {asymmetry:.6g}{single_precision_hint(delassus)}",
+                field="delassus",
+                value=delassus,
+            )
+        w12, w13, w23 = 0.5 * (w12 + w21), 0.5 * (w13 + w31), 0.5 * (w23 + w32)
+    return w11, w12, w13, w22, w23, w33
+
+
+def single_precision_hint(delassus: Any) -> str:
+    """Return what to say of a W that is refused and holds numbers of less than double precision, or ""."""
+    kind = getattr(delassus, "dtype", None)
+    if kind in (np.float32, np.float16):
+        return f"; it holds {kind} numbers, whose rounding is that large: form W in double precision"
+    return ""

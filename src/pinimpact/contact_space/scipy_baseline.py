@@ -12,8 +12,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from ..status import LAWS, Flag, Status
-from .solution import Array, Inputs
+from ..errors import LawError
+from ..status import Flag, Status
+from .inputs import Array, Inputs
+from .laws import LAWS
 
 STANDSTILL = 10.0
 """Speed of slip, over rtol·|v⁻|, that is taken as zero."""
@@ -42,7 +44,7 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
     return sigma / np.linalg.norm(sigma)
 
 
-def solve_by_hand(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tuple[Any, ...]:
+def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tuple[Any, ...]:
     """Solve one impact with scipy; arguments `trace` and `path` and the result as the kernels have them."""
     w11, w12, w13, w22, w23, w33, *velocity, mu, e, code = inputs
     if not np.isfinite(inputs).all() or not (mu >= 0.0 and 0.0 <= e <= 1.0):
@@ -123,7 +125,9 @@ def solve_by_hand(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tup
             return _failed(Status.NOT_CONVERGED)
         before, y = y, done.y[:, -1]
         hit = [len(times) > 0 for times in done.t_events]
-        rows = _note(trace, rows, not slipping and bool(flags & Flag.STICK), not compressing, before, y)
+        rows = _record_move(
+            trace, rows, not slipping and bool(flags & Flag.STICK), not compressing, before, y
+        )
         for state in done.y.T if len(path) else ():
             if points < len(path):
                 path[points] = (state[2], *(start + shift + W @ state[:3]), *state[:2])
@@ -140,11 +144,14 @@ def solve_by_hand(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tup
             shift[:2] -= v[:2]
         elif hit[0] and compressing:
             compressing = False
-            goal = {
+            goals = {
                 "poisson": e * compressed,
                 "energetic": -e * e * compression_work,
                 "newton": -e * start[2],
-            }[law]
+            }
+            if law not in goals:
+                raise LawError(f'law: "solve_ivp" does not know {law!r}', field="law", value=law)
+            goal = goals[law]
             if e == 0.0:
                 break
         elif hit[0]:
@@ -161,7 +168,7 @@ def solve_by_hand(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tup
     return (status, int(flags), calls, *v, *y[:3], compressed, 0.0, rows, points)
 
 
-def _note(trace: Array, rows: int, sticks: bool, restores: bool, before: Array, after: Array) -> int:
+def _record_move(trace: Array, rows: int, sticks: bool, restores: bool, before: Array, after: Array) -> int:
     if rows < len(trace):
         trace[rows] = (sticks, restores, before[2], after[2], after[3] - before[3], after[4] - before[4])
         return rows + 1

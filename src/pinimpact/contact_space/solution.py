@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..status import EFFECTS, Flag, Status
-
-Array = NDArray[np.float64]
-Inputs = tuple[float, float, float, float, float, float, float, float, float, float, float, int]
-"""w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, v₁, v₂, v₃, μ, e and the code of the law."""
+from .inputs import NO_ROWS, Array, Inputs
+from .methods import load_method
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of the impact with one mode of contact in one phase; slip that resumes is a new one.
+    """A part of the impact with one mode of contact in one phase; slip that resumes is a new one.
 
     Attributes:
         mode: Whether the contact slips or sticks.
@@ -72,19 +69,25 @@ class Path:
 
 
 class Solution:
-    """What an impact came to, in contact axes (t₁, t₂, n)."""
+    """What an impact came to, in contact axes (t₁, t₂, n).
+
+    It holds numbers only and can be pickled and copied. What happened along the way (`segments`, `work`) is
+    found on first access, by the method that solved the impact, which must then be registered.
+    """
 
     def __init__(
         self,
-        raw: tuple[Any, ...],
+        answer: tuple[Any, ...],
         inputs: Inputs,
-        trace: Callable[[], Array],
+        method: str = "exact",
+        options: Mapping[str, Any] | None = None,
         path: Path | None = None,
         surface_velocity: Any = (0.0, 0.0, 0.0),
     ) -> None:
-        self._raw = raw
+        self._answer = answer
         self._inputs = inputs
-        self._trace = trace
+        self._method = method
+        self._options = options
         self._surface_velocity = surface_velocity
         self.path: Path | None = path
         """The recorded `Path`, or None where ``record=True`` was not asked for."""
@@ -92,36 +95,40 @@ class Solution:
     @cached_property
     def velocity(self) -> Array:
         """(3,) post-impact contact velocity [m/s]."""
-        return np.array(self._raw[3:6])
+        return np.array(self._answer[3:6])
 
     @cached_property
     def impulse(self) -> Array:
         """(3,) impulse on the robot [N s]."""
-        return np.array(self._raw[6:9])
+        return np.array(self._answer[6:9])
 
     @property
     def compression_impulse(self) -> float:
         """Normal impulse of all compression phases together [N s]."""
-        return float(self._raw[9])
+        return float(self._answer[9])
 
     @property
     def status(self) -> Status:
         """Why the impact ended."""
-        return Status(self._raw[0])
+        return Status(self._answer[0])
 
     @property
     def flags(self) -> Flag:
         """What was special about it."""
-        return Flag(self._raw[1])
+        return Flag(self._answer[1])
 
     @property
     def iterations(self) -> int:
         """Steps that the method took."""
-        return int(self._raw[2])
+        return int(self._answer[2])
 
     @cached_property
     def _rows(self) -> Array:
-        return self._trace()
+        from ._kernels.recording import TRACE_ROWS
+
+        rows = np.empty((TRACE_ROWS, 6))
+        run = load_method(self._method)
+        return rows[: run(self._inputs, rows, NO_ROWS, **(self._options or {}))[11]]
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:

@@ -7,58 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import float_array
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
-from ..status import LAWS, Status
-from .methods import METHODS, Run
-from .problem import ImpactProblem, law_code
-from .solution import Array, Inputs, Path, Solution
-
-ZERO = 32.0 * 2.0**-52
-"""Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
-
-TRACE_ROWS = 32
-
-_loaded: dict[str, Run] = {}
-_EMPTY = np.empty((0, 6))
+from ..status import Status
+from .inputs import NO_ROWS, Inputs
+from .laws import law_of_code, laws_always_met
+from .methods import METHODS, Run, load_method
+from .problem import ZERO, ImpactProblem, contact_inputs, single_precision_hint
+from .solution import Path, Solution
 
 
-def _run(name: str) -> Run:
-    run = _loaded.get(name)
-    if run is None:
-        method = METHODS.get(name)
-        if method is None:
-            raise UnknownNameError(
-                f"method: {name!r} is not registered; the methods are {', '.join(map(repr, METHODS))}",
-                field="method",
-                value=name,
-            )
-        run = _loaded[name] = method.load()
-    return run
+def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
+    """Raise the error that a failed solve stands for, naming the offending field and value.
 
-
-def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, float]:
-    """Return the upper triangle of a (3, 3) W, row by row; refuse a W that is not symmetric."""
-    rows = float_array("delassus", delassus, (3, 3)).tolist()
-    (w11, w12, w13), (w21, w22, w23), (w31, w32, w33) = rows
-    if not (w12 == w21 and w13 == w31 and w23 == w32):
-        asymmetry = max(abs(w12 - w21), abs(w13 - w31), abs(w23 - w32))
-        largest = max(abs(x) for row in rows for x in row)
-        if asymmetry > ZERO * largest:  # NaN is left to the solver's own checks
-            raise InputError(
-                f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, "
-                f"but W and its transpose differ by {asymmetry:.6g}",
-                field="delassus",
-                value=delassus,
-            )
-        w12, w13, w23 = 0.5 * (w12 + w21), 0.5 * (w13 + w31), 0.5 * (w23 + w32)
-    return w11, w12, w13, w22, w23, w33
-
-
-def raise_for_status(raw: tuple[Any, ...], inputs: Inputs) -> None:
-    """Raise the error that a failed solve stands for, naming the offending field and value."""
-    status = Status(raw[0])
-    figure = raw[10]
+    Args:
+        status: Why there is no answer.
+        figure: The number that belongs into the message; see `Answer`.
+        inputs: The problem.
+    """
     v3, mu, e = inputs[8], inputs[9], inputs[10]
     if status == Status.INVALID_NUMBERS:
         for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
@@ -99,11 +64,13 @@ def raise_for_status(raw: tuple[Any, ...], inputs: Inputs) -> None:
             value=v3,
         )
     if status == Status.LAW_UNREACHABLE:
+        law = law_of_code(inputs[11]).name
+        others = " or ".join(map(repr, laws_always_met()))
         raise LawError(
-            f"law: {LAWS[inputs[11]]!r} with e = {e:.6g} cannot be met: v₃ tends to a limit short of it "
-            f'({figure:.6g} missing); use "poisson", or a smaller restitution',
+            f"law: {law!r} with e = {e:.6g} cannot be met: v₃ tends to a limit short of it "
+            f"({figure:.6g} missing); use {others}, or a smaller restitution",
             field="law",
-            value=LAWS[inputs[11]],
+            value=law,
         )
     if status == Status.OUT_OF_RANGE:
         raise InputError(
@@ -122,7 +89,7 @@ def solve_inputs(
     **options: Any,
 ) -> Solution:
     """Solve the problem given by its twelve numbers; otherwise as `solve_impact`."""
-    run = _run(method)
+    run = load_method(method)
     if options:
         known = METHODS[method].options
         for name in options:
@@ -133,22 +100,17 @@ def solve_inputs(
                     value=options[name],
                 )
         run = partial(run, **options)
-    raw = run(inputs, _EMPTY, _EMPTY)
-    if raw[0] > Status.LOCKED:
-        raise_for_status(raw, inputs)
-
-    def trace() -> Array:
-        rows = np.empty((TRACE_ROWS, 6))
-        return rows[: run(inputs, rows, _EMPTY)[11]]
-
+    answer = run(inputs, NO_ROWS, NO_ROWS)
+    if answer[0] > Status.LOCKED:
+        raise_for_status(Status(answer[0]), answer[10], inputs)
     path = _record(run, inputs) if record else None
-    return Solution(raw, inputs, trace, path, surface_velocity)
+    return Solution(answer, inputs, method, options, path, surface_velocity)
 
 
 def _record(run: Run, inputs: Inputs) -> Path:
     points = np.empty((1024, 6))
     while True:
-        count = run(inputs, _EMPTY, points)[12]
+        count = run(inputs, NO_ROWS, points)[12]
         if count < len(points):
             break
         points = np.empty((4 * len(points), 6))
@@ -180,15 +142,11 @@ def solve_impact(
         UnstoppableApproachError: The contact approaches and cannot be stopped.
         LawError: The mechanism cannot reach what the law asks for.
     """
-    v1, v2, v3 = float_array("velocity", problem.velocity, (3,)).tolist()
+    inputs = contact_inputs(problem)
     try:
-        mu, e = float(problem.friction), float(problem.restitution)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"friction, restitution: numbers expected, not {problem.friction!r}, {problem.restitution!r}",
-            field="friction",
-            value=(problem.friction, problem.restitution),
-        ) from None
-    upper = delassus_upper(problem.delassus)
-    inputs = (*upper, v1, v2, v3, mu, e, law_code(problem.law))
-    return solve_inputs(inputs, method, record, problem.surface_velocity, **options)
+        return solve_inputs(inputs, method, record, problem.surface_velocity, **options)
+    except InputError as error:
+        hint = single_precision_hint(problem.delassus) if error.field == "delassus" else ""
+        if not hint:
+            raise
+        raise InputError(f"{error}{hint}", field="delassus", value=problem.delassus) from None

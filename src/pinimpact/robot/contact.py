@@ -11,16 +11,19 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import at_least_zero, coefficient
-from ..contact_space.problem import law_code
+from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.constants import AXES, KIND, POINT, RADIUS, TIP
 from .data_cache import checked_configuration, data_cache
-from .names import frame_id, model_of
+from .names import frame_id, model_of, motion_signs
 from .surfaces import Surface, Vector, check_frame_key, vector
 
 Array = NDArray[np.float64]
 _placement = pin.updateFramePlacement
+
+WORLD = np.eye(4)
+"""The placement that the kernels take where no body carries a surface."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,8 @@ class Contact:
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
         offset: From the frame's origin, in the frame's axes [m].
         radius: Of a spherical tip [m], 0 for a point.
-        name: How reports call the contact; None for "frame on plane".
+        name: How reports call the contact; None for "frame on plane" or "frame on sphere",
+            with the name of the body that carries the surface where one does.
 
     Raises:
         InputError: A number out of its range or not finite.
@@ -101,9 +105,9 @@ class Contact:
         """
         model = model_of(model)
         cache = data_cache(model, data)
-        pin.forwardKinematics(model, data, checked_configuration(cache, model, q))
+        cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
         frame = _placement(model, data, cache.frame(self.frame)).homogeneous
-        carrier = None
+        carrier = WORLD
         if self.plane.body is not None:
             carrier = _placement(model, data, cache.frame(self.plane.body, "body")).homogeneous
         return float(contact_kinematics.locate(frame, carrier, self.constants)[0])
@@ -124,12 +128,7 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
     k[POINT:AXES] = carrier.act(k[POINT:AXES])
     directions = k[AXES:KIND].reshape(-1, 3)
     directions[:] = directions @ carrier.rotation.T
-    signs = np.zeros(model.nv)
-    for joint, sign in ((tip, 1.0), (base, -1.0)):
-        for support in list(model.supports[joint])[1:]:
-            i = model.idx_vs[support]
-            signs[i : i + model.nvs[support]] += sign
-    return tip, base, k, signs
+    return tip, base, k, motion_signs(model, tip, base)
 
 
 def check_contact(field: str, value: Any) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import weakref
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from ..checks import finite_array
 from ..errors import InputError
-from .names import frame_id
+from .names import frame_id, motion_signs
 from .pinocchio_bridge import MassAndColumns
 
 
@@ -18,29 +19,46 @@ class DataCache:
     """What does not change about a model and its data from one call to the next; see `data_cache`."""
 
     __slots__ = (
-        *("columns", "curved", "data", "frames", "joint_jacobian", "mass_matrix", "model", "nframes", "nv"),
-        *("parents", "q_shape", "supports", "v_shape"),
+        *("columns", "contacts", "curved", "data", "forward_kinematics", "frames", "joint_jacobian"),
+        *("mass_matrix", "model", "nframes", "nv", "parents", "q_shape", "v_shape"),
     )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
-        if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
-            raise outdated(model, data)
+        tree = _tree(model)
+        _check_data(tree, model, data)
         self.model = weakref.ref(model)
-        self.data = weakref.ref(data, _forget(id(data)))
+        self.data = weakref.ref(data, _forget(_caches, id(data)))
         self.nframes = model.nframes
         self.nv = model.nv
         self.q_shape = (model.nq,)
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
-        self.parents = np.array(data.parents_fromRow, dtype=np.int64)
+        self.parents = np.array(tree.parents, dtype=np.int64)
         if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
             self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
-        self.supports: dict[int, np.ndarray] = {}
+        self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         bridge = MassAndColumns(model, data)
         self.columns = bridge.columns
-        self.mass_matrix = bridge.mass_matrix
-        self.joint_jacobian = bridge.joint_jacobian
+        self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
+        self.joint_jacobian = self._first("joint_jacobian", bridge.joint_jacobian)
+        self.forward_kinematics = self._first("forward_kinematics", pin.forwardKinematics)
+
+    def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a call that, when it is made first, tells where Pinocchio finds joints of another kind."""
+
+        def checked(model: pin.Model, data: pin.Data, *arguments: Any) -> Any:
+            try:
+                found = call(model, data, *arguments)
+            except RuntimeError as error:  # boost::bad_get
+                difference = _joint_that_differs(model, data)
+                if difference:
+                    raise _foreign(data, difference) from error
+                raise
+            setattr(self, name, call)
+            return found
+
+        return checked
 
     def frame(self, key: str | int, field: str = "frame") -> int:
         """Return the id of a frame given by name or id; see `frame_id`."""
@@ -53,16 +71,92 @@ class DataCache:
             self.frames[key] = found
         return found
 
-    def support(self, frame: int) -> np.ndarray:
-        """Return (nv,) booleans: the velocities that move a frame given by id."""
-        found = self.supports.get(frame)
-        if found is None:
-            model: Any = self.model()
-            # with mimic joints a column holds what the frame's own joints do, and nothing else
-            found = self.supports[frame] = np.full(self.nv, self.columns is None)
-            for joint in list(model.supports[model.frames[frame].parentJoint])[1:]:
-                found[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = True
+    def contact(self, frame: str | int, body: str | int | None) -> tuple[int, int, np.ndarray]:
+        """Return the ids of a contact's frame and of the frame that carries its surface, and signs.
+
+        The id for the world is 0. The signs (nv,) are 1 for a velocity that moves the contact's frame alone,
+        −1 the carrier alone, else 0.
+        """
+        model: Any = self.model()
+        ends = self.frame(frame), 0 if body is None else self.frame(body, "body")
+        if self.columns is None:  # with mimic joints each column holds what it does to either
+            signs = np.ones(self.nv)
+        else:
+            signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
+        found = self.contacts[frame, body] = (*ends, signs)
         return found
+
+
+class _Tree(NamedTuple):
+    """What does not change about a model and can be told from its Data.
+
+    Attributes:
+        model: A weak reference to it.
+        sizes: nq, nv and numbers of joints and frames, for a model that has grown since.
+        parents: (nv,) the next velocity on the way to the root, or −1, as Data have it.
+        axes: Of the joints whose axis stands in their data: index and (6, 1) motion subspace.
+    """
+
+    model: Any
+    sizes: tuple[int, int, int, int]
+    parents: list[int]
+    axes: list[tuple[int, np.ndarray]]
+
+
+def _tree(model: pin.Model) -> _Tree:
+    key, sizes = id(model), (model.nq, model.nv, model.njoints, model.nframes)
+    found = _trees.get(key)
+    if found is None or found.model() is not model or found.sizes != sizes:
+        own = model.createData()
+        axes = [
+            (k, joint.S)
+            for k, joint in enumerate(own.joints)
+            if joint.shortname() in ("JointDataRevoluteUnaligned", "JointDataPrismaticUnaligned")
+        ]
+        found = _trees[key] = _Tree(
+            weakref.ref(model, _forget(_trees, key)),
+            sizes,
+            own.parents_fromRow.tolist(),
+            axes,
+        )
+    return found
+
+
+def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
+    """Refuse what are not the Data of a model, as far as Data tell: by sizes, tree, axes; see `_first`."""
+    if not isinstance(data, pin.Data):
+        raise InputError(
+            f"data: {type(data).__name__} given, pinocchio Data expected: model.createData(), or a "
+            "RobotWrapper's .data",
+            field="data",
+            value=data,
+        )
+    if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
+        raise outdated(model, data)
+    if data.parents_fromRow.tolist() != tree.parents:
+        raise _foreign(data, "whose joints hang together otherwise")
+    if any(not np.array_equal(data.joints[k].S, axis) for k, axis in tree.axes):
+        raise _foreign(data, _joint_that_differs(model, data) or "")
+
+
+def _joint_that_differs(model: pin.Model, data: pin.Data) -> str | None:
+    """Return a clause about the first joint of data that is none of the model's."""
+    axes = dict(_tree(model).axes)
+    for k, (own, given) in enumerate(zip(model.createData().joints, data.joints, strict=True)):
+        kind, other = (joint.shortname().removeprefix("JointData") for joint in (own, given))
+        if kind != other:
+            return f"whose joint {model.names[k]!r} is {other}, not {kind}"
+        if k in axes and not np.array_equal(given.S, axes[k]):
+            return f"whose joint {model.names[k]!r} has another axis"
+    return None
+
+
+def _foreign(data: pin.Data, how: str) -> InputError:
+    return InputError(
+        f"data: made for another robot, {how}; make new data with model.createData()",
+        field="data",
+        value=data,
+    )
 
 
 def outdated(model: pin.Model, data: Any) -> InputError:
@@ -77,10 +171,11 @@ def outdated(model: pin.Model, data: Any) -> InputError:
 
 
 _caches: dict[int, DataCache] = {}
+_trees: dict[int, _Tree] = {}
 
 
-def _forget(key: int) -> Any:
-    forget = _caches.pop  # bound now: at exit the module may be gone before the data
+def _forget(known: dict[int, Any], key: int) -> Any:
+    forget = known.pop  # bound now: at exit the module may be gone before what it remembers
     return lambda _: forget(key, None)
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
 
+import numpy as np
 import pinocchio as pin
 from example_robot_data.robots_loader import ROBOTS
 
@@ -20,30 +24,44 @@ def bundled_models() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.urdf"))}
 
 
-def load_robot(robot: str | Path, free_flyer: bool | None = None) -> pin.RobotWrapper:
+def load_robot(
+    robot: str | Path,
+    free_flyer: bool | None = None,
+    *,
+    mimic: bool | None = None,
+    package_dirs: Sequence[str | Path] = (),
+) -> pin.RobotWrapper:
     """Load a robot.
 
     Args:
         robot: Name of a model that comes with pinimpact (see `bundled_models`), a name of
             example-robot-data, or the path of a URDF file.
         free_flyer: Whether the base flies freely; None: as the named robot comes, and fixed for a file.
+        mimic: Whether joints with a ``<mimic>`` tag follow the joint that it names, with no coordinate of
+            their own: impacts take account of them, scenes refuse them, since Pinocchio has no forward
+            dynamics for them. False: each moves on its own. None: as False, and a file that has such joints
+            gives a warning.
+        package_dirs: Folders in which the packages of a file's meshes are looked for, before the file's own
+            folder and those above it, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
-        Pinocchio's RobotWrapper; ``q0`` is its reference configuration. A robot whose meshes are not
-        found has no shapes; a warning says so.
+        Pinocchio's RobotWrapper; ``q0`` is its reference configuration. A warning names meshes that are not
+        found; the robot lacks their shapes.
 
     Raises:
         UnknownNameError: No robot bears the name; near matches are offered.
-        ModelError: The file is missing or broken, or the robot has no inertia.
+        ModelError: The file is missing or broken, a mass is negative, or the robot has no inertia.
     """
     models = bundled_models()
     name = str(robot)
     if isinstance(robot, str) and name in models:
-        wrapper = _from_file(models[name], bool(free_flyer))
+        path, wrapper = models[name], _from_file(models[name], bool(free_flyer), ())
     elif isinstance(robot, str) and name in ROBOTS:
-        wrapper = _from_example_robot_data(name, free_flyer)
+        path, wrapper = _from_example_robot_data(name, free_flyer)
+        mimic = bool(mimic)
     elif isinstance(robot, Path) or Path(name).suffix or Path(name).name != name:
-        wrapper = _from_file(Path(name).expanduser(), bool(free_flyer))
+        path = Path(name).expanduser()
+        wrapper = _from_file(path, bool(free_flyer), package_dirs)
     else:
         raise UnknownNameError(
             f"robot: {name!r} is neither a robot's name nor the path of a URDF file; "
@@ -57,22 +75,34 @@ def load_robot(robot: str | Path, free_flyer: bool | None = None) -> pin.RobotWr
             field="robot",
             value=name,
         )
+    if mimic is False:
+        return wrapper
+    coupled = _mimic_joints(path, wrapper.model)
+    if coupled and mimic:
+        return _couple(wrapper, coupled, name)
+    if coupled:
+        warnings.warn(
+            f"the joints {', '.join(coupled)} of {name} mimic others in its URDF, and here move on their "
+            "own; mimic=True lets them follow (for impacts only), mimic=False leaves this warning out",
+            stacklevel=2,
+        )
     return wrapper
 
 
-def _from_example_robot_data(name: str, free_flyer: bool | None) -> pin.RobotWrapper:
+def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, pin.RobotWrapper]:
     loader = ROBOTS[name]
     if free_flyer is not None:
         loader = type(name, (loader,), {"free_flyer": free_flyer})
     try:
-        return loader().robot
+        loaded = loader()
     except Exception as error:
         raise ModelError(
             f"robot: example-robot-data cannot load {name}: {str(error).strip()}", field="robot", value=name
         ) from error
+    return Path(loaded.df_path), loaded.robot
 
 
-def _from_file(path: Path, free_flyer: bool) -> pin.RobotWrapper:
+def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path]) -> pin.RobotWrapper:
     if not path.is_file():
         raise ModelError(f"robot: there is no file {path}", field="robot", value=str(path))
     root_joint = (pin.JointModelFreeFlyer(),) if free_flyer else ()
@@ -84,16 +114,129 @@ def _from_file(path: Path, free_flyer: bool) -> pin.RobotWrapper:
             field="robot",
             value=str(path),
         ) from error
-    package_dirs = [str(folder) for folder in path.resolve().parents[:4]]
-    shapes = []
-    for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
-        try:
-            shapes.append(pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=package_dirs))
-        except Exception as error:
-            warnings.warn(
-                f"the robot of {path} has no shapes: {str(error).strip()}; "
-                "the environment variable ROS_PACKAGE_PATH tells where meshes are",
-                stacklevel=3,
-            )
-            shapes.append(pin.GeometryModel())
+    _check_masses(path)
+    folders = [str(Path(folder).expanduser()) for folder in package_dirs]
+    folders += [str(folder) for folder in path.resolve().parents[:4]]
+    missing: dict[str, None] = {}
+    shapes = [
+        _shapes(model, path, kind, folders, missing)
+        for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)
+    ]
+    if missing:
+        warnings.warn(
+            f"the robot of {path} lacks the shapes of meshes that are not found or cannot be read: "
+            f"{', '.join(missing)}; package_dirs or the environment variable ROS_PACKAGE_PATH tells where "
+            "meshes are",
+            stacklevel=3,
+        )
     return pin.RobotWrapper(model, *shapes)
+
+
+def _check_masses(path: Path) -> None:
+    for link in ElementTree.parse(path).getroot().iter("link"):
+        for mass in link.iterfind("inertial/mass"):
+            if float(mass.get("value", "0")) < 0.0:
+                raise ModelError(
+                    f"robot: {path}: the mass of link {link.get('name')!r} is negative "
+                    f"({mass.get('value')} kg); a mass is at least 0",
+                    field="robot",
+                    value=str(path),
+                )
+
+
+# ---- shapes
+
+
+def _shapes(
+    model: pin.Model, path: Path, kind: pin.GeometryType, folders: list[str], missing: dict[str, None]
+) -> pin.GeometryModel:
+    """Return the shapes of one kind, without those whose meshes are no use; these are added to `missing`."""
+    try:
+        return pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=folders)
+    except Exception:  # of which one it is there is no more than a text
+        root = ElementTree.parse(path).getroot()
+    tag = "collision" if kind == pin.GeometryType.COLLISION else "visual"
+    shaped = [
+        (link, shape, mesh.get("filename", ""))
+        for link in root.iter("link")
+        for shape in link.findall(tag)
+        if (mesh := shape.find("geometry/mesh")) is not None
+    ]
+    for link, shape, _ in shaped:
+        link.remove(shape)
+    for name in dict.fromkeys(name for _, _, name in shaped):
+        added = [(link, shape) for link, shape, other in shaped if other == name]
+        link, shape = added[0]
+        link.append(shape)
+        try:
+            pin.buildGeomFromUrdfString(model, _text(root), kind, package_dirs=folders)
+        except Exception:
+            link.remove(shape)
+            missing[name] = None
+        else:
+            for link, shape in added[1:]:
+                link.append(shape)
+    try:
+        return pin.buildGeomFromUrdfString(model, _text(root), kind, package_dirs=folders)
+    except Exception as error:
+        missing[str(error).strip()] = None
+        return pin.GeometryModel()
+
+
+def _text(root: ElementTree.Element) -> str:
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+# ---- mimic joints
+
+
+class _Mimic(NamedTuple):
+    """q = multiplier · q_leader + offset."""
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
+def _mimic_joints(path: Path, model: pin.Model) -> dict[str, _Mimic]:
+    """Return the joints of a model that follow another one, and how; a leader follows no other."""
+    found = {}
+    for joint in ElementTree.parse(path).getroot().iterfind("joint"):
+        tag = joint.find("mimic")
+        if tag is not None and model.existJointName(joint.get("name", "")):
+            multiplier, offset = float(tag.get("multiplier") or 1.0), float(tag.get("offset") or 0.0)
+            found[joint.get("name", "")] = _Mimic(tag.get("joint", ""), multiplier, offset)
+    for name in found:
+        seen = {name}
+        while found[name].leader in found and found[name].leader not in seen:
+            leader, a, b = found[name]
+            seen.add(leader)
+            further, multiplier, offset = found[leader]
+            found[name] = _Mimic(further, a * multiplier, a * offset + b)
+    return found
+
+
+def _couple(robot: pin.RobotWrapper, coupled: dict[str, _Mimic], name: str) -> pin.RobotWrapper:
+    """Return the robot with joints that follow another one, as far as Pinocchio can couple them."""
+    model, left = robot.model, []
+    for joint, (leader, multiplier, offset) in coupled.items():
+        try:
+            if not model.existJointName(leader):
+                raise ValueError(leader)
+            ids = model.getJointId(leader), model.getJointId(joint)
+            model = pin.transformJointIntoMimic(model, *ids, multiplier, offset)
+        except Exception:  # a leader that is fixed, comes later in the tree, or is of another kind
+            left.append(joint)
+    if left:
+        warnings.warn(
+            f"Pinocchio cannot couple the joints {', '.join(left)} of {name} to those that they mimic (it "
+            "couples a joint to one of its own kind, before it in the tree); they move on their own",
+            stacklevel=3,
+        )
+    whole = pin.RobotWrapper(model, robot.collision_model, robot.visual_model)
+    own = [j for j in range(1, model.njoints) if "Mimic" not in model.joints[j].shortname()]
+    before = robot.model
+    whole.q0 = np.concatenate(
+        [robot.q0[before.idx_qs[j] : before.idx_qs[j] + before.nqs[j]] for j in own] or [robot.q0[:0]]
+    )
+    return whole

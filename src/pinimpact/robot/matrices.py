@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ._kernels import contact_kinematics, tree
-from .contact import Contact, check_contact, check_held
+from .contact import WORLD, Contact, check_contact, check_held
 from .data_cache import DataCache, checked_configuration, data_cache
 from .names import free_velocities, model_of, singular_mass
 
@@ -25,7 +25,7 @@ class ContactGeometry:
 
     Attributes:
         point: (3,) contact point in world axes [m].
-        gap: Signed distance of the point from the plane [m].
+        gap: Signed distance of the point from the surface [m].
         axes: (3, 3) contact axes t₁, t₂, n as rows, in world axes.
         K: (nv, 2) tangential columns of Jᵀ.
         h: (nv,) normal column of Jᵀ.
@@ -42,7 +42,7 @@ class ContactGeometry:
 
     @property
     def jacobian(self) -> Array:
-        """(3, nv) J = [K h]ᵀ: velocity of the point relative to the plane's carrier, in contact axes."""
+        """(3, nv) J = [K h]ᵀ: velocity of the point relative to the surface's carrier, in contact axes."""
         return np.column_stack([self.K, self.h]).T
 
     def velocity(self, v: ArrayLike) -> Array:
@@ -79,7 +79,7 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     kinematic = kinematics(model, data, q, cache, contact)
     rows = np.empty((3, cache.nv))
     seen = np.array(contact_kinematics.jacobian(*kinematic, contact.constants, rows))
-    gap, _, _, _, *point = contact_kinematics.locate(kinematic[0], kinematic[3], contact.constants)
+    gap, _, _, _, *point = contact_kinematics.locate(*kinematic[:2], contact.constants)
     return ContactGeometry(np.array(point), gap, seen[:9].reshape(3, 3), rows[:2].T, rows[2], seen[9:])
 
 
@@ -99,7 +99,7 @@ def contact_matrices(
             ``pin.computeJointJacobians`` write; ``data.oMf`` is brought to q only for the frames in question.
         q: (nq,) configuration.
         contact: The contact that the impulse acts at.
-        held: Contacts whose points cannot move relative to their planes: three bilateral rows each,
+        held: Contacts whose points cannot move relative to their surfaces: three bilateral rows each,
             projected out of M⁻¹. One holds a standing point foot; with ``Plane(body=…)`` it closes a loop;
             three that are not in line make a grasp. Rows that repeat others are allowed: of the impulses
             that do the same, the least (in norm) are given.
@@ -155,32 +155,21 @@ def contact_matrices(
 
 def kinematics(
     model: pin.Model, data: pin.Data, q: Array, cache: DataCache, contact: Contact
-) -> tuple[Array, Array, NDArray[np.bool_], Array | None, Array | None, NDArray[np.bool_] | None]:
-    """Return what `contact_kinematics.jacobian` takes of the contact's frame and of the plane's carrier.
+) -> tuple[Array, Array, Array, Array]:
+    """Return what `contact_kinematics.jacobian` takes of the contact's frame and of the surface's carrier.
 
     ``data.J`` and ``data.oMi`` have to be those of q already.
     """
-    frame = cache.frames.get(contact.frame)
-    if frame is None:
-        frame = cache.frame(contact.frame)
-    placement = _placement(model, data, frame).homogeneous
-    columns = cache.columns
     body = contact.plane.body
+    frame, carrier, signs = cache.contacts.get((contact.frame, body)) or cache.contact(contact.frame, body)
+    placement = _placement(model, data, frame).homogeneous
+    carried = WORLD if body is None else _placement(model, data, carrier).homogeneous
+    columns = cache.columns
     if columns is None:
         columns = _columns_of(model, data, q, frame)
-    if body is None:
-        return placement, columns, cache.support(frame), None, None, None
-    carrier = cache.frame(body, "body")
-    carrier_columns = columns if cache.columns is not None else _columns_of(model, data, q, carrier)
-    carrier_placement = _placement(model, data, carrier).homogeneous
-    return (
-        placement,
-        columns,
-        cache.support(frame),
-        carrier_placement,
-        carrier_columns,
-        cache.support(carrier),
-    )
+        if body is not None:
+            columns -= _columns_of(model, data, q, carrier)
+    return placement, carried, columns, signs
 
 
 def _columns_of(model: pin.Model, data: pin.Data, q: Array, frame: int) -> Array:

@@ -60,6 +60,15 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     return ids[0]
 
 
+def motion_signs(model: pin.Model, joint: int, other: int) -> np.ndarray:
+    """Return (nv,) 1 for velocities that move a joint and not the other, −1 for the reverse, else 0."""
+    signs = np.zeros(model.nv)
+    for end, sign in ((joint, 1.0), (other, -1.0)):
+        for support in list(model.supports[end])[1:]:
+            signs[model.idx_vs[support] : model.idx_vs[support] + model.nvs[support]] += sign
+    return signs
+
+
 def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray:
     """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`.
 
@@ -110,13 +119,23 @@ def model_of(robot: Any) -> pin.Model:
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:
     """Return the error for a mass matrix whose factorization stops at a velocity."""
     joint = next(
-        name
-        for name, start, count in zip(model.names, model.idx_vs, model.nvs, strict=True)
+        j
+        for j, (start, count) in enumerate(zip(model.idx_vs, model.nvs, strict=True))
         if start <= velocity < start + count
     )
+    name = model.names[joint]
+    reason = (
+        f"moves no inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock "
+        "the joint"
+    )
+    for carried in model.subtrees[joint]:
+        mass = model.inertias[carried].mass
+        if mass < 0.0:
+            reason = (
+                f"moves the negative mass {mass:.6g} kg of joint {model.names[carried]!r}; give it one ≥ 0"
+            )
     return ModelError(
-        f"model: the mass matrix is not positive definite: joint {joint!r} (velocity {velocity}) moves no "
-        f"inertia; give its links inertia or model.armature[{velocity}] a rotor inertia, or lock the joint",
+        f"model: the mass matrix is not positive definite: joint {name!r} (velocity {velocity}) {reason}",
         field="model",
-        value=joint,
+        value=name,
     )

@@ -6,7 +6,6 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
-from ..contact_space._kernels.path import SCRATCH, solve_into
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Inputs, Solution
-from ..contact_space.solve import TRACE_ROWS, solve_impact, solve_inputs
+from ..contact_space.solve import solve_impact, solve_inputs
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
@@ -110,9 +108,9 @@ class Hit:
         """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
             inputs = self._inputs()
-            raw = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
+            answer = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
             surface = self._part(kernel.SURFACE, 3)
-            self._solution = Solution(raw, inputs, partial(_trace, inputs), None, surface)
+            self._solution = Solution(answer, inputs, surface_velocity=surface)
         return self._solution
 
     def __repr__(self) -> str:
@@ -131,12 +129,6 @@ class Hit:
     def _part(self, start: int, count: int) -> Array:
         start += self._nv
         return self._answer[start : start + count]
-
-
-def _trace(inputs: Inputs) -> Array:
-    """Return the trace of the exact method; see `solve_into`."""
-    rows = np.empty((TRACE_ROWS, 6))
-    return rows[: solve_into(*inputs, np.empty(SCRATCH), rows, rows[:0])[11]]
 
 
 def impact(
@@ -250,14 +242,15 @@ def impacts(
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; what changes is told in `contact_matrices`.
-        q: (N, nq) configurations.
-        v: (N, nv) pre-impact velocities.
+        q: (N, nq) configurations, or (nq,) one for all rows.
+        v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
         contact: The contact that collides.
         friction: Scalar or (N,) to take instead of the contact's.
         restitution: Scalar or (N,) to take instead of the contact's.
 
     Returns:
-        Row by row the answers; a row with bad numbers gets its status and NaN and spoils no other.
+        Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
+        and spoils no other.
 
     Raises:
         InputError: Wrong shapes.
@@ -267,12 +260,15 @@ def impacts(
     model = model_of(model)
     cache = data_cache(model, data)
     check_contact("contact", contact)
-    count = np.shape(q)[0] if np.ndim(q) == 2 else 0
-    q = float_array("q", q, (count, *cache.q_shape))
-    v = float_array("v", v, (count, *cache.v_shape))
-    mu = _per_row("friction", contact.friction if friction is None else friction, count)
+    mu = contact.friction if friction is None else friction
     law = contact.restitution if restitution is None else restitution
-    e = None if callable(law) else _per_row("restitution", law, count)
+    e = None if callable(law) else law
+    given = ((q, 1), (v, 1), (mu, 0), (e, 0))
+    count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
+    q = _per_row("q", q, count, cache.q_shape)
+    v = _per_row("v", v, count, cache.v_shape)
+    mu = _per_row("friction", mu, count)
+    e = None if e is None else _per_row("restitution", e, count)
     found = Hits(
         np.full((count, cache.nv), np.nan),
         np.full((count, 3), np.nan),
@@ -376,5 +372,8 @@ def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array)
             )
 
 
-def _per_row(name: str, value: ArrayLike, count: int) -> Array:
-    return float_array(name, np.full(count, value) if np.ndim(value) == 0 else value, (count,))
+def _per_row(name: str, value: ArrayLike, count: int, shape: tuple[int, ...] = ()) -> Array:
+    """Return (count, *shape) of what is given for each row, or once for all."""
+    if np.ndim(value) == len(shape):
+        value = np.broadcast_to(float_array(name, value, shape) if shape else value, (count, *shape))
+    return float_array(name, value, (count, *shape))

@@ -21,8 +21,8 @@ class Sphere(Surface):
     axes, `center` is from its origin, and the sphere moves with the frame; `velocity` and
     `angular_velocity` are then what the surface does beyond that.
 
-    The gap of a contact whose tip has the radius r and its centre at c is |c − center| − `radius` − r. Where
-    c is `center` no direction is nearest, and n is taken as z.
+    The gap of a contact whose tip has the radius r and its centre at c is |c − center| − `radius` − r. With c
+    at `center` no direction is nearest, and n is taken as z.
 
     Attributes:
         center: Its centre [m].

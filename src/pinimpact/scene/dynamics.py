@@ -10,12 +10,23 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.jit import compile_all
 from ..errors import SimulationError
 from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact, contact_constants
 from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
-from ._kernels import approach, closed_set, contact_modes, dynamics, jamming, smooth_motion
+from ._kernels import (
+    approach,
+    closed_set,
+    contact_modes,
+    dense_output,
+    dynamics,
+    jamming,
+    smooth_motion,
+    step_dop853,
+    step_radau,
+)
 from ._kernels import drift as drifting
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import WORKS, DenseStep
@@ -121,7 +132,33 @@ class SceneDynamics:
             },
         )
         self.work.force_margin = math.inf
+        self._compile_kernels()
         closed_set.close_held(self.work)
+
+    def _compile_kernels(self) -> None:
+        """Have compiled whatever a run may come to need, lest it stops for that later."""
+        work, t, flag = self.work, 0.0, False
+        q, v, dense = work.q0, work.v0, work.dense_coefficients
+        which = np.zeros(work.contacts + work.limits, dtype=np.int64)
+        gaps = work.start_gaps
+        compile_all(
+            (closed_set.close_held, work),
+            (approach.fastest_approach, work, q, v, flag, which, which),
+            (contact_modes.set_modes, work, t, q, v, which),
+            (smooth_motion.begin, work, t, q, v),
+            (step_dop853.attempt, work, t, t, t, t),
+            (step_radau.attempt, work, t, t, t, t),
+            (smooth_motion.finish, work, t, t, t, flag),
+            (drifting.correct_drift, work, t, q, v),
+            (jamming.stop_jammed_slip, work, t, q, v, flag),
+            (smooth_motion.gaps_at, work, q, v, gaps),
+            (
+                smooth_motion.free_motion_at,
+                *(work, t, q, v, which, v, work.contact_jacobian, gaps, gaps, gaps, v),
+            ),
+            (dense_output.state, dense, t, work.joint_charts, q, v, q, v),
+            (dense_output.interpolate, dense[:, -WORKS:], t, v),
+        )
 
     # ---- calls from kernels
 

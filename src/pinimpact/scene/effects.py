@@ -27,6 +27,7 @@ SWITCHABLE = (
     "held contacts",
     "locked joints",
     "recorded path",
+    "user events",
 )
 """Effects that can be switched off by name."""
 
@@ -122,6 +123,7 @@ def make_plan(
     locked: Sequence[str | int],
     resting_speed: float,
     record: bool,
+    events: Sequence[str],
     without: Sequence[str],
 ) -> Plan:
     """Derive a plan from what a scene is made of.
@@ -137,6 +139,7 @@ def make_plan(
         locked: Joints that are locked during impacts.
         resting_speed: Bounce speed below which a contact is taken as resting [m/s].
         record: Whether paths of impacts are recorded.
+        events: Names of the user's events.
         without: Effects to leave out.
     """
     watched = len(contacts) - len(unreachable)
@@ -211,6 +214,7 @@ def make_plan(
             "no joint is locked",
         ),
         "recorded path": (record, "record=True", "record=False"),
+        "user events": (bool(events), f"located: {', '.join(events)}", "no events are given"),
     }
     effects = []
     for name, (present, reason, absence) in called_for.items():

@@ -67,6 +67,24 @@ class ImpactRecord:
         return state | {"contact_space": partial(tuple, self._contact_space)}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EventRecord:
+    """One event of a user's own.
+
+    Attributes:
+        time: When [s].
+        name: Which.
+        q: (nq,) configuration.
+        v_before, v_after: (nv,) velocities, before and after its callback.
+    """
+
+    time: float
+    name: str
+    q: Array
+    v_before: Array
+    v_after: Array
+
+
 @dataclass(frozen=True, slots=True)
 class ModeInterval:
     """A time over which a contact, limit or joint stayed in one mode.
@@ -106,8 +124,8 @@ class Energy:
         joints: Work of joint damping and dry friction, ≤ 0.
         friction: Work of friction in sustained contacts, in the velocity relative to the surface, ≤ 0.
         surface: Work of moving surfaces in sustained contacts.
-        impacts: Change of kinetic energy in impacts, moving surfaces included, and in contacts that came to
-            rest.
+        impacts: Change of kinetic energy in impacts, moving surfaces included, in contacts that came to
+            rest, and by callbacks of events.
     """
 
     kinetic: Array

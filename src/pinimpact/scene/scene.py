@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
 from .effects import Plan, check_names, make_plan
+from .events import Event, Guard, as_events
 from .reach import chain_length, link_lengths, out_of_reach
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ class Scene:
     Attributes:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
-        contacts: The points that may meet their planes.
+        contacts: The points that may meet their surfaces.
         control: control(t, q, v) -> (nv,) generalized forces; None for none.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
@@ -67,10 +68,12 @@ class Scene:
             with the model's gravity (standard gravity if it has none) and L the size of the robot, `extent`.
         record: Whether each impact's path is recorded.
         without: Effects to leave out, by the names in `plan`.
+        events: Events of the user's own, see `Event`; plain guards count as such, with the ``terminal`` and
+            ``direction`` that they may carry as scipy's do.
 
     Raises:
         InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
-            limit or of a joint with dry friction as that of a contact, a plane that moves along its normal.
+            limit or of a joint with dry friction as that of a contact, a surface that moves out of its place.
         UnknownNameError: A frame, joint or effect that does not exist.
     """
 
@@ -83,6 +86,7 @@ class Scene:
     resting_speed: float | None = None
     record: bool = False
     without: Sequence[str] = ()
+    events: Sequence[Event | Guard] = ()
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
@@ -97,6 +101,7 @@ class Scene:
         assign(self, "locked", (self.locked,) if isinstance(self.locked, (str, int)) else tuple(self.locked))
         free_velocities(self.model, self.locked)
         assign(self, "without", check_names(self.without))
+        assign(self, "events", as_events(self.events))
         if self.control is not None and not callable(self.control):
             raise InputError(
                 f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
@@ -145,6 +150,7 @@ class Scene:
             locked=self.locked,
             resting_speed=self.rest,
             record=self.record,
+            events=[event.label for event in as_events(self.events)],
             without=self.without,
         )
 
@@ -193,7 +199,7 @@ class Scene:
         return tuple(found)
 
     def unreachable(self) -> tuple[str, ...]:
-        """Return the names of the contacts that can never reach their plane, whatever the joints do."""
+        """Return the names of the contacts that can never reach their surface, whatever the joints do."""
         limited = "joint limits" not in self.without
         return tuple(c.label for c in self.contacts if out_of_reach(self.model, c, limited))
 
@@ -249,9 +255,8 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
     for contact in contacts:
         check_contact(field, contact)
         frame_id(model, contact.frame)
-        plane = contact.plane
-        if plane.body is not None:
-            frame_id(model, plane.body, "body")
+        if contact.plane.body is not None:
+            frame_id(model, contact.plane.body, "body")
         _check_surface_motion(field, contact)
     return contacts
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
-from ..errors import SimulationError
+from ..errors import PinimpactError, SimulationError
 from ..robot.contact import Contact
 from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
@@ -63,6 +64,18 @@ class SceneImpacts:
         self._resting_speed = scene.rest if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
         self._plastic: dict[int, Contact] = {}
+
+    def compile_kernels(self, q: Array) -> None:
+        """Have compiled whatever a run may come to need, by impacts at rest that change nothing.
+
+        Args:
+            q: (nq,) a configuration.
+        """
+        still = np.zeros(self._model.nv)
+        for i, contact in enumerate(self._dynamics.contacts):
+            with suppress(PinimpactError):  # what is wrong with it is told when it collides
+                self._impact(replace(contact, restitution=0.0), q, still)
+                self.without_collision(q, still, i, False)
 
     def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
         """Resolve the impact of a contact or, past those, of a joint limit.

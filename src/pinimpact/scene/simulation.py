@@ -17,6 +17,7 @@ from ._kernels import step_dop853, step_radau
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap
 from .dense_step import WORKS, DenseStep
+from .events import EventWatch, Interruption, as_events
 from .records import Energy, ModeInterval
 from .scene import Scene
 from .simulation_state import SimulationState
@@ -72,8 +73,9 @@ def simulate(
         InputError: A start below a surface or beyond a joint limit, a held contact that moves or is further
             from its surface than a thousandth of the robot's size, numbers of the wrong shape or range.
         ModelError: A joint that cannot be integrated.
-        SimulationError: A run that cannot go on; its ``partial`` is the trajectory until then. A control that
-            fails or returns nonsense, impacts beyond `max_impacts`, an impact without an answer.
+        SimulationError: A run that cannot go on; its ``partial`` is the trajectory until then. A control, or
+            the guard or callback of an event, that fails or returns nonsense, impacts beyond `max_impacts`,
+            an impact without an answer.
     """
     if not isinstance(scene, Scene):
         raise InputError(f"scene: {scene!r} is not a Scene", field="scene", value=scene)
@@ -137,6 +139,8 @@ class _Run:
         self.last_progress = 0, 0.0
         self.forces_were_unique = True
         self.bounce = math.inf
+        self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
+        self.ended_by: str | None = None
 
     def go(self, progress: Progress | None) -> Trajectory:
         """Run to the end; return the trajectory, or raise with what there is of it."""
@@ -146,9 +150,10 @@ class _Run:
             self._sample()
             consistent = self._lengths()
             state.settle(starting=True)
+            self._let_events_happen()
             self._begin_motion()
             h = self.dynamics.first_length(self.rtol, self.atol)
-            while state.t < self.duration:
+            while state.t < self.duration and self.ended_by is None:
                 h = self._step(h)
                 consistent = self._lengths()
                 if progress is not None:
@@ -157,6 +162,8 @@ class _Run:
             return self._trajectory("Interrupted from the keyboard.", False, consistent)
         except PinimpactError as error:
             self._stop(error, consistent)
+        if self.ended_by is not None:
+            return self._trajectory(f"The event {self.ended_by!r} ended the run.", False, self._lengths())
         return self._trajectory("The duration is covered.", True, self._lengths())
 
     def _stop(self, error: PinimpactError, consistent: tuple[Any, ...]) -> None:
@@ -179,13 +186,14 @@ class _Run:
             len(self.dense_steps),
             len(self.samples),
             len(state.impacts),
+            len(self.events.records),
             len(state.modes.ended),
             dict(state.modes.present),
             len(state.notes),
         )
 
     def _trajectory(self, termination: str, complete: bool, consistent: tuple[Any, ...]) -> Trajectory:
-        dense_steps, samples, impacts, intervals, present, notes = consistent
+        dense_steps, samples, impacts, events, intervals, present, notes = consistent
         rows = self.samples[: max(samples, 1)]
         t = np.array([row[0] for row in rows])
         q = np.array([row[1] for row in rows])
@@ -207,6 +215,7 @@ class _Run:
             self.work.joint_charts,
             (t, q, v),
             self.state.impacts[:impacts],
+            self.events.records[:events],
             modes,
             energy,
             self.state.notes[:notes],
@@ -279,6 +288,11 @@ class _Run:
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
         self.dense_steps.append(step)
         time, arriving = work.event_time, self._arriving()
+        if self.events:
+            interruption = self.events.within(step, min(time, step.end))
+            if interruption is not None:
+                self._interrupt(step, interruption, arriving if interruption.time == time else None)
+                return natural
         if time <= step.end:
             self._end_at_event(step, time, arriving)
             return natural
@@ -316,6 +330,36 @@ class _Run:
         self._sample()
         return True
 
+    def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
+        """End a step at an event of the user's."""
+        state = self.state
+        step.end = state.t = interruption.time
+        state.q, state.v = step.at(state.t)
+        self.w = step.works(state.t)
+        self._sample()
+        self._go_on_after(interruption)
+        if self.ended_by is None:
+            self._settle(arriving)
+            self._begin_motion()
+        if interruption.velocity is not None:
+            self._sample()
+
+    def _go_on_after(self, interruption: Interruption) -> None:
+        """Take over the velocity that an event has set, and whether it ends the run."""
+        if interruption.velocity is not None:
+            self.state.change_velocity(interruption.velocity)
+        self.ended_by = interruption.ended_by
+
+    def _let_events_happen(self) -> None:
+        """Let the events happen whose guards an instant has taken to the other sign."""
+        while self.events and self.ended_by is None:
+            interruption = self.events.at_instant(self.state.t, self.state.q, self.state.v)
+            if interruption is None:
+                return
+            self._go_on_after(interruption)
+            if self.ended_by is None:
+                self._settle_contacts()
+
     def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> None:
         """End a step at an event and deal with it: something arrives, or else modes change."""
         state = self.state
@@ -335,6 +379,11 @@ class _Run:
         self._sample()
 
     def _settle(self, arriving: int | None = None) -> None:
+        """Let impacts, modes and the user's events of this instant settle."""
+        self._settle_contacts(arriving)
+        self._let_events_happen()
+
+    def _settle_contacts(self, arriving: int | None = None) -> None:
         """Let impacts and modes of this instant settle, within the number of impacts allowed."""
         impacts = self.state.impacts
         before = len(impacts)

@@ -70,6 +70,7 @@ class SimulationState:
         check_inertia(model, data, q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
         self._impacts = SceneImpacts(scene, model, self.dynamics, held)
+        self._impacts.compile_kernels(q)
         contact_names = [contact.label for contact in self.dynamics.contacts]
         limit_names = [limit.name for limit in limits]
         self.names = [*contact_names, *limit_names]
@@ -158,7 +159,7 @@ class SimulationState:
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
         """Take over the velocity after an impact; return the fields of its record."""
         before = self.v
-        self._change_velocity(impact.v)
+        self.change_velocity(impact.v)
         return {
             "time": self.t,
             "source": self.names[i],
@@ -170,7 +171,8 @@ class SimulationState:
             "record": self._record and i < len(self.dynamics.contacts),
         }
 
-    def _change_velocity(self, v: Array) -> None:
+    def change_velocity(self, v: Array) -> None:
+        """Go on with another velocity, and count the kinetic energy that it brings."""
         energy = self._impacts.kinetic_energy
         self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
         self.v = v
@@ -187,7 +189,7 @@ class SimulationState:
         modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
         slipping = ", ".join(name for name, mode in modes if mode == SLIP)
         self.note(f"Slip at {slipping} makes the forces grow without bound; the contacts jam and stick.")
-        self._change_velocity(v)
+        self.change_velocity(v)
         return True
 
     # ---- contacts that stay closed

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, UnknownNameError
 from ..robot.names import near_matches
 from .dense_step import DenseStep
-from .records import Energy, ImpactRecord, ModeInterval, Note
+from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
@@ -23,10 +23,10 @@ class Trajectory:
     """The motion that `simulate` found. It can be pickled, and saved as a file of numbers and text.
 
     Attributes:
-        t: (m,) times [s], the ends of the smooth stretches; an impact's time stands twice, before and after
-            it.
+        t: (m,) times [s], the ends of the steps; an impact's time stands twice, before and after it.
         q, v: (m, nq), (m, nv) samples.
         impacts: The impacts in order.
+        events: What has happened of the scene's `Event`s, in order.
         modes: The intervals in which contacts, limits and joints were not free, by their end.
         energy: Energies and works at the samples.
         termination: Why the run ended, in a sentence.
@@ -44,6 +44,7 @@ class Trajectory:
         joints: NDArray[np.int64],
         samples: tuple[Array, Array, Array],
         impacts: Sequence[ImpactRecord],
+        events: Sequence[EventRecord],
         modes: Sequence[ModeInterval],
         energy: Energy,
         notes: Sequence[Note],
@@ -59,6 +60,7 @@ class Trajectory:
         self._ends = np.array([segment.end for segment in segments])
         self.t, self.q, self.v = samples
         self.impacts = tuple(impacts)
+        self.events = tuple(events)
         self.modes = tuple(modes)
         self.energy = energy
         self.notes = tuple(notes)
@@ -161,6 +163,7 @@ class Trajectory:
             "joints": self._joints,
             "samples": (self.t, self.q, self.v),
             "impacts": self.impacts,
+            "events": self.events,
             "modes": self.modes,
             "energy": self.energy,
             "notes": self.notes,

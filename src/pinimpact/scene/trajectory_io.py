@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
 from .dense_step import WORKS, DenseStep
-from .records import Energy, ImpactRecord, ModeInterval, Note
+from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ def write_trajectory(
     joints: NDArray[np.int64],
     samples: tuple[Array, Array, Array],
     impacts: Sequence[ImpactRecord],
+    events: Sequence[EventRecord],
     modes: Sequence[ModeInterval],
     energy: Energy,
     notes: Sequence[Note],
@@ -50,6 +51,7 @@ def write_trajectory(
         "notes": [[note.time, note.text] for note in notes],
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
+        "events": [[event.time, event.name] for event in events],
         "impacts": [
             [
                 i.time,
@@ -82,6 +84,8 @@ def write_trajectory(
             segment_v=stack([s.v for s in segments], nv),
             segment_w=stack([s.w for s in segments], WORKS),
             segment_dense=stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
+            event_q=stack([event.q for event in events], nq),
+            event_v=stack([(event.v_before, event.v_after) for event in events], 2, nv),
             impact_q=stack([i.q for i in impacts], nq),
             impact_v=stack([(i.v_before, i.v_after) for i in impacts], 2, nv),
             impact_delassus=stack([i.problem.delassus for i in impacts], 3, 3),
@@ -94,7 +98,8 @@ def write_trajectory(
 def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
-    A file that was written before the names of sources were stored has None for them.
+    A file that was written before the names of sources were stored has None for them, and one before events
+    were has none.
 
     Raises:
         InputError: A file that is missing, or is no trajectory.
@@ -139,11 +144,16 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]
+    events = [
+        EventRecord(time, name, arrays["event_q"][i], *arrays["event_v"][i])
+        for i, (time, name) in enumerate(meta.get("events", ()))
+    ]
     return {
         "segments": segments,
         "joints": joints,
         "samples": (arrays["t"], arrays["q"], arrays["v"]),
         "impacts": impacts,
+        "events": events,
         "modes": [ModeInterval(*row) for row in meta["modes"]],
         "energy": Energy(*arrays["energy"]),
         "notes": [Note(*row) for row in meta["notes"]],

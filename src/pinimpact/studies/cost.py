@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from ..contact_space.laws import law_code
 from ..contact_space.methods import METHODS
-from ..contact_space.problem import ImpactProblem, law_code
+from ..contact_space.problem import ImpactProblem, delassus_upper
 from ..contact_space.solution import Solution
-from ..contact_space.solve import delassus_upper, solve_impact
+from ..contact_space.solve import solve_impact
 from ..errors import InputError, PinimpactError
 
 SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {

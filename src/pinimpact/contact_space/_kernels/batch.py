@@ -6,13 +6,15 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import jit
-from .codes import INDEFINITE_DELASSUS
+from ..._numeric.jit import inner, jit
+from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
+from .ending import Answer, no_answer
 from .path import SCRATCH, solve_into
+from .recording import TRACE_ROWS
 
 
-@jit
+@inner
 def _asymmetry(w):
     largest = max(
         max(abs(w[0, 0]), abs(w[1, 1]), abs(w[2, 2])), max(abs(w[0, 1]), abs(w[0, 2]), abs(w[1, 2]))
@@ -34,42 +36,43 @@ def solve_rows(delassus, velocity, friction, restitution, law, numbers, codes, w
     """
     scratch = np.empty(SCRATCH)
     path = np.empty((0, 6))
-    trace = np.empty((32 if works.shape[0] > 0 else 0, 6))
+    trace = np.empty((TRACE_ROWS if works.shape[0] > 0 else 0, 6))
     for i in range(velocity.shape[0]):
         w = delassus[i]
-        status, flags, iterations, v1, v2, v3, p1, p2, p3, compression, _, rows, _ = solve_into(
-            w[0, 0],
-            0.5 * (w[0, 1] + w[1, 0]),
-            0.5 * (w[0, 2] + w[2, 0]),
-            w[1, 1],
-            0.5 * (w[1, 2] + w[2, 1]),
-            w[2, 2],
-            velocity[i, 0],
-            velocity[i, 1],
-            velocity[i, 2],
-            friction[i],
-            restitution[i],
-            law,
-            scratch,
-            trace,
-            path,
+        answer = Answer(
+            *solve_into(
+                w[0, 0],
+                0.5 * (w[0, 1] + w[1, 0]),
+                0.5 * (w[0, 2] + w[2, 0]),
+                w[1, 1],
+                0.5 * (w[1, 2] + w[2, 1]),
+                w[2, 2],
+                velocity[i, 0],
+                velocity[i, 1],
+                velocity[i, 2],
+                friction[i],
+                restitution[i],
+                law,
+                scratch,
+                trace,
+                path,
+            )
         )
         if _asymmetry(w):
-            status, flags = INDEFINITE_DELASSUS, 0
-            v1 = v2 = v3 = p1 = p2 = p3 = compression = math.nan
-        numbers[i, 0] = v1
-        numbers[i, 1] = v2
-        numbers[i, 2] = v3
-        numbers[i, 3] = p1
-        numbers[i, 4] = p2
-        numbers[i, 5] = p3
-        numbers[i, 6] = compression
-        codes[i, 0] = status
-        codes[i, 1] = flags
-        codes[i, 2] = iterations
+            answer = no_answer(INDEFINITE_DELASSUS, 0.0)
+        numbers[i, 0] = answer.v1
+        numbers[i, 1] = answer.v2
+        numbers[i, 2] = answer.v3
+        numbers[i, 3] = answer.p1
+        numbers[i, 4] = answer.p2
+        numbers[i, 5] = answer.p3
+        numbers[i, 6] = answer.compression_impulse
+        codes[i, 0] = answer.status
+        codes[i, 1] = answer.flags
+        codes[i, 2] = answer.iterations
         if works.shape[0] > 0:
-            works[i, :] = 0.0 if status <= 3 else math.nan
-            if status <= 3:
-                for j in range(rows):
+            works[i, :] = 0.0 if answer.status <= LOCKED else math.nan
+            if answer.status <= LOCKED:
+                for j in range(answer.trace_rows):
                     works[i, int(trace[j, 1])] += trace[j, 4]
                     works[i, 2] += trace[j, 5]

@@ -11,12 +11,13 @@ import math
 
 from ..._numeric.jit import inner
 from .delassus import EPS
-from .slip_equations import RECIPROCAL, TERMS, in_frame, polynomials
+from .slip_equations import RECIPROCAL, TERMS, Shape, in_frame, polynomials
 
 
 @inner
-def nearby_root(p0, p1, p2, p3, p4):
+def nearby_root(p0, polynomials):
     """Return the root of p that slip converges to, if it is simple, stable and close, else 0. (4.1)"""
+    p1, p2, p3, p4, _, _, _, _ = polynomials
     if p1 >= 0.0:
         return 0.0
     t = -p0 / p1
@@ -34,18 +35,17 @@ def nearby_root(p0, p1, p2, p3, p4):
 
 
 @inner
-def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
+def expand_around_root(coefficients, reciprocals, a11, a12, a22, b1, b2, s1, s2, root):
     """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
 
     Args:
-        series: Receives the coefficients of G(y) = H/π. (4.3)
-        inverse: Receives 1/(a + k), and 0 where that is close to a pole.
-        a11 … b2: μA/ω and b/ω as in `slip`.
+        coefficients: Receives the coefficients of G(y) = H/π. (4.3)
+        reciprocals: Receives 1/(a + k), and 0 where that is close to a pole.
+        a11 … b2: μA/ω and b/ω.
 
     Returns:
         whether the series converges up to the present direction; the invariant direction (2);
-        p₁ and b∥/ω, b⊥/ω there; and t₀, the factors of speed and impulse, the exponent a, the coefficients
-        π₁ … π₃ of π and those of the logarithmic derivative of G.
+        p₁ and b∥/ω, b⊥/ω there; and the `Shape`.
     """
     scale = 1.0 / (1.0 + root * root)
     cos, sin = (1.0 - root * root) * scale, 2.0 * root * scale
@@ -63,7 +63,7 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
     c0, c1, c2 = w0, w1 + q2, w2 + 2.0 * q3
     g0, g1, g2 = 1.0, 0.0, 0.0
     total = 1.0
-    series[0] = 1.0
+    coefficients[0] = 1.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
         rest = (c1 * g1 + c2 * g2) * share
@@ -72,13 +72,13 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
         c1 -= q2
         c2 -= q3
         g2, g1, g0 = g1, g0, new
-        series[k + 1] = new
+        coefficients[k + 1] = new
         total += new
     good = p1 < 0.0 and total < math.inf and abs(g0) + abs(g1) + abs(g2) <= EPS * total
     if good:
         for k in range(TERMS + 5):
             z = exponent + k
-            inverse[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
+            reciprocals[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
     speed = 1.0 / (total * (1.0 + q1 + q2 + q3) * (1.0 + t * t))
     return (
         good,
@@ -87,5 +87,5 @@ def expand_node(series, inverse, a11, a12, a22, b1, b2, s1, s2, root):
         p1,
         bl,
         bp,
-        (t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
+        Shape(t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
     )

@@ -1,12 +1,36 @@
-"""Where compression and restitution end. (theory.md, section 2)"""
+"""The restitution laws in the kernels: what each counts, its goal, and the first event at constant rates.
+
+Only `counted`, `restitution_goal` and `law_of_slow_approach` tell laws apart, by codes that `laws.LAWS`
+gives; all else asks what is counted. (theory.md, section 2)
+"""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..._numeric.jit import inner
-from .codes import COMPRESSION, ENERGETIC, FALLS_BACK, LAW_MET, NEWTON, NOTHING, POISSON, STOPS
-from .delassus import EPS
+from ..laws import COUNTED, LAWS
+from .codes import (
+    COMPRESSION,
+    COMPRESSION_ENDS,
+    COMPRESSION_RESUMES,
+    IMPULSE,
+    LAW_MET,
+    NO_EVENT,
+    VELOCITY,
+    WORK,
+)
+
+POISSON, ENERGETIC, NEWTON = (np.int64(LAWS.index(name)) for name in ("poisson", "energetic", "newton"))
+_COUNTED = np.array([{"velocity": VELOCITY, "impulse": IMPULSE, "work": WORK}[what] for what in COUNTED])
+
+
+@inner
+def counted(law):
+    """Return what the law counts in restitution: VELOCITY, IMPULSE or WORK."""
+    return _COUNTED[law]
 
 
 @inner
@@ -20,27 +44,47 @@ def restitution_goal(law, e, compression_impulse, compression_work, approach):
 
 
 @inner
-def linear_event(phase, law, left, v3, rate):
+def law_of_slow_approach(law):
+    """Return the law that ends the impact where `law` does while v₃ is linear in P₃, and needs no work.
+
+    For an approach so slow that works underflow: then W_r = e² W_c is P_r = e P_c.
+    """
+    return POISSON if law == ENERGETIC else law
+
+
+@inner
+def left_of_goal(counts, goal, v3, restored, restitution_work):
+    """Return what is left of the goal: velocity, impulse or work still to be gained."""
+    if counts == IMPULSE:
+        return goal - restored
+    if counts == WORK:
+        return goal - restitution_work
+    return goal - v3
+
+
+@inner
+def first_event(phase, counts, left, v3, rate):
     """Find the first event while dv₃/dP₃ = rate stays constant.
 
     Args:
-        left: In restitution, what is left of the goal: impulse, work, or velocity still to be gained.
+        counts: What the law counts.
+        left: In restitution, what is left of the goal.
 
     Returns:
         the normal impulse until the event (inf: none) and which one it is.
     """
     if phase == COMPRESSION:
         if rate > 0.0:
-            return max(0.0, -v3 / rate), STOPS
+            return max(0.0, -v3 / rate), COMPRESSION_ENDS
         if v3 >= 0.0 and rate >= 0.0:
-            return 0.0, STOPS
-        return math.inf, NOTHING
+            return 0.0, COMPRESSION_ENDS
+        return math.inf, NO_EVENT
     if left <= 0.0:
         return 0.0, LAW_MET
-    span, event = math.inf, NOTHING
-    if law == POISSON:
+    span, event = math.inf, NO_EVENT
+    if counts == IMPULSE:
         span, event = left, LAW_MET
-    elif law == NEWTON:
+    elif counts == VELOCITY:
         if rate > 0.0:
             span, event = left / rate, LAW_MET
     else:
@@ -50,13 +94,5 @@ def linear_event(phase, law, left, v3, rate):
             if slope > 0.0:
                 span, event = 2.0 * left / slope, LAW_MET
     if rate < 0.0 and -v3 / rate < span:
-        return -v3 / rate, FALLS_BACK
+        return -v3 / rate, COMPRESSION_RESUMES
     return span, event
-
-
-@inner
-def creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
-    """Whether the kinetic energy gained from v to w, ½ P·(v + w), is beyond its rounding. (1.5)"""
-    gained = p1 * (v1 + w1) + p2 * (v2 + w2) + p3 * (v3 + w3)
-    size = abs(p1) * (abs(v1) + abs(w1)) + abs(p2) * (abs(v2) + abs(w2)) + abs(p3) * (abs(v3) + abs(w3))
-    return gained > 64.0 * EPS * size

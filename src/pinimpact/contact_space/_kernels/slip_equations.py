@@ -9,6 +9,7 @@ x = 2t/p(0) obeys a recurrence of four terms.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,44 @@ from .delassus import EPS
 
 TERMS = 32
 RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, TERMS + 8)])
+
+
+class Polynomials(NamedTuple):
+    """Coefficients of p and m in the axes (σ, σ⊥); p₀ is carried elsewhere. (3.6), (3.7)"""
+
+    p1: float
+    p2: float
+    p3: float
+    p4: float
+    m0: float
+    m1: float
+    m2: float
+    m3: float
+
+
+class Shape(NamedTuple):
+    """The constants of a series of turning slip.
+
+    Attributes:
+        h: t/x, or t₀ for a series around an invariant direction.
+        factor, unit: Factors of speed and impulse.
+        exponent: a, where the series goes around an invariant direction. (4.2)
+        q1, q2, q3, q4: Coefficients of p̂ or π.
+        w0, w1, w2, w3: Those of the logarithmic derivative of S or G.
+    """
+
+    h: float
+    factor: float
+    unit: float
+    exponent: float
+    q1: float
+    q2: float
+    q3: float
+    w0: float
+    w1: float
+    w2: float
+    q4: float
+    w3: float
 
 
 @inner
@@ -34,8 +73,8 @@ def in_frame(a11, a12, a22, b1, b2, s1, s2):
 
 @inner
 def polynomials(al, ax, ap, bl, bp):
-    """Coefficients p₁ … p₄ and m₀ … m₃ of (3.6), (3.7); A already times μ. p₀ is carried by the caller."""
-    return (
+    """Return the coefficients of (3.6), (3.7); A already times μ."""
+    return Polynomials(
         -2.0 * (bl + ap - al),
         6.0 * ax,
         -2.0 * (bl - ap + al),
@@ -48,13 +87,13 @@ def polynomials(al, ax, ap, bl, bp):
 
 
 @inner
-def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
-    """Fill `series` with the coefficients of S(x)/S(0). (3.10), (3.11)
+def expand(coefficients, p0, polynomials):
+    """Fill `coefficients` with those of S(x)/S(0). (3.10), (3.11)
 
     Returns:
-        the size of the last terms, and the constants of the stretch: t/x, twice 1 for the factors of speed
-        and impulse, 0 for the exponent, the coefficients of p/p₀ and of the logarithmic derivative of S.
+        the size of the last terms, and the `Shape`.
     """
+    p1, p2, p3, p4, m0, m1, m2, m3 = polynomials
     h = 0.5 * p0
     h2 = h * h
     q1, q2, q3, q4 = 0.5 * p1, 0.5 * p2 * h, 0.5 * p3 * h2, 0.5 * p4 * h2 * h
@@ -62,7 +101,7 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
     # the factors of S_k, S_{k-1}, S_{k-2}, S_{k-3}, each falling by q with k
     c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
     s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
-    series[0] = 1.0
+    coefficients[0] = 1.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
         rest = (c1 * s1 + (c2 * s2 + c3 * s3)) * share
@@ -73,9 +112,9 @@ def expand(series, p0, p1, p2, p3, p4, m0, m1, m2, m3):
         c3 -= q4
         s3, s2, s1 = s2, s1, s0
         s0 = new
-        series[k + 1] = new
+        coefficients[k + 1] = new
     last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
-    return last, (h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
+    return last, Shape(h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
 @inner
@@ -98,12 +137,12 @@ def within_reach(x, last, h):
 
 
 @inner
-def moments(series, x):
+def moments(coefficients, x):
     """Return S(x) and ∫₀ˣ S xʲ dx for j = 0 … 4."""
     power = 1.0
     value = n0 = n1 = n2 = n3 = n4 = 0.0
     for k in range(TERMS + 1):
-        term = series[k] * power
+        term = coefficients[k] * power
         power *= x
         value += term
         n0 += term * RECIPROCAL[k + 1]

@@ -1,27 +1,54 @@
-"""One stretch of turning slip, on which v₃ is monotone: its state at any x, its works, its events.
+"""Turning slip as one series, on which v₃ is monotone: its state at any x, its works, its events.
 
-A stretch is a power series in x = 2t/p(0) (slip.py), or one around the invariant direction ahead, with
-x = L (node.py); here the two are one thing. (theory.md, 3.3 and 4.2)
+The series is one in x = 2t/p(0) (`slip_equations`), or one around the invariant direction ahead, with
+x = L (`invariant_direction`); here the two are one thing. (theory.md, 3.3 and 4.2)
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..._numeric.jit import inner
-from .slip_equations import TERMS, moments, within_reach
-
-VELOCITY, IMPULSE, WORK = np.int64(0), np.int64(1), np.int64(2)
-"""What `seek` looks for; NumPy's integers as in `codes`."""
+from .codes import IMPULSE, VELOCITY, WORK
+from .slip_equations import TERMS, Shape, moments, within_reach
 
 SETTLED = 38.0
 """e^{−SETTLED} is below rounding."""
 
 _GAUSS = np.polynomial.legendre.leggauss(12)
-_NODES = 0.5 * (_GAUSS[0] + 1.0)
+_ABSCISSAE = 0.5 * (_GAUSS[0] + 1.0)
 _WEIGHTS = 0.5 * _GAUSS[1]
+
+
+class SlipSeries(NamedTuple):
+    """Slip that turns, from x = 0 on.
+
+    Attributes:
+        around_invariant: Which of the two series it is.
+        coefficients: Its coefficients.
+        reciprocals: 1/(a + k), for the series around an invariant direction.
+        shape: Its constants.
+        scale: The speed at x = 0 over ω.
+        mu, c: Friction, and W₃₃.
+        bl, bp: b∥ and b⊥ in its axes.
+        v3, speed: At x = 0.
+    """
+
+    around_invariant: bool
+    coefficients: NDArray[np.float64]
+    reciprocals: NDArray[np.float64]
+    shape: Shape
+    scale: float
+    mu: float
+    c: float
+    bl: float
+    bp: float
+    v3: float
+    speed: float
 
 
 @inner
@@ -55,7 +82,7 @@ def halley(f, slope, bend):
 
 
 @inner
-def node_moments(series, inverse, exponent, span):
+def invariant_moments(coefficients, reciprocals, exponent, span):
     """Return y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
     if span == math.inf:
         y, power, drop, part = 0.0, 0.0, 1.0, 1.0
@@ -65,21 +92,21 @@ def node_moments(series, inverse, exponent, span):
         y, power = 1.0 - drop, 1.0 - part
     rising = power
     # fill_k = (1 − y^{a+k})/(a+k); its numerator is summed without cancellation
-    fill0 = part * inverse[0]
+    fill0 = part * reciprocals[0]
     part += rising * drop
-    fill1 = part * inverse[1]
+    fill1 = part * reciprocals[1]
     rising *= y
     part += rising * drop
-    fill2 = part * inverse[2]
+    fill2 = part * reciprocals[2]
     rising *= y
     part += rising * drop
-    fill3 = part * inverse[3]
+    fill3 = part * reciprocals[3]
     value = n0 = n1 = n2 = n3 = n4 = 0.0
     for k in range(TERMS + 1):
         rising *= y
         part += rising * drop
-        fill4 = part * inverse[k + 4]
-        term = series[k]
+        fill4 = part * reciprocals[k + 4]
+        term = coefficients[k]
         value += term * power
         power *= y
         n0 += term * fill0
@@ -91,42 +118,36 @@ def node_moments(series, inverse, exponent, span):
     if exponent < 0.5:
         # the one k at which a + k is close to zero was left out
         k = min(int(0.5 - exponent), TERMS + 4)
-        if k > 0 and inverse[k] != 0.0:
+        if k > 0 and reciprocals[k] != 0.0:
             k -= 1
         z = exponent + k
-        if inverse[k] == 0.0:
+        if reciprocals[k] == 0.0:
             fill0 = span if z == 0.0 else (1.0 / z if span == math.inf else -math.expm1(-z * span) / z)
-            n0 += series[k] * fill0 if k <= TERMS else 0.0
-            n1 += series[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0
-            n2 += series[k - 2] * fill0 if 2 <= k <= TERMS + 2 else 0.0
-            n3 += series[k - 3] * fill0 if 3 <= k <= TERMS + 3 else 0.0
-            n4 += series[k - 4] * fill0 if 4 <= k <= TERMS + 4 else 0.0
+            n0 += coefficients[k] * fill0 if k <= TERMS else 0.0
+            n1 += coefficients[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0
+            n2 += coefficients[k - 2] * fill0 if 2 <= k <= TERMS + 2 else 0.0
+            n3 += coefficients[k - 3] * fill0 if 3 <= k <= TERMS + 3 else 0.0
+            n4 += coefficients[k - 4] * fill0 if 4 <= k <= TERMS + 4 else 0.0
     return y, value, n0, n1, n2, n3, n4
 
 
 @inner
-def point(stretch, x):
+def point(series, x):
     """Return the state at x. (3.12), (4.5)
-
-    Args:
-        stretch: Which of the two series it is (True: around the invariant direction); its coefficients;
-            1/(a + k); its constants, as `slip.expand` or `node.expand_node` gives them; the speed at
-            x = 0 over ω; μ; c; b∥ and b⊥; v₃ and the speed at x = 0.
-        x: Where.
 
     Returns:
         ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
     """
-    node, series, inverse, f, scale, mu, c, bl, bp, _, _ = stretch
-    h, factor, unit, exponent, q1, q2, q3, w0, w1, w2, q4, w3 = f
-    if node:
-        y, value, n0, n1, n2, n3, n4 = node_moments(series, inverse, exponent, x)
+    around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, _, _ = series
+    h, factor, unit, exponent, q1, q2, q3, w0, w1, w2, q4, w3 = shape
+    if around_invariant:
+        y, value, n0, n1, n2, n3, n4 = invariant_moments(coefficients, reciprocals, exponent, x)
         t = h * y
         fall = 1.0 + y * (q1 + y * (q2 + y * q3))
         tt = t * t
         bend = -exponent - y * (w0 + y * (w1 + y * w2)) / fall - 4.0 * tt / (1.0 + tt)
     else:
-        value, n0, n1, n2, n3, n4 = moments(series, x)
+        value, n0, n1, n2, n3, n4 = moments(coefficients, x)
         t = h * x
         tt = t * t
         fall = 1.0 + x * (q1 + x * (q2 + x * (q3 + x * q4)))
@@ -143,27 +164,28 @@ def point(stretch, x):
 
 
 @inner
-def works(stretch, x):
+def works(series, x):
     """Integrate the normal work and the friction work over (0, x) by Gauss quadrature. (3.14)"""
-    node, _, _, f, _, mu, _, _, _, v3, speed = stretch
+    mu, v3, speed = series.mu, series.v3, series.speed
+    exponent = series.shape.exponent
     normal_work = friction_work = 0.0
     low, end = 0.0, x
-    if node:
+    if series.around_invariant:
         # from here on the direction is settled or nothing is left: the rest is straight
-        end = min(x, SETTLED / max(1.0, f[3]))
+        end = min(x, SETTLED / max(1.0, exponent))
     while low < end:
         width = end - low
-        if node:
+        if series.around_invariant:
             # the integrand is analytic down to x ≈ −1, and falls or grows like e^{−2ax}
-            width = min(width, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(f[3])))
-        for i in range(_NODES.size):
-            _, _, _, dv3, ratio, _, slope, _ = point(stretch, low + width * _NODES[i])
+            width = min(width, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
+        for i in range(_ABSCISSAE.size):
+            _, _, _, dv3, ratio, _, slope, _ = point(series, low + width * _ABSCISSAE[i])
             share = _WEIGHTS[i] * width * slope
             normal_work += share * (v3 + dv3)
             friction_work -= share * mu * speed * ratio
         low = low + width if low + width > low else end
     if end < x:
-        here, there = point(stretch, end), point(stretch, x)
+        here, there = point(series, end), point(series, x)
         span = there[0] - here[0]
         normal_work += span * (v3 + 0.5 * (here[3] + there[3]))
         friction_work -= 0.5 * mu * speed * span * (here[4] + there[4])
@@ -171,23 +193,27 @@ def works(stretch, x):
 
 
 @inner
-def measure(stretch, kind, aim, x):
+def measure(series, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
-    node, _, _, f, _, mu, c, bl, bp, v3, _ = stretch
-    normal, _, _, dv3, _, t, slope, bend = point(stretch, x)
-    if kind == IMPULSE:
+    mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
+    normal, _, _, dv3, _, t, slope, bend = point(series, x)
+    if counts == IMPULSE:
         return normal - aim, slope, bend
     chord = 1.0 + t * t
     rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
-    if kind == WORK:
+    if counts == WORK:
         now = v3 + dv3
-        return works(stretch, x)[0] - aim, slope * now, bend + slope * rate / now
+        return works(series, x)[0] - aim, slope * now, bend + slope * rate / now
     turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
-    return (v3 - aim) + dv3, slope * rate, bend + (-t if node else f[0]) * turn / rate
+    return (
+        (v3 - aim) + dv3,
+        slope * rate,
+        bend + (-t if series.around_invariant else series.shape.h) * turn / rate,
+    )
 
 
 @inner
-def seek(stretch, kind, aim, f_low, f_high, high):
+def seek(series, counts, aim, f_low, f_high, high):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
     Halley's iteration inside a bracket.
@@ -200,11 +226,11 @@ def seek(stretch, kind, aim, f_low, f_high, high):
     """
     low, top = 0.0, high
     x = 0.5
-    if kind == WORK:
+    if counts == WORK:
         # with v₃ taken as linear; it may rise from zero, and the root be smaller than `high` by any factor
-        v3 = stretch[9]
-        slope = point(stretch, 0.0)[6]
-        rise = measure(stretch, VELOCITY, 0.0, 0.0)[1] / slope
+        v3 = series.v3
+        slope = point(series, 0.0)[6]
+        rise = measure(series, VELOCITY, 0.0, 0.0)[1] / slope
         x = -2.0 * f_low / (slope * (v3 + math.sqrt(max(0.0, v3 * v3 - 2.0 * rise * f_low))))
         end = high if high < math.inf else 0.5
         if not (x < end):
@@ -212,7 +238,7 @@ def seek(stretch, kind, aim, f_low, f_high, high):
     elif math.isfinite(f_high) and high < math.inf:
         x = high * (f_low / (f_low - f_high))
     for _ in range(100):
-        now, slope, bend = measure(stretch, kind, aim, x)
+        now, slope, bend = measure(series, counts, aim, x)
         if now == 0.0:
             return x
         if (now > 0.0) == (f_high > 0.0):
@@ -234,22 +260,22 @@ def seek(stretch, kind, aim, f_low, f_high, high):
 
 
 @inner
-def seek_near(stretch, kind, aim, x, last):
+def seek_near(series, counts, aim, x, last):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
     Returns:
         x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
     """
-    _, _, _, f, _, mu, c, bl, bp, v3, _ = stretch
+    mu, c, bl, bp, v3, h = series.mu, series.c, series.bl, series.bp, series.v3, series.shape.h
     for _ in range(8):
-        if not (x > 0.0 and within_reach(x, last, f[0])):
+        if not (x > 0.0 and within_reach(x, last, h)):
             return 0.0
-        now, slope, bend = measure(stretch, kind, aim, x)
+        now, slope, bend = measure(series, counts, aim, x)
         step = halley(now, slope, bend)
         x += step
         if abs(step) <= 2e-6 * x:
-            end = f[0] * x
+            end = h * x
             monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end) == end
-            falls = kind != VELOCITY and v3 + point(stretch, x)[3] < 0.0
+            falls = counts != VELOCITY and v3 + point(series, x)[3] < 0.0
             return x if monotone and not falls else 0.0
     return 0.0

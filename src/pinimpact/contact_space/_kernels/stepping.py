@@ -10,47 +10,43 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 from .codes import (
     COMPRESSION,
-    ENDED_AT_REST,
-    ENERGETIC,
-    ENERGY_CREATED,
-    FALLS_BACK,
-    IMPACT_WITHOUT_COLLISION,
-    INDEFINITE_DELASSUS,
-    INVALID_NUMBERS,
-    JAM,
+    COMPRESSION_ENDS,
+    COMPRESSION_RESUMES,
+    IMPULSE,
+    IN_SLIP,
     LAW_MET,
     LAW_UNREACHABLE,
     LOCKED,
     LOCKS,
     NEAR_JUMP,
-    NEAR_STICK_THRESHOLD,
-    NEWTON,
+    NEVER,
+    NO_EVENT,
     NO_IMPACT,
     NOT_CONVERGED,
-    NOTHING,
-    OUT_OF_RANGE,
-    POISSON,
     RESTITUTION,
-    RESUMED,
-    SECOND_COMPRESSION,
     SEPARATED,
-    SINGULAR_DELASSUS,
-    SLIP,
-    SLIP_RESUMED,
     SLIP_TURNS,
-    STICK,
-    STICKS,
-    STOPS,
     UNSTOPPABLE,
+    VELOCITY,
+    WORK,
 )
-from .delassus import EPS, ZERO, classify
-from .laws import creates_energy, linear_event, restitution_goal
-from .path import NEAR, NEAR_THRESHOLD, failed
-from .recording import mark, note
-from .resumed_slip import resumed_direction
+from .contact_problem import PROCEEDS, prepare
+from .delassus import EPS, ZERO
+from .ending import finish, no_answer, plain, without_impact
+from .ledger import CLOSE_TO_JUMP, close_move, new_ledger, still_to_gain
+from .moves import (
+    State,
+    frictionless_course,
+    jams,
+    leave_zero_slip,
+    mode_flag,
+    straight_move,
+    tangential_velocity,
+)
+from .recording import record_move, record_point
 
 MAX_SCALES = 1000
 """An impact that slips for more than this many times the scale of its steps is given up."""
@@ -64,17 +60,18 @@ ROOM = 1.0 + 1e-9
 TURNED = 64.0 * EPS
 """Angle between two steps that is more than rounding."""
 
-SLIP_ENDS, V3_ZERO, LAW = 0, 1, 2
+SLIP_ENDS, V3_ZERO, GOAL = 0, 1, 2
+"""What a step is bisected for."""
 
 
-@jit
+@inner
 def norm(x, y):
     """Return √(x² + y²); the slower function of the library only where squares would vanish."""
     square = x * x + y * y
     return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
 
 
-@jit
+@inner
 def slip_step(table, tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 
@@ -120,29 +117,29 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
     return d1, d2, h * h * q1, h * h * q2, u1, u2, h * math.hypot(e1, e2), least
 
 
-@jit
-def gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
+@inner
+def before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k):
     """Measure how far the end of a step over h lies before an event: positive before it."""
-    if kind == LAW and law == POISSON:
+    if sought == GOAL and counts == IMPULSE:
         return left - h
     d1, d2, q1, q2, _, _, _, least = slip_step(table, tangent, mu, v1, v2, h, k)
-    if kind == SLIP_ENDS:
+    if sought == SLIP_ENDS:
         return least
     b1, b2 = tangent[3], tangent[4]
-    if kind == LAW and law == ENERGETIC:
+    if sought == GOAL and counts == WORK:
         return left - (h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2)
     dv3 = c * h + b1 * d1 + b2 * d2
-    if kind == LAW:
+    if sought == GOAL:
         return left - dv3
     return v3 + dv3 if phase == RESTITUTION else -v3 - dv3
 
 
-@jit
-def locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
+@inner
+def locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k):
     """Bisect a step that crosses an event, with secants in between, and return its length to the event."""
     low, high = 0.0, h
-    at_low = gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, low, k)
-    at_high = gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, high, k)
+    at_low = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, low, k)
+    at_high = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, high, k)
     for i in range(200):
         if at_high == 0.0 or high - low <= EPS * high:
             break
@@ -151,7 +148,7 @@ def locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
             middle = low + (high - low) * at_low / (at_low - at_high)
             # a secant that ends beside the bracket's end steps in by a rounding, so that both ends move
             middle = min(max(middle, low + EPS * high), high - EPS * high)
-        value = gauge(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, middle, k)
+        value = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, middle, k)
         if value > 0.0:
             low, at_low = middle, value
         else:
@@ -159,7 +156,7 @@ def locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k):
     return high
 
 
-@jit
+@inner
 def stop_impulse(a11, a12, a22, v1, v2):
     """Return −A⁺v_t, the tangential impulse that ends slip."""
     det, trace = a11 * a22 - a12 * a12, a11 + a22
@@ -183,39 +180,21 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
 
     Returns:
-        status, flags, iterations, v⁺ (3), P (3), compression impulse, the figure of a failure's message,
-        rows of the trace, rows of the path (one for each iteration and one more, as far as there is room).
+        the values of an `Answer`; its path has one point for each step and one more, as far as there is room.
     """
-    for x in (w11, w12, w13, w22, w23, w33, v1, v2, v3):
-        if not math.isfinite(x):
-            return failed(INVALID_NUMBERS, 0.0)
-    if not (0.0 <= mu < math.inf and 0.0 <= e <= 1.0):
-        return failed(INVALID_NUMBERS, 0.0)
-    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread = classify(w11, w12, w13, w22, w23, w33)
-    if rank < 0:
-        return failed(INDEFINITE_DELASSUS, least)
-    flags = SINGULAR_DELASSUS if rank < 3 else 0
+    begins, figure, flags, view, problem = prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law)
+    if begins == NO_IMPACT:
+        return plain(without_impact(v1, v2, v3))
+    if begins != PROCEEDS:
+        return plain(no_answer(begins, figure))
 
-    start1, start2, approach = v1, v2, v3
-    speed = math.hypot(v1, v2)
-    along = (b1 * v1 + b2 * v2) / speed if speed > 0.0 else 0.0
-    if v3 > 0.0 or (v3 == 0.0 and not c < mu * along):
-        return NO_IMPACT, 0, 0, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0
-    if c <= 0.0:
-        return failed(UNSTOPPABLE, v3)
+    a11, a12, a22, b1, b2, c = problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, problem.c
+    counts, v1, v2, v3, speed = problem.counts, problem.v1, problem.v2, problem.v3, problem.speed
+    along = b1 * problem.s1 + b2 * problem.s2
     scale = -v3 / c
     if v3 == 0.0:
-        flags |= IMPACT_WITHOUT_COLLISION
         braking = mu * (a11 * v1 * v1 + 2.0 * a12 * v1 * v2 + a22 * v2 * v2) / (speed * speed) - along
         scale = speed / braking
-
-    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 4.3)
-    offset = 0.0
-    if s == 0.0:
-        offset = v3 - k1 * v1 - k2 * v2
-        if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
-            offset = 0.0
-
     # where A is singular, slip across its range never ends
     x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
     lasting = math.hypot(v1 + a11 * x1 + a12 * x2, v2 + a12 * x1 + a22 * x2) > ZERO * speed
@@ -224,59 +203,41 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
     k = np.empty((len(table.b), 2))
     stride = scale / steps
     most = MAX_CHOSEN if rtol > 0.0 else MAX_SCALES * steps
+    ledger = new_ledger()
+    course = frictionless_course(problem)
     p1 = p2 = p3 = 0.0
-    phase = COMPRESSION
-    phase_start = compressed = restored = 0.0
-    compression_work = restitution_work = goal = 0.0
-    mode, rate, dp1, dp2, dv1, dv2 = SLIP, c - mu * along, 0.0, 0.0, b1, b2
+    mode, rate = IN_SLIP, c - mu * along
+    state = State(problem.s1, problem.s2, speed, v3, 0.0, 0.0, 0.0, 0.0)
     settled = mu == 0.0  # from here on all rates are constant
-    rows = 0
-    points = mark(path, 0, p3, v1, v2, v3, p1, p2)
-    iterations = 0
+    status, rows, iterations = SEPARATED, 0, 0
+    points = record_point(path, 0, p3, v1, v2, v3, p1, p2)
 
     while True:
         iterations += 1
         if iterations > most:
-            return failed(NOT_CONVERGED, 0.0)
-        event = NOTHING
-        left = goal - v3
-        if law == POISSON:
-            left = goal - restored
-        elif law == ENERGETIC:
-            left = goal - restitution_work
-
+            return plain(no_answer(NOT_CONVERGED, 0.0))
+        event = NO_EVENT
         if not settled and v1 == 0.0 and v2 == 0.0:
             settled = True
-            ratio = math.hypot(k1, k2)
-            if abs(ratio - mu) <= NEAR_THRESHOLD * mu:
-                flags |= NEAR_STICK_THRESHOLD
-            if ratio <= mu:
-                flags |= STICKS
-                mode, rate, dp1, dp2, dv1, dv2 = STICK, s, -k1, -k2, 0.0, 0.0
-                if s == 0.0:
-                    flags |= LOCKS
-                    v3 = offset
-            else:
-                flags |= SLIP_RESUMED
-                mode = RESUMED
-                gain, s1, s2 = resumed_direction(a11, a12, a22, b1, b2, mu)
-                rate = c - mu * (b1 * s1 + b2 * s2)
-                dp1, dp2, dv1, dv2 = -mu * s1, -mu * s2, gain * s1, gain * s2
+            course, state, new_flags = leave_zero_slip(problem, State(1.0, 0.0, 0.0, v3, 0.0, p1, p2, p3))
+            flags |= new_flags
+            mode, v3 = course.mode, state.v3
+        left = still_to_gain(ledger, counts, v3)
 
         if settled:
-            h, event = linear_event(phase, law, left, v3, rate)
-            if h == math.inf:
-                if phase == COMPRESSION:
-                    return failed(UNSTOPPABLE, v3)
+            move, state = straight_move(problem, 1.0, course, state, ledger.phase, left)
+            event, h, work, friction_work, rate = move
+            if event == NEVER:
+                if ledger.phase == COMPRESSION:
+                    return plain(no_answer(UNSTOPPABLE, math.ldexp(v3, view.scale_v)))
                 if flags & LOCKS:
+                    status = LOCKED
                     break
-                return failed(LAW_UNREACHABLE, left)
-            v3_end = 0.0 if event in (STOPS, FALLS_BACK) else v3 + rate * h
-            work = 0.5 * h * (v3 + v3_end)
-            u1, u2 = v1 + dv1 * h, v2 + dv2 * h
-            d1, d2 = dp1 * h, dp2 * h
-            friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
+                return plain(no_answer(LAW_UNREACHABLE, math.ldexp(left, view.scale_v)))
+            v1, v2 = tangential_velocity(problem, state)
+            v3, p1, p2, p3 = state.v3, state.p1, state.p2, state.p3
         else:
+            phase = ledger.phase
             h = stride
             vanishes = False
             d1, d2, q1, q2, u1, u2, error, least = slip_step(table, tangent, mu, v1, v2, h, k)
@@ -296,29 +257,31 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                         continue
             elif ends:
                 vanishes = True
-                h = locate(SLIP_ENDS, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k)
+                h = locate(SLIP_ENDS, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
             if vanishes:
                 d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
             v3_end = v3 + c * h + b1 * d1 + b2 * d2
             work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             # of the events on this step the first: each search starts from the event found before
-            for kind in (V3_ZERO, LAW):
-                if kind == V3_ZERO:
+            for sought in (V3_ZERO, GOAL):
+                if sought == V3_ZERO:
                     crossed = v3_end >= 0.0 if phase == COMPRESSION else v3_end <= 0.0
                 elif phase == COMPRESSION:
                     crossed = False
                 else:
-                    crossed = left <= (h if law == POISSON else work if law == ENERGETIC else v3_end - v3)
+                    crossed = left <= (h if counts == IMPULSE else work if counts == WORK else v3_end - v3)
                 if crossed and h > 0.0:
-                    h = locate(kind, phase, law, left, table, tangent, c, mu, v1, v2, v3, h, k)
+                    h = locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
                     vanishes = False
-                    event = LAW_MET if kind == LAW else STOPS if phase == COMPRESSION else FALLS_BACK
+                    event = COMPRESSION_ENDS if phase == COMPRESSION else COMPRESSION_RESUMES
+                    if sought == GOAL:
+                        event = LAW_MET
                     d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
                     v3_end = v3 + c * h + b1 * d1 + b2 * d2
                     work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
             friction_work += 0.5 * h * (b1 * d1 + b2 * d2) - b1 * q1 - b2 * q2
-            if event in (STOPS, FALLS_BACK):
+            if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
                 v3_end = 0.0
             if vanishes:
                 # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on; if that is more
@@ -332,52 +295,45 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
                 u1 = u2 = 0.0
                 v3_end += b1 * x1 + b2 * x2
                 if phase == COMPRESSION and v3_end >= 0.0:
-                    event = STOPS
+                    event = COMPRESSION_ENDS
                 elif phase == RESTITUTION and v3_end < 0.0:
-                    event = FALLS_BACK
-            if rate < 0.0:
-                flags |= JAM
+                    event = COMPRESSION_RESUMES
+            flags |= jams(rate)
             before, speed = speed, norm(u1, u2)
-            rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else s
+            rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else problem.s
             if abs(v1 * u2 - v2 * u1) > TURNED * before * speed:
                 flags |= SLIP_TURNS
+            p1 += d1
+            p2 += d2
+            p3 += h
+            v1, v2, v3 = u1, u2, v3_end
 
-        rows = note(trace, rows, mode, phase, p3, p3 + h, work, friction_work)
-        p1 += d1
-        p2 += d2
-        p3 += h
-        v1, v2, v3 = u1, u2, v3_end
-        points = mark(path, points, p3, v1, v2, v3, p1, p2)
-        if phase == COMPRESSION:
-            compression_work += work
-        else:
-            restitution_work += work
-            restored += h
-        if event == STOPS:
-            compressed += p3 - phase_start
-            phase = RESTITUTION
-            goal = restitution_goal(law, e, compressed, compression_work, approach)
-            if e == 0.0:
-                break
-        elif event == FALLS_BACK:
-            flags |= SECOND_COMPRESSION
-            phase = COMPRESSION
-            phase_start = p3
-            if law != NEWTON and left - (h if law == POISSON else work) < NEAR * goal:
-                flags |= NEAR_JUMP
-        elif event == LAW_MET:
-            if law == NEWTON:
-                v3 = goal
-            if rate < 0.0 and v3 < -NEAR * p3 * rate:
-                flags |= NEAR_JUMP
+        flags |= mode_flag(mode, h, p3)
+        rows = record_move(trace, rows, mode, ledger.phase, p3 - h, p3, work, friction_work)
+        points = record_point(path, points, p3, v1, v2, v3, p1, p2)
+        ledger, event, new_flags = close_move(ledger, problem, event, h, work, left, p3)
+        flags |= new_flags
+        if event == LAW_MET:
             break
 
-    status = SEPARATED
-    if v3 <= 0.0:
-        v3 = 0.0
-        status = LOCKED if flags & LOCKS else ENDED_AT_REST
-    if creates_energy(start1, start2, approach, v1, v2, v3, p1, p2, p3):
-        flags |= ENERGY_CREATED
-    if not math.isfinite(v1 + v2 + v3 + p1 + p2 + p3):
-        return failed(OUT_OF_RANGE, 0.0)
-    return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points
+    if status != LOCKED:
+        if counts == VELOCITY:
+            v3 = ledger.goal
+        if rate < 0.0 and v3 < -CLOSE_TO_JUMP * p3 * rate:
+            flags |= NEAR_JUMP
+    velocity, impulse = (v1, v2, v3), (p1, p2, p3)
+    answer = finish(
+        view,
+        problem,
+        status,
+        flags,
+        iterations,
+        velocity,
+        impulse,
+        ledger.compressed,
+        trace,
+        rows,
+        path,
+        points,
+    )
+    return plain(answer)

@@ -116,30 +116,46 @@ def column(J, j, p1, p2, p3):
     return J[0, j] + a1, J[1, j] + a2, J[2, j] + a3
 
 
+@inner
+def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out):
+    """Fill the contact Jacobian (3, nv) at the point p, in the axes a, b, n.
+
+    Args:
+        J: (6, nv) motion of the world's origin, as if fixed to what each velocity moves, linear over angular,
+            in world axes.
+        signs: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
+    """
+    for j in range(len(signs)):
+        f = signs[j]
+        u1 = u2 = u3 = 0.0
+        if f != 0.0:
+            u1, u2, u3 = column(J, j, p1, p2, p3)
+        out[0, j] = f * (a1 * u1 + a2 * u2 + a3 * u3)
+        out[1, j] = f * (b1 * u1 + b2 * u2 + b3 * u3)
+        out[2, j] = f * (n1 * u1 + n2 * u2 + n3 * u3)
+
+
 @jit
 def locate(frame, carrier, constants):
     """Return the gap, n (3) and the contact point (3), in world axes.
 
     Args:
         frame: (4, 4) placement of the contact's frame.
-        carrier: (4, 4) placement of the frame that carries the surface; None for the world.
+        carrier: (4, 4) placement of the frame that carries the surface, or of the world.
         constants: Of the contact, in these frames' axes.
     """
     return at_contact(pose(frame), pose(carrier), constants)
 
 
 @jit
-def jacobian(frame, frame_columns, frame_support, carrier, carrier_columns, carrier_support, constants, out):
+def jacobian(frame, carrier, columns, signs, constants, out):
     """Fill the contact Jacobian J.
 
     Args:
         frame: (4, 4) placement of the contact's frame.
-        frame_columns: (6, nv) motion of the world's origin, as if fixed to what each velocity moves, linear
-            over angular, in world axes.
-        frame_support: (nv,) booleans: the velocities that move the frame.
-        carrier: (4, 4) placement of the frame that carries the surface; None for the world.
-        carrier_columns: (6, nv) for the carrier, likewise.
-        carrier_support: (nv,) likewise.
+        carrier: (4, 4) placement of the frame that carries the surface, or of the world.
+        columns: (6, nv) as in `fill_jacobian`.
+        signs: (nv,) as in `fill_jacobian`.
         constants: Of the contact, in these frames' axes.
         out: (3, nv) takes J.
 
@@ -149,16 +165,7 @@ def jacobian(frame, frame_columns, frame_support, carrier, carrier_columns, carr
     S = pose(carrier)
     _, n1, n2, n3, p1, p2, p3 = at_contact(pose(frame), S, constants)
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
-    for j in range(out.shape[1]):
-        u1 = u2 = u3 = 0.0
-        if frame_support[j]:
-            u1, u2, u3 = column(frame_columns, j, p1, p2, p3)
-        if carrier is not None and carrier_support[j]:
-            c1, c2, c3 = column(carrier_columns, j, p1, p2, p3)
-            u1, u2, u3 = u1 - c1, u2 - c2, u3 - c3
-        out[0, j] = a1 * u1 + a2 * u2 + a3 * u3
-        out[1, j] = b1 * u1 + b2 * u2 + b3 * u3
-        out[2, j] = n1 * u1 + n2 * u2 + n3 * u3
+    fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
     o1, o2, o3 = place(S, constants, POINT)
     w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
     return (

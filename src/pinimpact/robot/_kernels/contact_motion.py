@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inner, separate
 from . import surfaces
 from .constants import POINT, RADIUS, TIP
-from .contact_kinematics import carried_axes, carried_spin, column, material_velocity, relative
+from .contact_kinematics import carried_axes, carried_spin, column, fill_jacobian, material_velocity, relative
 from .placement import cross, place, rotate, rotate_back
 
 
-@inner
+@separate
 def gap_and_rate(R, V, S, U, k):
     """Return the gap [m] and its rate [m/s].
 
@@ -39,7 +39,7 @@ def gap_and_rate(R, V, S, U, k):
 
 
 @inner
-def bounds(J, weights, group, R, k, peak, h):
+def bounds(J, signs, group, R, k, peak, h):
     """Return what bounds the gap's second derivative over a step of length h, see `gap_bounds`.
 
     That is, for the tip's centre relative to the surface's carrier, the largest size of its acceleration, how
@@ -51,29 +51,29 @@ def bounds(J, weights, group, R, k, peak, h):
     factor ω. The |J_k| are the present ones, lengthened by the way the point can go.
 
     Args:
-        J, weights, R, k: As in `contact_motion`.
+        J, signs, R, k: As in `contact_motion`.
         group: (nv,) number of the joint that each velocity belongs to.
         peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
         h: Its length [s].
     """
-    n = len(weights)
+    n = len(signs)
     c1, c2, c3 = place(R, k, TIP)
     all_v = all_a = all_d = 0.0
     carried = False
     for j in range(n):
-        if weights[j] != 0.0:
+        if signs[j] != 0.0:
             turn = math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2)
             all_v += turn * peak[0, j]
             all_a += turn * peak[1, j]
             all_d += turn * peak[2, j]
-            carried = carried or weights[j] < 0.0
+            carried = carried or signs[j] < 0.0
     way = speed = straight = bent = changed = mixed = drifted = 0.0
     for _ in range(2):
         speed = straight = bent = changed = mixed = drifted = 0.0
         inner_v = inner_a = inner_d = own_v = own_a = own_d = 0.0
         single = True
         for m in range(n):
-            if weights[m] == 0.0:
+            if signs[m] == 0.0:
                 continue
             if m == 0 or group[m] != group[m - 1]:
                 inner_v, inner_a, inner_d = inner_v + own_v, inner_a + own_a, inner_d + own_d
@@ -106,8 +106,8 @@ def bounds(J, weights, group, R, k, peak, h):
     return straight + bent, change, speed, surfaces.least_radius(k) + k[RADIUS]
 
 
-@inner
-def contact_motion(R, V, A, S, U, B, k, J, weights, rows, velocity, acceleration, surface):
+@separate
+def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, surface):
     """Fill what a closed contact needs, in axes t₁, t₂, n that the surface carries, see `carried_axes`.
 
     Args:
@@ -116,8 +116,8 @@ def contact_motion(R, V, A, S, U, B, k, J, weights, rows, velocity, acceleration
         S, U, B: Those of the joint that carries the surface.
         k: Constants of the contact, in the axes of the two joints.
         J: (6, nv) joint Jacobian in world axes at the world's origin.
-        weights: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
-        rows: (3, nv) takes the contact Jacobian.
+        signs: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
+        jacobian: (3, nv) takes the contact Jacobian.
         velocity: (3,) takes the contact velocity v.
         acceleration: (3,) takes dv/dt for the accelerations given.
         surface: (3,) takes the velocity of the surface beyond its carrier's.
@@ -170,14 +170,7 @@ def contact_motion(R, V, A, S, U, B, k, J, weights, rows, velocity, acceleration
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, v1, v2, v3, velocity)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, g1, g2, g3, acceleration)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
-    for j in range(len(weights)):
-        f = weights[j]
-        e1 = e2 = e3 = 0.0
-        if f != 0.0:
-            e1, e2, e3 = column(J, j, p1, p2, p3)
-        rows[0, j] = f * (a1 * e1 + a2 * e2 + a3 * e3)
-        rows[1, j] = f * (b1 * e1 + b2 * e2 + b3 * e3)
-        rows[2, j] = f * (n1 * e1 + n2 * e2 + n3 * e3)
+    fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
     return d - r
 
 

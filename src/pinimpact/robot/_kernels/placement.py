@@ -11,9 +11,7 @@ from ..._numeric.jit import inner
 
 @inner
 def pose(matrix):
-    """Return the placement that a homogeneous (4, 4) matrix stands for; None is the world's own."""
-    if matrix is None:
-        return 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    """Return the placement that a homogeneous (4, 4) matrix stands for."""
     m = matrix
     return (
         *(m[0, 0], m[1, 0], m[2, 0]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 from ...contact_space._kernels.codes import INVALID_NUMBERS, NO_IMPACT
 from ...contact_space._kernels.path import SCRATCH, solve_into
 from .contact_kinematics import jacobian
@@ -18,7 +18,7 @@ SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
 
 
-@jit
+@inner
 def all_finite(x):
     """Whether no number of a vector is infinite or NaN."""
     total = 0.0
@@ -27,7 +27,7 @@ def all_finite(x):
     return total == 0.0
 
 
-@jit
+@inner
 def dot(x, y):
     """Return xᵀy."""
     total = 0.0
@@ -41,11 +41,9 @@ def reset(
     mass,
     parents,
     frame,
-    frame_columns,
-    frame_support,
     carrier,
-    carrier_columns,
-    carrier_support,
+    columns,
+    signs,
     constants,
     q,
     v,
@@ -59,12 +57,10 @@ def reset(
     Args:
         mass: (nv, nv) M.
         parents: (nv,) the next velocity on the way to the root, or −1.
-        frame: This and the next six as in `geometry.jacobian`.
-        frame_columns: See there.
-        frame_support: See there.
+        frame: This and the next four as in `contact_kinematics.jacobian`.
         carrier: See there.
-        carrier_columns: See there.
-        carrier_support: See there.
+        columns: See there.
+        signs: See there.
         constants: See there.
         q: (nq,), only looked through for numbers that are not finite.
         v: (nv,) pre-impact velocity.
@@ -84,9 +80,7 @@ def reset(
     stopped = factor(mass, parents, lower)
     if stopped >= 0:
         return SINGULAR_MASS, stopped, 0
-    seen = jacobian(
-        frame, frame_columns, frame_support, carrier, carrier_columns, carrier_support, constants, y
-    )
+    seen = jacobian(frame, carrier, columns, signs, constants, y)
     s1, s2, s3 = seen[9], seen[10], seen[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
     solve_transposed(lower, parents, y)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply, products
 from ..._numeric.semidefinite import impulses
@@ -24,7 +24,7 @@ def scalar_row(work, j):
     return work.limit_v[j], -math.inf if sign < 0.0 else 0.0, math.inf if sign > 0.0 else 0.0
 
 
-@inner
+@separate
 def close(work, reference):
     """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
     modes = work.modes
@@ -59,7 +59,7 @@ def close_held(work):
     close(work, np.zeros((len(bilateral), 2)))
 
 
-@inner
+@separate
 def closed_rows(work, v, slips, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
 
@@ -92,7 +92,7 @@ def delassus_of_rows(rows, minverse, response, delassus):
     products(rows, response, delassus)
 
 
-@inner
+@separate
 def stop_along(rows, velocity, minverse, v):
     """Change v by impulses along the rows so that their velocities vanish; return the energy gained."""
     m, n = rows.shape

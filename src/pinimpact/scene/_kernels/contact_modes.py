@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
 from .closed_set import close, delassus_of_rows, scalar_row, stop_along
@@ -53,7 +53,7 @@ def set_modes(work, t, q, v, slow):
     return jamming, converged, energy
 
 
-@inner
+@separate
 def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     """Find what stays closed of the contacts, limits and joints that are at rest against each other.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, jit, separate
 from .lie_charts import advance
 
 
@@ -34,7 +34,7 @@ def state(coefficients, theta, joints, q0, v0, q, v):
     advance(joints, q0, xi, q)
 
 
-@inner
+@separate
 def set_state_within(work, fraction):
     """Set the state at a fraction of the step last completed, where Pinocchio reads it."""
     state(work.dense_coefficients, fraction, work.joint_charts, work.q0, work.v0, work.q, work.v)

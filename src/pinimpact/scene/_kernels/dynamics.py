@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.jit import inner
+from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
@@ -67,7 +67,7 @@ def limit_gap(work, k, q, v):
     return sign * (q[work.limit_q[k]] - work.limit_bound[k]), sign * v[work.limit_v[k]]
 
 
-@inner
+@separate
 def all_gaps(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
     set_state(work, q, v)
@@ -124,7 +124,7 @@ def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, g
 # ---- accelerations
 
 
-@inner
+@separate
 def evaluate_without_contacts(work, t, powers):
     """Leave v̇ without contact forces, and the kinematics; fill the powers of control and joints."""
     if work.calls[CONTROL] != 0:
@@ -142,7 +142,7 @@ def invert_mass_matrix(work):
     return call_python(work, INVERT)
 
 
-@inner
+@separate
 def evaluate(work, t, out):
     """Fill `out` (nv + 4) with v̇ and the powers of control, joints, sliding friction and surfaces."""
     acceleration = work.acceleration

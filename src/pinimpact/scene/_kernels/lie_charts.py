@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import jit
+from ..._numeric.jit import inner, jit
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
 """Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
 
 
-@jit
+@inner
 def half_turn(angle):
     """Return sin(θ/2)/θ, cos(θ/2) and (1 − (θ/2) cot(θ/2))/θ²."""
     h = 0.5 * angle
@@ -29,7 +29,7 @@ def half_turn(angle):
     return math.sin(h) / angle, math.cos(h), (1.0 - h / math.tan(h)) / (angle * angle)
 
 
-@jit
+@inner
 def rotate(x, y, z, w, a, b, c):
     """Return the vector (a, b, c) rotated by a unit quaternion."""
     u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from ..._numeric.cone_program import cone_program
-from ..._numeric.jit import inner
+from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from .contact_forces import SINGULAR_STILL, SLIP, STICK
 
@@ -23,7 +23,7 @@ LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-@inner
+@separate
 def widest_margin(work):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N]."""
     system, target, modes, mu = work.system, work.target, work.closed_mode, work.closed_friction

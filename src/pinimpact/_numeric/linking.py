@@ -1,0 +1,211 @@
+"""How kernels are compiled and linked: each once, and to machine code only where something calls it.
+
+As numba has it, a function is optimized and translated together with all that it calls, at each level anew:
+what ten others call is made ten times over. Here an inner kernel stays LLVM's intermediate code until a
+kernel that is compiled on its own takes it in. Those refer to each other by symbols that only names, types
+and sources make up, so that the caches of different processes fit together.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from llvmlite import binding as llvm
+from numba import _dynfunc
+from numba.core import compiler, typed_passes, untyped_passes
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler_machinery import PassManager, register_pass
+
+from .sources import stamp
+
+Kernel = tuple[str, str, tuple[Any, ...]]
+"""Module, name and argument types of a kernel that is compiled on its own."""
+
+
+class InnerLibrary(JITCodeLibrary):
+    """The intermediate code of an inner kernel, for its callers to take in."""
+
+    def finalize(self) -> None:
+        """Leave the code as it is: it is optimized where it is taken in."""
+        self._raise_if_finalized()
+        self._finalized = True
+
+    def own_code(self) -> Any:
+        """Return the module with this kernel alone, fit to be linked into several."""
+        return super()._get_module_for_linking()
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the module with all that this kernel needs, for a caller that numba itself compiles."""
+        module = self.own_code().clone()
+        for library in _needed(self):
+            module.link_in(_code(library), preserve=True)
+        return module
+
+
+class KernelLibrary(JITCodeLibrary):
+    """The machine code of a kernel that is compiled on its own, and of the inner kernels that it reaches.
+
+    Attributes:
+        kernel: What the code is of.
+        callees: What it calls that is compiled on its own too.
+    """
+
+    kernel: Kernel
+    callees: tuple[Kernel, ...] = ()
+
+    def finalize(self) -> None:
+        """Take in what the code needs, optimize all together, and translate it."""
+        for library in _needed(self):
+            if isinstance(library, KernelLibrary):
+                self.callees += (library.kernel,)
+            else:
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(_code(library), preserve=True)
+        self._linking_libraries.clear()
+        super().finalize()
+
+    def _finalize_final_module(self) -> None:
+        """Keep what was taken in to itself: its names may mean something else in other processes' code."""
+        for function in self._final_module.functions:
+            if function.linkage == llvm.Linkage.linkonce_odr:
+                function.linkage = llvm.Linkage.internal
+        super()._finalize_final_module()
+
+    def _get_module_for_linking(self) -> Any:
+        """Return no code: callers have the symbol."""
+        return llvm.parse_assembly("")
+
+    def serialize_using_object_code(self) -> Any:
+        """Return what `load` takes."""
+        symbols = [one.name for one in self._final_module.functions if not one.is_declaration]
+        return self.name, self._get_compiled_object(), symbols, self.kernel, self.callees
+
+    @classmethod
+    def load(cls, codegen: Any, state: Any) -> KernelLibrary:
+        """Return the library that another process has made, with all that it calls in place."""
+        name, machine_code, symbols, kernel, callees = state
+        for module, function, types in callees:
+            getattr(importlib.import_module(module), function).compile(types)
+        self = cls(codegen, name)
+        self.kernel, self.callees = kernel, callees
+        self.enable_object_caching()
+        self._set_compiled_object(machine_code)
+        self._finalize_final_module()
+        codegen._engine._defined_symbols.update(symbols)
+        return self
+
+
+def _code(library: Any) -> Any:
+    return library.own_code() if isinstance(library, InnerLibrary) else library._get_module_for_linking()
+
+
+def _needed(library: Any) -> list[Any]:
+    """Return the libraries that one needs, through all inner kernels."""
+    found: dict[Any, None] = {}
+    waiting = list(library._linking_libraries)
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found[one] = None
+            if isinstance(one, InnerLibrary):
+                waiting.extend(one._linking_libraries)
+    return list(found)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class InnerLowering(typed_passes.NativeLowering):
+    """Lowering to intermediate code, with nothing that Python could call."""
+
+    _name = "inner_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lower a kernel and make it known to its callers."""
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered, library = state["cr"], state.library
+        fndesc = lowered.fndesc
+        entry = _dynfunc.make_function(
+            fndesc.lookup_module(), fndesc.qualname, "", 0, lowered.env, (library,)
+        )
+        state.targetctx.insert_user_function(entry, fndesc, [library])
+        state.reload_init.extend(library._reload_init)
+        state["cr"] = lowered._replace(cfunc=entry)
+        return True
+
+
+_depth = 0
+
+
+def compiling() -> bool:
+    """Whether a kernel is being compiled."""
+    return _depth > 0
+
+
+@contextmanager
+def _deep() -> Iterator[None]:
+    """Count, and collect no garbage; to look through what the compiler makes takes a tenth of its time."""
+    global _depth
+    collects = gc.isenabled()
+    gc.disable()
+    _depth += 1
+    try:
+        yield
+    finally:
+        _depth -= 1
+        if collects:
+            gc.enable()
+
+
+class KernelCompiler(compiler.CompilerBase):
+    """The passes of numba that kernels need."""
+
+    library: type[JITCodeLibrary] = KernelLibrary
+    lowering = typed_passes.NativeLowering
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        """Compile a function."""
+        with _deep():
+            return super().compile_extra(func)
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return the one list of passes."""
+        state = self.state
+        function = state.func_id
+        if self.library is KernelLibrary:  # the symbol has to be the same in every process
+            function.unique_id = stamp(function.modname)[:16]
+        if state.library is None:
+            state.library = self.library(state.targetctx.codegen(), function.func_qualname)
+            state.library.enable_object_caching()
+            state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
+        passes = PassManager("kernel")
+        for one in (
+            untyped_passes.TranslateByteCode,
+            untyped_passes.FixupArgs,
+            untyped_passes.IRProcessing,
+            untyped_passes.RewriteSemanticConstants,
+            untyped_passes.DeadBranchPrune,
+            untyped_passes.GenericRewrites,
+            untyped_passes.ReconstructSSA,
+            untyped_passes.DeadBranchPrune,
+            typed_passes.NopythonTypeInference,
+            typed_passes.PreLowerStripPhis,
+            typed_passes.InlineOverloads,
+            typed_passes.IRLegalization,
+            typed_passes.AnnotateTypes,
+            self.lowering,
+            typed_passes.NoPythonBackend,
+        ):
+            passes.add_pass(one, one._name)
+        passes.finalize()
+        return [passes]
+
+
+class InnerCompiler(KernelCompiler):
+    """The passes for an inner kernel."""
+
+    library = InnerLibrary
+    lowering = InnerLowering

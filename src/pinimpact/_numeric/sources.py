@@ -1,0 +1,131 @@
+"""Stamps of sources: the code that a cached kernel was made from, and nothing else.
+
+The stamp of a module covers its code and that of all modules of this package that it imports, however
+indirectly, as syntax trees without docstrings: no comment, no layout and no docstring makes a kernel stale.
+Sources are hashed as they are when this module is imported, for kernels are made from what was imported,
+whatever becomes of the files afterwards.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT.name
+
+Code = tuple[str, list[str]]
+"""The digest of a module's code, and the modules of this package that it imports."""
+
+
+def _path(module: str) -> Path | None:
+    """Return the file of a module, or None if there is none."""
+    package, *names = module.split(".")
+    if package != PACKAGE:
+        file = getattr(sys.modules.get(module), "__file__", None)
+        return Path(file) if file else None
+    path = ROOT.joinpath(*names)
+    if path.is_dir():
+        return path / "__init__.py"
+    return path.with_suffix(".py") if path.with_suffix(".py").is_file() else None
+
+
+def _hash(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
+
+
+_IMPORTED = {
+    path: _hash(path.read_bytes()) for pattern in ("_*/*.py", "*/_*/*.py") for path in ROOT.glob(pattern)
+}
+
+
+class _Memory:
+    """What parsing has found, by module and hash of its source; in a file, for parsing takes its time."""
+
+    def __init__(self) -> None:
+        self._file: Path | None = None
+        self._known: dict[str, Code] = {}
+
+    def keep_in(self, folder: str) -> None:
+        """Remember in this folder, unless another one was named before."""
+        if self._file is None:
+            self._file = Path(folder, f"{PACKAGE}.{sys.implementation.cache_tag}.json")
+            with contextlib.suppress(OSError, ValueError):
+                self._known.update(json.loads(self._file.read_text()))
+
+    def code(self, module: str) -> Code:
+        path = _path(module)
+        if path is None:
+            return "", []
+        text = path.read_bytes()
+        digest = _hash(text)
+        if _IMPORTED.get(path, digest) != digest:  # edited since: what was imported is known by its hash only
+            return _IMPORTED[path], _imports(module, path, text)
+        key = f"{module} {digest}"
+        if key not in self._known:
+            self._known[key] = _digest(text), _imports(module, path, text)
+            self._save()
+        return self._known[key]
+
+    def _save(self) -> None:
+        if self._file is None:
+            return
+        with contextlib.suppress(OSError):
+            handle, name = tempfile.mkstemp(dir=self._file.parent, prefix=PACKAGE)
+            with os.fdopen(handle, "w") as file:
+                json.dump(self._known, file)
+            os.replace(name, self._file)
+
+
+memory = _Memory()
+
+
+@cache
+def stamp(module: str) -> str:
+    """Return what changes if and only if the code of a module, or of one that it uses, changes."""
+    found: dict[str, str] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found[name], imports = memory.code(name)
+            waiting.extend(imports)
+    return _hash(json.dumps(sorted(found.items())).encode())
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def _digest(text: bytes) -> str:
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
+    return _hash(ast.dump(tree).encode())
+
+
+def _imports(module: str, path: Path, text: bytes) -> list[str]:
+    here = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = importlib.util.resolve_name("." * node.level + (node.module or ""), here)
+            for alias in node.names:
+                found.add(f"{base}.{alias.name}" if _path(f"{base}.{alias.name}") else base)
+    return sorted(name for name in found if name.split(".")[0] == PACKAGE)

@@ -1,0 +1,203 @@
+"""From nine numbers to a problem that can be solved: checks, exact scaling and mirroring, the null space.
+
+Shared by all methods that are kernels. (theory.md, sections 6 and 7)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._numeric.jit import inlined, inner
+from .codes import (
+    IMPACT_WITHOUT_COLLISION,
+    INDEFINITE_DELASSUS,
+    INVALID_NUMBERS,
+    NO_FLAG,
+    NO_IMPACT,
+    SINGULAR_DELASSUS,
+    UNSTOPPABLE,
+)
+from .delassus import ZERO, classify
+from .laws import counted, law_of_slow_approach
+
+PROCEEDS = np.int64(-1)
+"""Instead of a status: there is an impact to be followed."""
+
+TOO_SHORT = 2.0**-300
+"""Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
+
+
+class View(NamedTuple):
+    """How a problem was brought into canonical axes and numbers of order one; all of it is exact.
+
+    Attributes:
+        sign1, sign2: Signs of the tangent axes.
+        swapped: Whether they are then swapped.
+        diagonal: Whether swapping changes nothing.
+        scale_w, scale_v: W and v were divided by 2 to these powers.
+    """
+
+    sign1: float
+    sign2: float
+    swapped: bool
+    diagonal: bool
+    scale_w: int
+    scale_v: int
+
+
+class Problem(NamedTuple):
+    """An impact to be followed, as its `View` shows it.
+
+    Attributes:
+        a11, a12, a22, b1, b2, c: W, with its zero eigenvalues removed.
+        k1, k2: Stick ratio κ = A⁺b.
+        s: c − bᵀA⁺b; exactly 0 where stick locks the normal direction.
+        mu, e: Friction and restitution.
+        law, counts: Code of the law, and what it counts.
+        v1, v2, v3: Velocity at the start.
+        s1, s2, speed: Direction and speed of slip at the start.
+        offset: v₃ at v_t = 0 where s = 0.
+        flat: Whether A is singular.
+        planar: Whether A is singular and slip in its range, so that it never turns.
+        endless_slip: Whether slip may turn into a direction in which nothing acts.
+    """
+
+    a11: float
+    a12: float
+    a22: float
+    b1: float
+    b2: float
+    c: float
+    k1: float
+    k2: float
+    s: float
+    mu: float
+    e: float
+    law: np.int64
+    counts: np.int64
+    v1: float
+    v2: float
+    v3: float
+    s1: float
+    s2: float
+    speed: float
+    offset: float
+    flat: bool
+    planar: bool
+    endless_slip: bool
+
+
+@inner
+def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e):
+    """Whether all numbers are finite, μ ≥ 0 and 0 ≤ e ≤ 1."""
+    zero = 0.0 * w11 + 0.0 * w12 + 0.0 * w13 + 0.0 * w22 + 0.0 * w23 + 0.0 * w33
+    zero += 0.0 * v1 + 0.0 * v2 + 0.0 * v3  # 0 times infinity is NaN, and so is every sum with one
+    return zero == 0.0 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0
+
+
+@inner
+def canonical(w12, w13, w23, w11, w22, v1, v2):
+    """Choose signs and order of the tangent axes so that mirrored problems are one problem.
+
+    Returns:
+        the signs of t₁ and t₂, whether they are then swapped, and whether that changes nothing.
+    """
+    sign1 = -1.0 if v1 < 0.0 or (v1 == 0.0 and w13 < 0.0) else 1.0
+    sign2 = -1.0 if v2 < 0.0 or (v2 == 0.0 and w23 < 0.0) else 1.0
+    if sign1 * sign2 * w12 < 0.0:
+        if v1 == 0.0 and w13 == 0.0:
+            sign1 = -1.0
+        elif v2 == 0.0 and w23 == 0.0:
+            sign2 = -1.0
+    x1, x2, y1, y2 = abs(v1), abs(v2), sign1 * w13, sign2 * w23
+    swapped = x2 > x1 or (x2 == x1 and (y2 > y1 or (y2 == y1 and w22 > w11)))
+    return sign1, sign2, swapped, x2 == x1 and y2 == y1 and w22 == w11
+
+
+@inner
+def halves(exponent):
+    """Return two powers of two whose product is 2^exponent, also where that one would overflow."""
+    half = exponent // 2
+    return math.ldexp(1.0, half), math.ldexp(1.0, exponent - half)
+
+
+@inner
+def _nothing_to_follow(status, figure):
+    nan, no = math.nan, np.int64(0)
+    view = View(1.0, 1.0, False, False, 0, 0)
+    nans = (nan, nan, nan, nan, nan, nan, nan)
+    problem = Problem(*nans, nan, nan, nan, nan, no, no, *nans, False, False, False)
+    return status, figure, NO_FLAG, view, problem
+
+
+@inlined
+def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
+    """Check, scale, mirror and classify a problem, and decide whether there is an impact.
+
+    Returns:
+        PROCEEDS or the status with which it ends here, the figure of that status' message, flags, the
+        `View` and the `Problem`.
+    """
+    if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e):
+        return _nothing_to_follow(INVALID_NUMBERS, 0.0)
+
+    # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
+    largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
+    largest_v = max(abs(v1), abs(v2), abs(v3))
+    # (adding 0 makes 64 bits of numba's 32)
+    scale_w, scale_v = 0 + math.frexp(largest_w)[1], 0 + math.frexp(largest_v)[1]
+    sign1, sign2, swapped, diagonal = canonical(w12, w13, w23, w11, w22, v1, v2)
+    fw1, fw2 = halves(-scale_w)
+    fv1, fv2 = halves(-scale_v)
+    w11, w22, w33 = w11 * fw1 * fw2, w22 * fw1 * fw2, w33 * fw1 * fw2
+    w12, w13, w23 = sign1 * sign2 * w12 * fw1 * fw2, sign1 * w13 * fw1 * fw2, sign2 * w23 * fw1 * fw2
+    v1, v2, v3 = sign1 * v1 * fv1 * fv2, sign2 * v2 * fv1 * fv2, v3 * fv1 * fv2
+    if swapped:
+        v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
+    view = View(sign1, sign2, swapped, diagonal, scale_w, scale_v)
+
+    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread = classify(w11, w12, w13, w22, w23, w33)
+    if rank < 0:
+        return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w))
+    flags = SINGULAR_DELASSUS if rank < 3 else NO_FLAG
+
+    # where A is singular nothing acts across its range: v_t either has a part there for good, or none
+    flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    if planar:
+        norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
+        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
+        along = d1 * v1 + d2 * v2
+        planar = abs(d1 * v2 - d2 * v1) <= ZERO * spread * (abs(v1) + abs(v2))
+        crosses = not planar
+        if planar:
+            v1, v2 = d1 * along, d2 * along
+    speed = math.sqrt(v1 * v1 + v2 * v2)
+    if speed < 1e-140:
+        speed = math.hypot(v1, v2)
+    s1, s2 = 1.0, 0.0
+    if speed > 0.0:
+        s1, s2 = v1 / speed, v2 / speed
+    if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):
+        return _nothing_to_follow(NO_IMPACT, 0.0)
+    if c <= 0.0:
+        return _nothing_to_follow(UNSTOPPABLE, math.ldexp(v3, scale_v))
+    if v3 == 0.0:
+        flags |= IMPACT_WITHOUT_COLLISION
+    elif v3 > -TOO_SHORT * speed and c > mu * (b1 * s1 + b2 * s2):
+        law = law_of_slow_approach(law)
+
+    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 6)
+    offset = 0.0
+    if s == 0.0:
+        offset = v3 - k1 * v1 - k2 * v2
+        if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
+            offset = 0.0
+    endless_slip = crosses or s == 0.0
+    problem = Problem(
+        *(a11, a12, a22, b1, b2, c, k1, k2, s, mu, e, law, counted(law)),
+        *(v1, v2, v3, s1, s2, speed, offset, flat, planar, endless_slip),
+    )
+    return PROCEEDS, 0.0, flags, view, problem

@@ -1,0 +1,95 @@
+"""The sums of the normal direction, and what an event brings: phases end, the law is met. (theory.md, 2)"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._numeric.jit import inner
+from .codes import (
+    COMPRESSION,
+    COMPRESSION_ENDS,
+    COMPRESSION_RESUMES,
+    IMPULSE,
+    LAW_MET,
+    NEAR_JUMP,
+    NO_FLAG,
+    RESTITUTION,
+    SECOND_COMPRESSION,
+    VELOCITY,
+)
+from .laws import left_of_goal, restitution_goal
+
+CLOSE_TO_JUMP = 1e-2
+"""Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
+
+
+class Ledger(NamedTuple):
+    """Where the impact stands.
+
+    Attributes:
+        phase: COMPRESSION or RESTITUTION.
+        phase_start: P₃ at which the present compression began.
+        compressed, restored: Normal impulses of all closed compressions and of all restitution.
+        compression_work, restitution_work: Normal works so far.
+        goal: What restitution has to reach, once there is one.
+    """
+
+    phase: np.int64
+    phase_start: float
+    compressed: float
+    restored: float
+    compression_work: float
+    restitution_work: float
+    goal: float
+
+
+@inner
+def new_ledger():
+    """Return the ledger of an impact that begins."""
+    return Ledger(COMPRESSION, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@inner
+def still_to_gain(ledger, counts, v3):
+    """Return what is left of the restitution's goal."""
+    return left_of_goal(counts, ledger.goal, v3, ledger.restored, ledger.restitution_work)
+
+
+@inner
+def close_move(ledger, problem, event, span, work, left, p3):
+    """Enter a move into the ledger and do what its event brings.
+
+    Args:
+        event: What ended the move.
+        span, work: Its normal impulse and normal work.
+        left: What was left of the goal at its start.
+        p3: Normal impulse at its end.
+
+    Returns:
+        the ledger, the event (LAW_MET also where compression ends and nothing is to be restored), and flags
+        to be set.
+    """
+    phase, phase_start, compressed, restored, compression_work, restitution_work, goal = ledger
+    flags = NO_FLAG
+    if phase == COMPRESSION:
+        compression_work += work
+    else:
+        restitution_work += work
+        restored += span
+    if event == COMPRESSION_ENDS:
+        compressed += p3 - phase_start
+        phase = RESTITUTION
+        goal = restitution_goal(problem.law, problem.e, compressed, compression_work, problem.v3)
+        if goal == 0.0:
+            event = LAW_MET
+    elif event == COMPRESSION_RESUMES:
+        flags |= SECOND_COMPRESSION
+        phase = COMPRESSION
+        phase_start = p3
+        gained = span if problem.counts == IMPULSE else work
+        if problem.counts != VELOCITY and left - gained < CLOSE_TO_JUMP * goal:
+            flags |= NEAR_JUMP
+    ledger = Ledger(phase, phase_start, compressed, restored, compression_work, restitution_work, goal)
+    return ledger, event, flags

@@ -1,0 +1,293 @@
+"""The moves of an impact: how everything changes from here, and where a straight move ends.
+
+An impact is a chain of moves. Each goes from one `State` to the next, along a `Course` with constant rates
+(straight slip, stick, resumed slip) or along one series of slip that turns (`turning_slip`), and ends
+where an event, its own end or the reach of its series says. The `State`s on both sides, the `Course` and
+the `Move` are all that a routine needs which follows the chain, such as one for derivatives: the state
+after a move is a function of the state before and of the `Problem`, and nothing else is carried over but
+the `Ledger`. (theory.md, sections 3 to 5)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._numeric.jit import inlined, inner
+from .codes import (
+    COMPRESSION_ENDS,
+    COMPRESSION_RESUMES,
+    IN_RESUMED_SLIP,
+    IN_SLIP,
+    IN_STICK,
+    JAM,
+    LOCKS,
+    NEAR_STICK_THRESHOLD,
+    NEVER,
+    NO_EVENT,
+    NO_FLAG,
+    SLIP_RESUMED,
+    STICKS,
+)
+from .laws import first_event
+from .resumed_slip import resumed_direction
+from .slip_equations import Polynomials, in_frame, polynomials
+
+STRAIGHT = 2.0**-54
+"""An angle that turns no double: slip this close to an invariant direction is straight."""
+
+NEAR_THRESHOLD = 1e-6
+"""Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
+
+NO_FORCE = 2.0**-46
+"""Where slip may turn into a direction without force, a force this small is rounding."""
+
+
+class State(NamedTuple):
+    """Where an impact stands between two moves.
+
+    Attributes:
+        s1, s2, speed: Direction and speed of slip.
+        v3: Normal velocity.
+        turn: p₀, the rate at which the direction turns; carried along to keep its relative accuracy.
+        p1, p2, p3: Impulse so far.
+    """
+
+    s1: float
+    s2: float
+    speed: float
+    v3: float
+    turn: float
+    p1: float
+    p2: float
+    p3: float
+
+
+class Course(NamedTuple):
+    """Constant rates per P₃, in a straight move.
+
+    Attributes:
+        mode: IN_SLIP, IN_STICK or IN_RESUMED_SLIP.
+        rate: dv₃/dP₃.
+        gain: Rate of the speed of slip.
+        dp1, dp2: Rates of the tangential impulse.
+        until: Normal impulse after which the move ends by itself,
+        ends_slip: and whether slip does so then.
+        turning, growth: Rates of ln(speed) and of ln(turn), twice, along an invariant direction.
+    """
+
+    mode: np.int64
+    rate: float
+    gain: float
+    dp1: float
+    dp2: float
+    until: float
+    ends_slip: bool
+    turning: float
+    growth: float
+
+
+class Units(NamedTuple):
+    """The slip equations in units in which their coefficients are of order one.
+
+    Attributes:
+        a11, a12, a22: μA/ω.
+        b1, b2: b/ω.
+        omega, per: ω, a power of two, and 1/ω.
+    """
+
+    a11: float
+    a12: float
+    a22: float
+    b1: float
+    b2: float
+    omega: float
+    per: float
+
+
+class Move(NamedTuple):
+    """What a move came to.
+
+    Attributes:
+        event: What ended it; NO_EVENT where the impact just goes on another course, NEVER where nothing will.
+        span: Its normal impulse.
+        work, friction_work: Works of the normal and the tangential impulse.
+        rate: dv₃/dP₃ at its end.
+    """
+
+    event: np.int64
+    span: float
+    work: float
+    friction_work: float
+    rate: float
+
+
+@inner
+def slip_units(problem):
+    """Return the `Units` of a problem."""
+    mu, b1, b2 = problem.mu, problem.b1, problem.b2
+    largest = max(max(abs(b1), abs(b2)), mu * max(problem.a11, problem.a22))
+    omega = math.ldexp(1.0, math.frexp(largest)[1]) if mu > 0.0 else 1.0
+    per = 1.0 / omega
+    muo = mu * per
+    return Units(muo * problem.a11, muo * problem.a12, muo * problem.a22, per * b1, per * b2, omega, per)
+
+
+@inner
+def tangential_velocity(problem, state):
+    """Return v_t; without friction it is the start's plus b P₃."""
+    if problem.mu == 0.0:
+        return problem.v1 + problem.b1 * state.p3, problem.v2 + problem.b2 * state.p3
+    return state.s1 * state.speed, state.s2 * state.speed
+
+
+@inner
+def frictionless_course(problem):
+    """Return the `Course` where μ = 0."""
+    return Course(IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
+
+
+@inlined
+def slip_course(problem, units, state, fresh):
+    """Say how slip changes from here.
+
+    Args:
+        fresh: Whether p₀ is to be found (at the start), and not carried along.
+
+    Returns:
+        the `Course`, which holds if the next is True; whether slip is straight; the state with its p₀; the
+        polynomials of the present frame; b∥ and b⊥ in it.
+    """
+    s1, s2, speed, v3, turn, p1, p2, p3 = state
+    mu = problem.mu
+    al, ax, ap, bl, bp = in_frame(units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2)
+    if fresh:
+        turn = 0.0 if problem.planar else bp - ax
+    t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
+    bl *= units.omega
+    bp *= units.omega
+    rate = problem.c - mu * bl
+    if problem.endless_slip and abs(m0) <= NO_FORCE:
+        m0, rate = 0.0, problem.s
+    bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
+    unbent = bend <= 0.25 * STRAIGHT * abs(m0)
+    straight = unbent or (abs(turn) <= STRAIGHT * abs(t1) and abs(turn * t2) <= 0.1 * t1 * t1)
+    gain, until, ends_slip = 0.0, math.inf, False
+    if straight:
+        gain = units.omega * m0
+        if m0 < 0.0:
+            until, ends_slip = -speed / gain, True
+        if t1 > 0.0 and turn != 0.0 and not unbent:
+            # leaving an unstable direction: straight until the angle is one that doubles can tell
+            tau = 2.0 / t1 * math.log(2.0 * STRAIGHT * t1 / abs(turn))
+            leave = speed * units.per * (math.expm1(m0 * tau) / m0 if m0 != 0.0 else tau)
+            if leave < until:
+                until, ends_slip = leave, False
+    course = Course(IN_SLIP, rate, gain, -mu * s1, -mu * s2, until, ends_slip, m0, t1)
+    state = State(s1, s2, speed, v3, turn, p1, p2, p3)
+    return course, straight, state, Polynomials(t1, t2, t3, t4, m0, m1, m2, m3), bl, bp
+
+
+@inner
+def leave_zero_slip(problem, state):
+    """Say what follows v_t = 0: stick, or slip that resumes along the diverging invariant direction. (5)
+
+    Returns:
+        the `Course`, the state, and flags to be set.
+    """
+    s1, s2, _, v3, _, p1, p2, p3 = state
+    k1, k2, s, mu, c, b1, b2 = (
+        problem.k1,
+        problem.k2,
+        problem.s,
+        problem.mu,
+        problem.c,
+        problem.b1,
+        problem.b2,
+    )
+    before1, before2 = problem.v1, problem.v2
+    flags = NO_FLAG
+    if s > 0.0 and abs(k1 * before1) + abs(k2 * before2) + s * p3 < abs(b1 * p1) + abs(b2 * p2) + c * p3:
+        # the identity of theory.md, 6 knows v₃ better than the sum over the path
+        v3 = problem.v3 - k1 * before1 - k2 * before2 + s * p3
+    stick_ratio = math.sqrt(k1 * k1 + k2 * k2)
+    excess = stick_ratio - mu
+    if abs(excess) <= NEAR_THRESHOLD * mu:
+        flags |= NEAR_STICK_THRESHOLD
+    if excess <= 0.0:
+        mode, rate, dp1, dp2, gain = IN_STICK, s, -k1, -k2, 0.0
+        if s == 0.0:
+            flags |= LOCKS
+            v3 = problem.offset
+    else:
+        mode = IN_RESUMED_SLIP
+        if problem.flat:
+            s1, s2 = k1 / stick_ratio, k2 / stick_ratio
+            gain = (problem.a11 + problem.a22) * excess
+        else:
+            gain, s1, s2 = resumed_direction(problem.a11, problem.a12, problem.a22, b1, b2, mu)
+        rate = c - mu * (b1 * s1 + b2 * s2)
+        dp1, dp2 = -mu * s1, -mu * s2
+    course = Course(mode, rate, gain, dp1, dp2, math.inf, False, 0.0, 0.0)
+    return course, State(s1, s2, 0.0, v3, 0.0, p1, p2, p3), flags
+
+
+@inlined
+def straight_move(problem, omega, course, state, phase, left):
+    """Go along a `Course` to its next event or its end, in closed form.
+
+    Args:
+        omega: ω.
+        phase, left: Of the restitution, from the `Ledger`.
+
+    Returns:
+        the `Move` and the state after it.
+    """
+    s1, s2, speed, v3, turn, p1, p2, p3 = state
+    mode, rate, gain, dp1, dp2, until, ends_slip, m0, t1 = course
+    span, event = first_event(phase, problem.counts, left, v3, rate)
+    # v₃ = k·v_t: on a straight line the two vanish together
+    together = problem.s == 0.0 and problem.offset == 0.0 and event == COMPRESSION_ENDS and ends_slip
+    if until < span or together:
+        span, event = until, NO_EVENT
+    if span == math.inf:
+        return Move(NEVER, span, 0.0, 0.0, rate), state
+    v3_end = v3 + rate * span
+    speed_end = speed + gain * span
+    if span == until and ends_slip:
+        speed_end = 0.0
+        if problem.s == 0.0:
+            v3_end = problem.offset
+    work = 0.5 * (v3 + v3_end) * span
+    friction_work = -0.5 * problem.mu * (speed + speed_end) * span if mode != IN_STICK else 0.0
+    if turn != 0.0 and speed > 0.0 and speed_end > 0.0:
+        tau = math.log(speed_end / speed) / m0 if m0 != 0.0 else omega * span / speed
+        turn *= math.exp(0.5 * t1 * tau)
+    p1 += dp1 * span
+    p2 += dp2 * span
+    p3 += span
+    if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
+        v3_end = 0.0
+    return (
+        Move(event, span, work, friction_work, rate),
+        State(s1, s2, speed_end, v3_end, turn, p1, p2, p3),
+    )
+
+
+@inner
+def mode_flag(mode, span, p3):
+    """Return the flag of the mode of a move over `span` up to `p3`, if it is more than a touch."""
+    if p3 - span < p3:
+        if mode == IN_STICK:
+            return STICKS
+        if mode == IN_RESUMED_SLIP:
+            return SLIP_RESUMED
+    return NO_FLAG
+
+
+@inner
+def jams(rate):
+    """Return the flag of a dv₃/dP₃ during slip."""
+    return JAM if rate < 0.0 else NO_FLAG

@@ -1,0 +1,99 @@
+"""The restitution laws: what each one counts during restitution, and the goal at which the impact ends.
+
+All laws are cumulative over the whole impact, second compressions included. (theory.md, section 2)
+
+To add a law, write it down here, as one more `Law` in `_LAWS`, and give its goal in
+`_kernels.laws.restitution_goal`; nothing else knows one law from another. A law that counts something
+other than the three quantities below needs that quantity in `_kernels.laws` and `_kernels.slip_series` as
+well. `scipy_baseline`, which is kept independent on purpose, says that it does not know the law until it is
+taught.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ..errors import UnknownNameError
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A restitution law: the impact ends when what is counted in restitution reaches the goal.
+
+    Attributes:
+        name: What users call it.
+        counts: What grows towards the goal: the normal impulse P_r or the normal work W_r of all
+            restitution so far, or the normal velocity v₃ itself.
+        equation: The goal, with its number on the theory page.
+        summary: One line on what it is, and what it can and cannot take.
+        always_met: Whether every impact whose approach can be stopped meets it.
+    """
+
+    name: str
+    counts: Literal["velocity", "impulse", "work"]
+    equation: str
+    summary: str
+    always_met: bool = False
+
+    @property
+    def code(self) -> int:
+        """The law's number in the kernels: its place in `LAWS`."""
+        return LAWS.index(self.name)
+
+
+_LAWS = (
+    Law(
+        "poisson",
+        "impulse",
+        "P_r = e P_c (2.4)",
+        "the restitution impulse is e times that of compression; creates energy only with friction, "
+        "and spends its impulse also on a locked mechanism",
+        always_met=True,
+    ),
+    Law(
+        "energetic",
+        "work",
+        "W_r = −e² W_c (2.5)",
+        "Stronge's: the normal work given back is e² of that taken; never creates energy",
+    ),
+    Law(
+        "newton",
+        "velocity",
+        "v₃ = −e v₃° (2.6)",
+        "the normal velocity is turned round by e; can create energy, which is computed as asked and flagged",
+    ),
+)
+
+LAWS = tuple(law.name for law in _LAWS)
+"""Names of the restitution laws."""
+
+COUNTED = tuple(law.counts for law in _LAWS)
+"""What each of `LAWS` counts."""
+
+
+def find_law(name: str) -> Law:
+    """Return the law of that name, or raise `UnknownNameError`."""
+    for law in _LAWS:
+        if law.name == name:
+            return law
+    raise UnknownNameError(
+        f"law: {name!r} is not a restitution law; the laws are {', '.join(map(repr, LAWS))}",
+        field="law",
+        value=name,
+    )
+
+
+def law_code(name: str) -> int:
+    """Return the kernels' code of a law, or raise `UnknownNameError`."""
+    return find_law(name).code
+
+
+def law_of_code(code: int) -> Law:
+    """Return the law whose code is `code`."""
+    return _LAWS[code]
+
+
+def laws_always_met() -> tuple[str, ...]:
+    """Return the names of the laws that every impact meets, once its approach is stopped."""
+    return tuple(law.name for law in _LAWS if law.always_met)

@@ -1,0 +1,275 @@
+"""When kernels are compiled, what for, and that whoever waits is told; on kernels that take little time."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from numba.core import event
+from rich.console import Console
+
+import pinimpact
+from pinimpact._numeric import jit as decorators
+from pinimpact._numeric.jit import inner, jit, separate
+from pinimpact.app.cli import compiling_shown
+
+SOURCE = Path(pinimpact.__file__).parent / "_numeric"
+
+LEAF = '''"""A leaf."""
+from ..._numeric.jit import inner, separate
+FACTOR = 2.0
+
+
+@inner
+def scaled(x):
+    return FACTOR * x
+
+
+@separate
+def shifted(x):
+    """Shift."""
+    return scaled(x) + 1.0
+'''
+ENTRY = '''"""Two entries."""
+from ..._numeric.jit import jit
+from . import leaf
+
+
+@jit
+def first(x):
+    """First."""
+    return leaf.shifted(x)
+
+
+@jit
+def second(x):
+    return 10.0 * leaf.shifted(leaf.scaled(x))
+'''
+OTHER = """from ..._numeric.jit import jit
+
+
+@jit
+def third(x):
+    return -x
+"""
+CALL = """
+import json
+from numba.core import event
+from pinimpact.scene._kernels import entry, other
+with event.install_recorder("numba:compile") as record:
+    answers = entry.first(3.0), entry.second(3.0), other.third(3.0)
+made = [one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start]
+print(json.dumps([answers, made]))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package of this one's name with its decorators and three small modules of kernels."""
+    root = tmp_path / "pinimpact"
+    shutil.copytree(SOURCE, root / "_numeric", ignore=shutil.ignore_patterns("__pycache__"))
+    kernels = root / "scene" / "_kernels"
+    kernels.mkdir(parents=True)
+    for name, text in (("leaf", LEAF), ("entry", ENTRY), ("other", OTHER)):
+        (kernels / f"{name}.py").write_text(text)
+    for folder in (root, root / "scene", kernels):
+        (folder / "__init__.py").write_text("")
+    return root
+
+
+def python(package: Path, code: str = CALL, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = dict(
+        os.environ, PYTHONPATH=str(package.parent), NUMBA_CACHE_DIR=str(package.parent / "cache"), **variables
+    )
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+
+
+def call(package: Path) -> tuple[list[float], list[str]]:
+    answers, made = json.loads(python(package).stdout)
+    return answers, made
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+
+
+def test_only_an_edit_of_code_compiles_anew_and_only_what_uses_it(package: Path) -> None:
+    leaf, entry = (package / "scene" / "_kernels" / name for name in ("leaf.py", "entry.py"))
+    assert call(package) == ([7.0, 130.0, -3.0], ["first", "shifted", "scaled", "second", "third"])
+    # comments, docstrings and layout, of entries and of what they call
+    edit(
+        leaf, "FACTOR = 2.0\n", '"""Docstring."""\n\nFACTOR = 2.0  # twice\n"""What a kernel doubles by."""\n'
+    )
+    edit(leaf, '"""Shift."""', '"""Shift,\n\n    by one.\n    """')
+    edit(entry, "def second(x):\n", 'def second(x):\n    """New docstring."""\n    # and a comment\n')
+    edit(package / "_numeric" / "jit.py", '"""The decorators', '"""All the decorators')
+    assert call(package) == ([7.0, 130.0, -3.0], [])
+    # a constant of an inner kernel of a callee in another module
+    edit(leaf, "FACTOR = 2.0", "FACTOR = 3.0")
+    assert call(package) == ([10.0, 280.0, -3.0], ["first", "shifted", "scaled", "second"])
+    assert call(package) == ([10.0, 280.0, -3.0], [])
+
+
+def test_a_callee_that_the_cache_has_lost_is_compiled_before_its_caller_is_loaded(package: Path) -> None:
+    call(package)
+    for file in (package.parent / "cache").rglob("leaf.*"):
+        file.unlink()
+    assert call(package) == ([7.0, 130.0, -3.0], ["shifted", "scaled"])
+
+
+def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) -> None:
+    leaf = package / "scene" / "_kernels" / "leaf.py"
+    late = (
+        f"from pathlib import Path\nfrom pinimpact.scene._kernels import entry\nleaf = Path({str(leaf)!r})\n"
+        "leaf.write_text(leaf.read_text().replace('FACTOR = 2.0', 'FACTOR = 3.0'))\n"
+    )
+    assert json.loads(python(package, late + CALL).stdout)[0] == [7.0, 130.0, -3.0]
+    assert call(package)[0] == [10.0, 280.0, -3.0]
+
+
+def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:
+    told = python(package, CALL).stderr
+    assert told.count("\n") == 1
+    assert told.startswith("pinimpact: compiling kernels for scenes, once per machine")
+    assert python(package, CALL).stderr == ""
+    shutil.rmtree(package.parent / "cache")
+    quiet = "import logging; logging.getLogger('pinimpact.compiling').setLevel('ERROR')\n"
+    assert python(package, quiet + CALL).stderr == ""
+
+
+def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path) -> None:
+    (package.parent / "cache").write_text("a file where a folder is wanted")
+    closed = "import tempfile\ndef fail(*_, **__): raise OSError\ntempfile.TemporaryFile = fail\n"
+    answer = python(package, closed + CALL)
+    assert json.loads(answer.stdout)[0] == [7.0, 130.0, -3.0]
+    assert "in every process" in answer.stderr
+    assert "NUMBA_CACHE_DIR" in answer.stderr
+
+
+def test_plain_python_without_the_compiler(package: Path) -> None:
+    answer = python(package, NUMBA_DISABLE_JIT="1")
+    assert json.loads(answer.stdout) == [[7.0, 130.0, -3.0], []]
+    assert answer.stderr == ""
+
+
+def test_impacts_run_without_the_compiler() -> None:
+    code = (
+        "import numba, numpy, pinimpact as p; assert numba.config.DISABLE_JIT\n"
+        "w = [[2, 0, .5], [0, 3, .4], [.5, .4, 1]]\n"
+        "one = p.solve_impact(p.ImpactProblem(w, (1, .5, -1), .3, .5))\n"
+        "many = p.solve_impacts([w], [(1, .5, -1)], .3, .5)\n"
+        "robot = p.load_robot('panda')\n"
+        "hand = p.Contact('panda_hand_tcp', p.Plane(), friction=.4, restitution=.5)\n"
+        "q = numpy.array([0, .3, 0, -1.5, 0, 1.5, 0, .02, .02])\n"
+        "hit = p.impact(robot.model, robot.data, q, numpy.eye(9)[1], hand)\n"
+        "print(numpy.concatenate([one.velocity, many.velocity[0], hit.v]).tolist())"
+    )
+    both = [
+        subprocess.run(
+            [sys.executable, "-c", code.replace("assert numba", "numba") if on else code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=dict(os.environ, NUMBA_DISABLE_JIT="" if on else "1"),
+        ).stdout
+        for on in (True, False)
+    ]
+    compiled, plain = (np.array(json.loads(one)) for one in both)
+    np.testing.assert_allclose(plain, compiled, rtol=1e-13, atol=1e-14)
+
+
+@separate
+def cubed(x):
+    return x * x * x
+
+
+@inner
+def halved(x):
+    return 0.5 * cubed(x)
+
+
+@jit
+def one_call(x):
+    return halved(x)
+
+
+@jit
+def another_call(x, y):
+    return halved(x) + cubed(y) + one_call(y)
+
+
+def test_a_separate_kernel_is_compiled_once_and_copied_nowhere() -> None:
+    with event.install_recorder("numba:compile") as record:
+        assert one_call(2.0) == 4.0
+        assert another_call(2.0, 3.0) == 4.0 + 27.0 + 13.5
+    made = [one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start]
+    assert sorted(made) == ["another_call", "cubed", "halved", "one_call"]
+
+
+def test_kernels_can_be_called_from_functions_that_numba_itself_compiles() -> None:
+    @numba.njit
+    def foreign(x):
+        return halved(x) + one_call(x)
+
+    assert foreign(2.0) == 8.0
+
+
+def times(factor):
+    @inner
+    def product(x):
+        return factor * x
+
+    return product
+
+
+twice, thrice = times(2.0), times(3.0)
+
+
+@jit
+def both(x):
+    return twice(x) + 100.0 * thrice(x)
+
+
+def test_inner_kernels_made_by_one_function_are_told_apart() -> None:
+    assert both(1.0) == 302.0
+    with pytest.raises(ValueError, match="made by a function"):
+        jit(twice.py_func)
+
+
+@jit
+def with_array(x, n):
+    return x[0] + n
+
+
+def test_all_can_be_compiled_beforehand() -> None:
+    decorators.compile_all((with_array, np.zeros(1), 1), (with_array, np.zeros((1, 1))[0], 1.0))
+    with event.install_recorder("numba:compile") as record:
+        assert with_array(np.ones(1), 2) == 3.0
+        assert with_array(np.ones(1), 2.0) == 3.0
+    assert not record.buffer
+
+
+def test_the_command_line_shows_what_it_waits_for() -> None:
+    logger = logging.getLogger("pinimpact.compiling")
+    shown: list[str] = []
+    with compiling_shown(Console(force_terminal=True), shown.append):
+        logger.warning("%s: up to about %d s", "compiling", 25)
+        logger.info("compiling, once: %d of %d", 3, 9)
+    logger.info("nobody listens any more")
+    assert shown == ["compiling: up to about 25 s", "compiling, once: 3 of 9"]
+    with compiling_shown(Console(force_terminal=False), shown.append):
+        logger.info("where no bar is seen, the logger goes on as it does")
+    assert len(shown) == 2
+    assert logger.level == logging.NOTSET
+    assert logger.propagate
