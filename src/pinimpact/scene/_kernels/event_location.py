@@ -21,6 +21,8 @@ PARTS = 8
 DEPTH = 10
 """How often they are halved."""
 
+SHORTEST = 1.5 * 0.5**DEPTH
+
 CURVED = 1.5
 """Factor on the curvature that the samples of such a function show."""
 
@@ -155,7 +157,7 @@ def search_for_fall(value):
                         return root(work, i, time, later[depth], value_now, value_then)
                     return time
                 rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
-                if depth < DEPTH and not (min(value_now, value_then) > bulge or rises_clear):
+                if part > SHORTEST and not (min(value_now, value_then) > bulge or rises_clear):
                     depth += 1
                     later[depth] = time + 0.5 * (later[depth - 1] - time)
                     later_value[depth] = value_at(work, i, later[depth])[0]

@@ -111,6 +111,8 @@ class SceneWorkspace(Workspace):
     force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
 
     # the step under way
+    rtol = real("relative tolerance of a step")
+    atol = real("absolute tolerance of a step")
     joint_charts = integers("charts", 4, meaning="table of the configuration space, see `lie_charts`")
     q0 = reals("nq", meaning="configuration at the start")
     v0 = reals("nv", meaning="velocity at the start")

@@ -36,4 +36,7 @@ def first(work, end):
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):
         return math.inf, 0
-    return first_fall(work, 0, end, 0.0), 0
+    largest = 0.0
+    for force in work.solution:
+        largest = max(largest, abs(force))
+    return first_fall(work, 0, end, work.rtol * largest), 0

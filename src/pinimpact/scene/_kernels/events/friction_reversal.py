@@ -31,7 +31,8 @@ def first(work, end):
     time, which = math.inf, 0
     for j in range(len(v0)):
         if sliding[j] != 0.0 and not abs(v0[j]) > SAFETY * change * slowest[j]:
-            found = first_fall(work, j, end, ROUNDING)
+            speed = max(abs(v0[j]), abs(work.v1[j]))
+            found = first_fall(work, j, end, max(ROUNDING, work.atol + work.rtol * speed))
             if found < end:
                 time, end, which = found, found, j
     return time, which

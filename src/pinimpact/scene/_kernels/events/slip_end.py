@@ -43,7 +43,8 @@ def first(work, end):
             continue
         if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
             continue
-        found = first_fall(work, k, end, BEHIND * work.stick_speed)
+        speed = max(abs(work.sample_slip[0, k]), abs(along(work, k, work.end_velocity)))
+        found = first_fall(work, k, end, max(BEHIND * work.stick_speed, work.atol + work.rtol * speed))
         if found < end:
             value_at(work, k, found)
             if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
