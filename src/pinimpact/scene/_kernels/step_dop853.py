@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
@@ -33,7 +33,7 @@ def attempt(work, t, h, rtol, atol):
     return error if error == error else math.inf
 
 
-@inner
+@separate
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_root
 from .consequences import MODE_CHANGE
@@ -27,7 +27,7 @@ def value(work, _, t):
 value_at, root = sampled(value), search_for_root(value)
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""
     if work.closed_contacts + work.closed_scalars == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..event_location import search_for_root
 from .consequences import MODE_CHANGE
 
@@ -20,7 +20,7 @@ def value(work, j, t):
 root = search_for_root(value)
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""
     sliding, v0, v1 = work.sliding_friction, work.v0, work.v1
