@@ -16,26 +16,22 @@ from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 
 
-def made_for(value, function):
-    """Compile a function that calls `value`, under a name of its own, for kernels are told apart by name."""
-    function.__qualname__ = f"{value.__module__}.{function.__name__}"
-    return inner(function)
-
-
 def sampled(value):
     """Return the kernel value_at(work, i, t): a function and its rate at a time within the step."""
 
+    @inner
     def value_at(work, i, t):
         set_state_within(work, (t - work.step_start) / work.step_length)
         return value(work, i, t)
 
-    return made_for(value, value_at)
+    return value_at
 
 
 def search_for_closing(value):
     """Return the kernel that finds where a gap closes, whose value and rate are given."""
     value_at = sampled(value)
 
+    @inner
     def first_closing(work, i, end, gap, rate, end_gap, end_rate, bounds):
         """Return the first time until `end` at which a gap closes; infinite where it does not.
 
@@ -109,13 +105,14 @@ def search_for_closing(value):
             later_gap[depth] -= base
         return math.inf
 
-    return made_for(value, first_closing)
+    return first_closing
 
 
 def search_for_root(value):
     """Return the kernel that finds where a function changes sign."""
     value_at = sampled(value)
 
+    @inner
     def root(work, i, a, b, fa, fb):
         """Return where a function changes sign between a and b, to rounding and not before.
 
@@ -144,4 +141,4 @@ def search_for_root(value):
                     a, fa = guess, fg
         return b
 
-    return made_for(value, root)
+    return root

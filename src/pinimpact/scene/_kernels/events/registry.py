@@ -30,6 +30,7 @@ def _chain(kind: int):
 
     first, others, number = EVENTS[kind].first, _chain(kind + 1), np.int64(kind)
 
+    @inner
     def search(work):
         time, which = first(work, min(work.event_time, work.step_start + work.step_length))
         if time < math.inf:
@@ -37,8 +38,7 @@ def _chain(kind: int):
         if work.event_time > -math.inf:
             others(work)
 
-    search.__qualname__ = f"search_{kind}"
-    return inner(search)
+    return search
 
 
 _search = _chain(0)
