@@ -137,7 +137,7 @@ class _Array(_Field[NDArray[Any]]):
         self.given = given
 
     def read(self, work: Workspace) -> NDArray[Any]:
-        array = work.arrays[self.name]
+        array = work.whole(self)
         shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
         if array.shape == shape:
             return array
@@ -208,14 +208,14 @@ class Workspace(bytearray):
 
     fields: ClassVar[dict[str, _Field[Any]]] = {}
     numba_type: ClassVar[WorkspaceType]
-    _arrays: ClassVar[list[tuple[_Array, tuple[str | int, ...]]]] = []
+    _declared: ClassVar[list[tuple[_Array, tuple[str | int, ...]]]] = []
 
     def __init_subclass__(cls) -> None:
         cls.fields = {name: item for name, item in vars(cls).items() if isinstance(item, _Field)}
         for slot, field in enumerate(cls.fields.values()):
             field.slot = slot
         limits = {name: getattr(field, "limit", name) for name, field in cls.fields.items()}
-        cls._arrays = [  # with the sizes that bound their shape
+        cls._declared = [  # with the sizes that bound their shape
             (field, tuple(limits.get(dim, dim) for dim in field.dims))  # type: ignore[arg-type]
             for field in cls.fields.values()
             if isinstance(field, _Array)
@@ -228,6 +228,7 @@ class Workspace(bytearray):
         self.integers = np.frombuffer(self, dtype=np.int64)
         self.numbers = np.frombuffer(self, dtype=np.float64)
         self.arrays: dict[str, NDArray[Any]] = {}
+        self._places: dict[str, tuple[int, tuple[int, ...]]] = {}
         declared = [name for name, field in self.fields.items() if type(field) is _Size]
         if set(sizes) != set(declared):
             raise ValueError(f"sizes: {sorted(sizes)} given, {sorted(declared)} expected")
@@ -236,17 +237,32 @@ class Workspace(bytearray):
         unknown = [name for name in arrays if not isinstance(self.fields.get(name), _Array)]
         if unknown:
             raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
-        for field, dims in self._arrays:
-            shape = tuple(sizes[dim] if isinstance(dim, str) else dim for dim in dims)
+        room = 0  # of the arrays that are made, one after the other
+        for field, dims in self._declared:
+            shape = tuple([sizes[dim] if isinstance(dim, str) else dim for dim in dims])
             array = arrays.get(field.name)
-            if array is None:
-                if field.given:
-                    raise ValueError(f"{field.name}: missing ({field.meaning})")
-                array = np.zeros(shape, field.dtype, field.order)  # type: ignore[call-overload]
-            else:
+            if array is not None:
                 _check(field, array, shape)
-            self.arrays[field.name] = array
-            self.integers[field.slot] = array.__array_interface__["data"][0]
+                self.arrays[field.name] = array
+                self.integers[field.slot] = array.__array_interface__["data"][0]
+            elif field.given:
+                raise ValueError(f"{field.name}: missing ({field.meaning})")
+            else:
+                self._places[field.name] = room, shape
+                room += math.prod(shape)
+        self._made = np.zeros(room)
+        start = self._made.__array_interface__["data"][0]
+        for name, (place, _) in self._places.items():
+            self.integers[self.fields[name].slot] = start + _WIDTH * place
+
+    def whole(self, field: _Array) -> NDArray[Any]:
+        """Return an array with all its room."""
+        array = self.arrays.get(field.name)
+        if array is None:
+            place, shape = self._places[field.name]
+            part = self._made[place : place + math.prod(shape)].view(field.dtype)
+            array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
+        return array
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")

@@ -17,7 +17,7 @@ from ._kernels.contact_forces import SLIP
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
-from .scene import STANDARD_GRAVITY, Scene
+from .scene import STANDARD_GRAVITY, Scene, default_resting_speed
 from .scene_impacts import Impact, SceneImpacts
 
 Array = NDArray[np.float64]
@@ -61,7 +61,9 @@ class SimulationState:
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
         limits = scene.limits() if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
-        extent, resting_speed = scene.extent, scene.rest
+        extent, resting_speed = scene.extent, scene.resting_speed
+        if resting_speed is None:
+            resting_speed = default_resting_speed(scene.model, extent)
         self._resting_speed = resting_speed
 
         check_inertia(model, data, q)
