@@ -98,7 +98,7 @@ def test_a_method_that_fails_has_nan(monkeypatch, tmp_path):
 
         return run
 
-    monkeypatch.setitem(METHODS, "failing", Method(load, "never answers"))
+    monkeypatch.setattr(cost, "METHODS", {**METHODS, "failing": Method(load, "never answers")})
     report = cost.run_cost({"planar": CLASSES["planar"]}, methods=("failing",), repeats=1, time_cap=0.01)
     (point,) = report.points
     assert math.isnan(point.error)

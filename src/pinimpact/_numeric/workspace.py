@@ -42,6 +42,8 @@ from numba.extending import (
 from numba.np import arrayobj
 from numpy.typing import NDArray
 
+from .sources import stamp
+
 T = TypeVar("T")
 Self = TypeVar("Self", bound="_Field[Any]")
 
@@ -135,7 +137,7 @@ class _Array(_Field[NDArray[Any]]):
         self.given = given
 
     def read(self, work: Workspace) -> NDArray[Any]:
-        array = work.arrays[self.name]
+        array = work.whole(self)
         shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
         if array.shape == shape:
             return array
@@ -206,11 +208,18 @@ class Workspace(bytearray):
 
     fields: ClassVar[dict[str, _Field[Any]]] = {}
     numba_type: ClassVar[WorkspaceType]
+    _declared: ClassVar[list[tuple[_Array, tuple[str | int, ...]]]] = []
 
     def __init_subclass__(cls) -> None:
         cls.fields = {name: item for name, item in vars(cls).items() if isinstance(item, _Field)}
         for slot, field in enumerate(cls.fields.values()):
             field.slot = slot
+        limits = {name: getattr(field, "limit", name) for name, field in cls.fields.items()}
+        cls._declared = [  # with the sizes that bound their shape
+            (field, tuple(limits.get(dim, dim) for dim in field.dims))  # type: ignore[arg-type]
+            for field in cls.fields.values()
+            if isinstance(field, _Array)
+        ]
         cls.numba_type = WorkspaceType(tuple(field.layout() for field in cls.fields.values()))
 
     def __init__(self, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -219,6 +228,7 @@ class Workspace(bytearray):
         self.integers = np.frombuffer(self, dtype=np.int64)
         self.numbers = np.frombuffer(self, dtype=np.float64)
         self.arrays: dict[str, NDArray[Any]] = {}
+        self._places: dict[str, tuple[int, tuple[int, ...]]] = {}
         declared = [name for name, field in self.fields.items() if type(field) is _Size]
         if set(sizes) != set(declared):
             raise ValueError(f"sizes: {sorted(sizes)} given, {sorted(declared)} expected")
@@ -227,32 +237,31 @@ class Workspace(bytearray):
         unknown = [name for name in arrays if not isinstance(self.fields.get(name), _Array)]
         if unknown:
             raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
-        for name, field in self.fields.items():
-            if isinstance(field, _Array):
-                array = arrays.get(name)
-                self.arrays[name] = array = (
-                    self._made(field) if array is None else self._checked(field, array)
-                )
+        room = 0  # of the arrays that are made, one after the other
+        for field, dims in self._declared:
+            shape = tuple([sizes[dim] if isinstance(dim, str) else dim for dim in dims])
+            array = arrays.get(field.name)
+            if array is not None:
+                _check(field, array, shape)
+                self.arrays[field.name] = array
                 self.integers[field.slot] = array.__array_interface__["data"][0]
+            elif field.given:
+                raise ValueError(f"{field.name}: missing ({field.meaning})")
+            else:
+                self._places[field.name] = room, shape
+                room += math.prod(shape)
+        self._made = np.zeros(room)
+        start = self._made.__array_interface__["data"][0]
+        for name, (place, _) in self._places.items():
+            self.integers[self.fields[name].slot] = start + _WIDTH * place
 
-    def _room(self, field: _Array) -> tuple[int, ...]:
-        """Return the largest shape of an array."""
-        limits = [getattr(self.fields.get(str(dim)), "limit", dim) for dim in field.dims]
-        return tuple(dim if isinstance(dim, int) else getattr(self, dim) for dim in limits)
-
-    def _made(self, field: _Array) -> NDArray[Any]:
-        if field.given:
-            raise ValueError(f"{field.name}: missing ({field.meaning})")
-        return np.zeros(self._room(field), dtype=field.dtype, order=field.order)  # type: ignore[call-overload]
-
-    def _checked(self, field: _Array, array: NDArray[Any]) -> NDArray[Any]:
-        shape = self._room(field)
-        contiguous = array.flags.c_contiguous if field.order == "C" else array.flags.f_contiguous
-        if array.shape != shape or array.dtype != field.dtype or not (contiguous and array.flags.aligned):
-            raise ValueError(
-                f"{field.name}: {array.dtype}, shape {array.shape}, strides {array.strides} given; "
-                f"{field.dtype}, shape {shape}, in order {field.order} expected ({field.meaning})"
-            )
+    def whole(self, field: _Array) -> NDArray[Any]:
+        """Return an array with all its room."""
+        array = self.arrays.get(field.name)
+        if array is None:
+            place, shape = self._places[field.name]
+            part = self._made[place : place + math.prod(shape)].view(field.dtype)
+            array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
         return array
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
@@ -268,17 +277,31 @@ class Workspace(bytearray):
     __str__ = __repr__
 
 
+def _check(field: _Array, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    """Refuse an array that is not as it is declared."""
+    contiguous = array.flags.c_contiguous if field.order == "C" else array.flags.f_contiguous
+    if array.shape != shape or array.dtype != field.dtype or not (contiguous and array.flags.aligned):
+        raise ValueError(
+            f"{field.name}: {array.dtype}, shape {array.shape}, strides {array.strides} given; "
+            f"{field.dtype}, shape {shape}, in order {field.order} expected ({field.meaning})"
+        )
+
+
 # ---- compiled code
 
 
 class WorkspaceType(types.Type):
-    """The numba type of a declaration; its name changes with it, so that no code in a cache outlives it."""
+    """The numba type of a declaration.
+
+    Its name changes with the declaration and with this module, so that no code in a cache outlives them.
+    """
 
     def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:
         self.layout = layout
-        super().__init__(f"Workspace({hashlib.sha256(repr(layout).encode()).hexdigest()[:16]})")
+        super().__init__(f"Workspace({hashlib.sha256((_CODE + repr(layout)).encode()).hexdigest()[:16]})")
 
 
+_CODE = stamp(__name__)
 _ADDRESS = ir.IntType(64)
 _LOCAL: dict[str, types.Type] = {"_Size": types.int64, "_Count": types.int64, "_Integer": types.int64}
 _LOCAL |= {"_Real": types.float64, "_Flag": types.boolean}

@@ -132,33 +132,8 @@ class SceneDynamics:
             },
         )
         self.work.force_margin = math.inf
-        self._compile_kernels()
+        _compile(self.work)
         closed_set.close_held(self.work)
-
-    def _compile_kernels(self) -> None:
-        """Have compiled whatever a run may come to need, lest it stops for that later."""
-        work, t, flag = self.work, 0.0, False
-        q, v, dense = work.q0, work.v0, work.dense_coefficients
-        which = np.zeros(work.contacts + work.limits, dtype=np.int64)
-        gaps = work.start_gaps
-        compile_all(
-            (closed_set.close_held, work),
-            (approach.fastest_approach, work, q, v, flag, which, which),
-            (contact_modes.set_modes, work, t, q, v, which),
-            (smooth_motion.begin, work, t, q, v),
-            (step_dop853.attempt, work, t, t, t, t),
-            (step_radau.attempt, work, t, t, t, t),
-            (smooth_motion.finish, work, t, t, t, flag),
-            (drifting.correct_drift, work, t, q, v),
-            (jamming.stop_jammed_slip, work, t, q, v, flag),
-            (smooth_motion.gaps_at, work, q, v, gaps),
-            (
-                smooth_motion.free_motion_at,
-                *(work, t, q, v, which, v, work.contact_jacobian, gaps, gaps, gaps, v),
-            ),
-            (dense_output.state, dense, t, work.joint_charts, q, v, q, v),
-            (dense_output.interpolate, dense[:, -WORKS:], t, v),
-        )
 
     # ---- calls from kernels
 
@@ -286,3 +261,34 @@ class SceneDynamics:
         smooth_motion.free_motion_at(self.work, t, q, v, np.array(contacts, dtype=np.int64), *found)
         self.check()
         return found
+
+
+_compiled = False
+
+
+def _compile(work: SceneWorkspace) -> None:
+    """Compile or load all kernels of scenes, once, so that no run waits in its middle.
+
+    The types of what they take are the same for every scene.
+    """
+    global _compiled
+    if _compiled:
+        return
+    _compiled = True
+    q, v, coefficients, numbers = work.q0, work.v0, work.dense_coefficients, np.zeros(1, dtype=np.int64)
+    three, jacobian = np.zeros((1, 3)), np.zeros((1, 3, len(v)))
+    compile_all(
+        (closed_set.close_held, work),
+        (smooth_motion.gaps_at, work, q, v, work.start_gaps),
+        (smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v),
+        (approach.fastest_approach, work, q, v, True, numbers, numbers),
+        (contact_modes.set_modes, work, 0.0, q, v, numbers),
+        (smooth_motion.begin, work, 0.0, q, v),
+        (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
+        (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
+        (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
+        (drifting.correct_drift, work, 0.0, q, v),
+        (jamming.stop_jammed_slip, work, 0.0, q, v, True),
+        (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
+        (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
+    )

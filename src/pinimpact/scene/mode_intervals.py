@@ -31,13 +31,13 @@ class ModeIntervals:
     def __init__(self, model: pin.Model, contacts: Sequence[str], limits: Sequence[str]) -> None:
         self.ended: list[ModeInterval] = []
         self.present: dict[str, tuple[str, float]] = {}
+        self._model = model
         self._contacts = len(contacts)
-        self._limits = len(limits)
-        self._names = [*contacts, *limits, *(joint_of_velocity(model, i) for i in range(model.nv))]
+        self._names = [*contacts, *limits]
 
     def update(self, t: float, modes: NDArray[np.int64]) -> None:
         """Take the modes (n + nl + nv,) that hold from t on: some intervals end, others begin."""
-        now = {self._names[i]: self._mode(i, int(modes[i])) for i in np.flatnonzero(modes).tolist()}
+        now = dict(self._names_of(i, int(modes[i])) for i in np.flatnonzero(modes).tolist())
         for source, (mode, start) in list(self.present.items()):
             if now.get(source) != mode:
                 if t > start:
@@ -46,10 +46,13 @@ class ModeIntervals:
         for source, mode in now.items():
             self.present.setdefault(source, (mode, t))
 
-    def _mode(self, i: int, mode: int) -> str:
+    def _names_of(self, i: int, mode: int) -> tuple[str, str]:
+        """Return the names of a source and of its mode."""
         if i < self._contacts:
-            return MODES[mode]
-        return "closed" if i < self._contacts + self._limits else "stuck"
+            return self._names[i], MODES[mode]
+        if i < len(self._names):
+            return self._names[i], "closed"
+        return joint_of_velocity(self._model, i - len(self._names)), "stuck"
 
 
 def joint_of_velocity(model: pin.Model, velocity: int) -> str:

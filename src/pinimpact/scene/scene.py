@@ -157,10 +157,11 @@ class Scene:
     @property
     def rest(self) -> float:
         """The resting speed that is used [m/s]."""
-        if self.resting_speed is None:
-            gravity = float(np.linalg.norm(self.model.gravity.linear))
-            return RESTING_FRACTION * math.sqrt((gravity or STANDARD_GRAVITY) * self.extent)
-        return self.resting_speed
+        return (
+            default_resting_speed(self.model, self.extent)
+            if self.resting_speed is None
+            else self.resting_speed
+        )
 
     @property
     def joint_damping(self) -> Array:
@@ -182,14 +183,16 @@ class Scene:
     def limits(self) -> tuple[JointLimit, ...]:
         """Return the finite bounds of the coordinates that are plain numbers."""
         model = self.model
+        joints = zip(model.names, model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True)
+        lowest, highest = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
         found = []
-        for joint in range(1, model.njoints):
-            if model.nqs[joint] != model.nvs[joint]:
+        for label, nq, nv, first_q, first_v in list(joints)[1:]:
+            if nq != nv:
                 continue
-            for k in range(model.nqs[joint]):
-                i, j = model.idx_qs[joint] + k, model.idx_vs[joint] + k
-                name = model.names[joint] + (f"[{k}]" if model.nqs[joint] > 1 else "")
-                lower, upper = float(model.lowerPositionLimit[i]), float(model.upperPositionLimit[i])
+            for k in range(nq):
+                i, j = first_q + k, first_v + k
+                name = label + (f"[{k}]" if nq > 1 else "")
+                lower, upper = lowest[i], highest[i]
                 if lower == upper == 0.0:
                     continue  # as Pinocchio fills in where a description gives none
                 if abs(lower) < 1e300:
@@ -208,6 +211,12 @@ class Scene:
         contacts = (contact.label for contact in (*self.contacts, *self.held))
         limits = (limit.name for limit in self.limits())
         return tuple(dict.fromkeys((*contacts, *limits, *list(self.model.names)[1:])))
+
+
+def default_resting_speed(model: pin.Model, extent: float) -> float:
+    """Return 10⁻⁴ √(g L) [m/s] for a robot of this size L [m]."""
+    gravity = float(np.linalg.norm(model.gravity.linear))
+    return RESTING_FRACTION * math.sqrt((gravity or STANDARD_GRAVITY) * extent)
 
 
 def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:

@@ -25,6 +25,8 @@ from .scene import JointLimit, Scene
 
 Array = NDArray[np.float64]
 
+_compiled: set[tuple[bool, bool]] = set()
+
 
 class Impact(NamedTuple):
     """What an impact comes to.
@@ -43,39 +45,52 @@ class Impact(NamedTuple):
 
 
 class SceneImpacts:
-    """Resolves the impacts of a scene one by one, on Data of its own.
+    """Resolves the impacts of a scene one by one.
 
     Args:
         scene: The scene.
         model: Its model, without what is switched off.
+        data: Its data, which kernels do not read.
         dynamics: The scene's contacts and limits.
         held: Contacts that hold throughout.
+        resting_speed: That of the scene [m/s].
     """
 
-    def __init__(self, scene: Scene, model: pin.Model, dynamics: SceneDynamics, held: list[Contact]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        model: pin.Model,
+        data: pin.Data,
+        dynamics: SceneDynamics,
+        held: list[Contact],
+        resting_speed: float,
+    ) -> None:
         without = scene.without
-        self.data = model.createData()
         self._model = model
+        self._data = data
         self._dynamics = dynamics
         self._held = held
         self._locked = scene.locked if "locked joints" not in without else ()
         self._limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
         self._sustained = "sustained contact" not in without
-        self._resting_speed = scene.rest if self._sustained else 0.0
+        self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
         self._plastic: dict[int, Contact] = {}
 
     def compile_kernels(self, q: Array) -> None:
-        """Have compiled whatever a run may come to need, by impacts at rest that change nothing.
+        """Have compiled whatever impacts may come to need, once, by impacts at rest that change nothing.
 
         Args:
             q: (nq,) a configuration.
         """
-        still = np.zeros(self._model.nv)
+        zero = np.zeros(self._model.nv)
         for i, contact in enumerate(self._dynamics.contacts):
-            with suppress(PinimpactError):  # what is wrong with it is told when it collides
-                self._impact(replace(contact, restitution=0.0), q, still)
-                self.without_collision(q, still, i, False)
+            kind = contact.plane.body is None, bool(self._held)  # what the types of their numbers depend on
+            if kind not in _compiled:
+                _compiled.add(kind)
+                with suppress(PinimpactError):  # what is wrong with it is told when it collides
+                    self._impact(replace(contact, restitution=0.0), q, zero)
+                    self.without_collision(q, zero, i, False)
 
     def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
         """Resolve the impact of a contact or, past those, of a joint limit.
@@ -111,10 +126,10 @@ class SceneImpacts:
 
     def _impact(self, contact: Contact, q: Array, v: Array) -> tuple[Hit, tuple[str, ...]]:
         if not self._held:
-            return impact(self._model, self.data, q, v, contact, locked=self._locked), ()
+            return impact(self._model, self._data, q, v, contact, locked=self._locked), ()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            hit = impact(self._model, self.data, q, v, contact, held=self._held, locked=self._locked)
+            hit = impact(self._model, self._data, q, v, contact, held=self._held, locked=self._locked)
         return hit, tuple(str(warning.message) for warning in caught)
 
     def _of_limit(
@@ -139,7 +154,7 @@ class SceneImpacts:
     def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
         """Return M⁻¹ with what is held and locked projected out."""
         nv = self._model.nv
-        inverse = np.array(pin.computeMinverse(self._model, self.data, q)).reshape(nv, nv)
+        inverse = np.array(pin.computeMinverse(self._model, self._data, q)).reshape(nv, nv)
         if self._yielding.all() and not self._held:
             return inverse
         rows = np.eye(nv)[~self._yielding]
@@ -161,7 +176,7 @@ class SceneImpacts:
             stop: Whether to stop its slip outright, since such an impact has not.
         """
         contact = self._dynamics.contacts[i]
-        matrices = contact_matrices(self._model, self.data, q, contact, self._held, self._locked)
+        matrices = contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
         velocity = matrices.velocity(v)
         velocity[2] = 0.0
         e = contact.restitution_at(0.0)
@@ -176,7 +191,7 @@ class SceneImpacts:
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
-        return float(pin.computeKineticEnergy(self._model, self.data, q, v))
+        return float(pin.computeKineticEnergy(self._model, self._data, q, v))
 
 
 def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:

@@ -88,7 +88,9 @@ def simulate(
     ):
         if not value > 0.0 or (name == "duration" and not math.isfinite(value)):
             raise InputError(f"{name}: {value!r} given, a number > 0 expected", field=name, value=value)
-    run = _Run(scene, q0, v0, float(duration), rtol, atol, max_step, max_impacts)
+    run = _Run(
+        scene, q0, v0, float(duration), float(rtol), float(atol), float(max_step), max_impacts
+    )  # one type of each number, for kernels are compiled by type
     return run.go(progress)
 
 

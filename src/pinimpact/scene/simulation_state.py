@@ -18,7 +18,7 @@ from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
-from .scene import STANDARD_GRAVITY, Scene
+from .scene import STANDARD_GRAVITY, Scene, default_resting_speed
 from .scene_impacts import Impact, SceneImpacts
 
 Array = NDArray[np.float64]
@@ -65,11 +65,14 @@ class SimulationState:
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
         limits = scene.limits() if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
-        self._resting_speed = scene.rest
+        extent, resting_speed = scene.extent, scene.resting_speed
+        if resting_speed is None:
+            resting_speed = default_resting_speed(scene.model, extent)
+        self._resting_speed = resting_speed
 
         check_inertia(model, data, q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
-        self._impacts = SceneImpacts(scene, model, self.dynamics, held)
+        self._impacts = SceneImpacts(scene, model, data, self.dynamics, held, resting_speed)
         self._impacts.compile_kernels(q)
         contact_names = [contact.label for contact in self.dynamics.contacts]
         limit_names = [limit.name for limit in limits]
@@ -77,11 +80,11 @@ class SimulationState:
         work = self.dynamics.work
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         rounding = 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
-        work.gap_floor = GAP_FLOOR * scene.extent + rounding
+        work.gap_floor = GAP_FLOOR * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
-        work.resting_speed = 0.0 if "sustained contact" in without else scene.rest
-        work.least_approach = LEAST_APPROACH_FRACTION * scene.rest
-        work.stick_speed = STICK_FRACTION * scene.rest
+        work.resting_speed = 0.0 if "sustained contact" in without else resting_speed
+        work.least_approach = LEAST_APPROACH_FRACTION * resting_speed
+        work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
@@ -90,7 +93,7 @@ class SimulationState:
         self.impacts: list[ImpactRecord] = []
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
-        self._check_start(len(held), scene.extent)
+        self._check_start(len(held), extent)
         self.modes.update(self.t, work.modes)
 
     def note(self, text: str) -> None:

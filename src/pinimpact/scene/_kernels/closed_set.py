@@ -12,6 +12,9 @@ from ..._numeric.products import apply, products
 from ..._numeric.semidefinite import impulses
 from .contact_forces import FREE, HELD, SLIP
 
+NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
+"""Which rows of a contact that slips: those whose velocity vanishes, or the tangential ones too."""
+
 
 @inner
 def scalar_row(work, j):
@@ -60,20 +63,20 @@ def close_held(work):
 
 
 @separate
-def closed_rows(work, v, slips, rows, speeds):
+def closed_rows(work, v, which, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
 
     Args:
         work: The workspace, at the state last evaluated.
         v: (nv,) velocity.
-        slips: Whether the tangential rows of contacts that slip are among them.
+        which: `NORMAL` or `ALL`, of contacts that slip.
         rows, speeds: With room for three rows a contact and the scalar rows.
     """
     mode, jacobian, velocity = work.closed_mode, work.contact_jacobian, work.contact_velocity
     total = 0
     for k in range(len(mode)):
         for d in range(3):
-            if d == 2 or slips or mode[k] != SLIP:
+            if d == 2 or which == ALL or mode[k] != SLIP:
                 assign(rows[total], jacobian[k, d])
                 speeds[total] = velocity[k, d]
                 total += 1

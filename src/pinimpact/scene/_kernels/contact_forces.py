@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, products
@@ -121,7 +121,7 @@ def set_up_equations(work, acceleration):
     return least
 
 
-@inner
+@separate
 def solve_least_norm(work):
     """Fill the solution of least norm, without contacts that pull where the others can do without them."""
     modes, system, target, solution = work.closed_mode, work.system, work.target, work.solution

@@ -21,9 +21,13 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
+from .force_cones import forces_by_cones
 from .force_sweeps import forces_by_sweeps
 
 STANDARD_GRAVITY = 9.80665
+
+ACCURACY = 1e-10
+"""How far forces may be from Coulomb's law, in parts of the largest acceleration."""
 
 
 @jit
@@ -104,6 +108,16 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     delassus_of_rows(rows, work.minverse, response, delassus)
     force, strength = np.zeros((nc, 3)), np.zeros(ns)
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
+    converged = sweeps >= 0
+    if jamming < 0 and not converged:
+        both = np.empty(size)
+        converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
+        if converged:
+            for a in range(size):
+                if a < 3 * nc:
+                    force[a // 3, a % 3] = both[a]
+                else:
+                    strength[a - 3 * nc] = both[a]
     if jamming >= 0:
         b = 3 * jamming + 2
         return contacts[jamming], True, stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
@@ -128,7 +142,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             speeds[taken] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
             assign(rows[taken], rows[a])
             taken += 1
-    return -1, sweeps >= 0, stop_along(rows[:taken], speeds[:taken], work.minverse, v)
+    return -1, converged, stop_along(rows[:taken], speeds[:taken], work.minverse, v)
 
 
 @inner

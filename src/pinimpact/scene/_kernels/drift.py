@@ -7,7 +7,7 @@ import numpy as np
 from ..._numeric.jit import inner, jit
 from ..._numeric.loops import assign
 from . import lie_charts
-from .closed_set import closed_rows, stop_along
+from .closed_set import NORMAL, closed_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 
@@ -75,7 +75,7 @@ def correct_drift(work, t, q, v):
         assign(work.q, q)
         evaluate(work, t, rates)
     rows = np.zeros((3 * nc + ns + nl, n))
-    total = closed_rows(work, v, False, rows, off)
+    total = closed_rows(work, v, NORMAL, rows, off)
     if total == 0 or work.callback_failed:
         return 0.0
     return stop_along(rows[:total], off[:total], minverse, v)

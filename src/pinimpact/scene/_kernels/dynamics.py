@@ -52,7 +52,7 @@ def contact_gap(work, i):
     )
 
 
-@inner
+@separate
 def contact_gaps(work, found):
     """Fill gap and gap rate (n, 2) of all contacts at the state that is set."""
     compute_kinematics(work)
@@ -81,7 +81,7 @@ def all_gaps(work, q, v, found):
 # ---- contact motion
 
 
-@inner
+@separate
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
     placements, velocities, accelerations = (

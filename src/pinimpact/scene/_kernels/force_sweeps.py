@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._numeric.jit import jit
 
-SWEEPS = 20_000
+SWEEPS = 200
 """The largest number of sweeps."""
 
 TOLERANCE = 1e-12

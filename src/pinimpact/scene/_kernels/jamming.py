@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._numeric.jit import jit
-from .closed_set import closed_rows, delassus_of_rows, stop_along
+from .closed_set import ALL, closed_rows, delassus_of_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 
@@ -40,7 +40,7 @@ def stop_jammed_slip(work, t, q, v, certain):
     closed, n = 3 * len(mode), len(v)
     size = closed + len(scalar_force)
     rows, speeds = np.zeros((size, n)), np.empty(size)
-    closed_rows(work, v, True, rows, speeds)
+    closed_rows(work, v, ALL, rows, speeds)
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, delassus)
     left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import separate
 from .contact_forces import SLIP
 
 
-@inner
+@separate
 def turn_references(work, velocity):
     """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
     mode, reference = work.closed_mode, work.slip_reference
@@ -20,7 +20,7 @@ def turn_references(work, velocity):
                 reference[k, 0], reference[k, 1] = x / speed, y / speed
 
 
-@inner
+@separate
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
     mode, mu, velocity, reference = (

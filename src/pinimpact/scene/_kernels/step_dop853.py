@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
@@ -70,7 +70,7 @@ def reaction_error(h, reactions, v0, v1, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
 
 
-@inner
+@separate
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v

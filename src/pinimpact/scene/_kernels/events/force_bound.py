@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
@@ -29,7 +29,7 @@ def value(work, _, t):
 first_fall = search_for_fall(value)
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""
     if work.closed_contacts + work.closed_scalars == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..event_location import search_for_fall
 from .consequences import MODE_CHANGE
 from .gap import SAFETY
@@ -24,7 +24,7 @@ def value(work, j, t):
 first_fall = search_for_fall(value)
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""
     sliding, v0, slowest, change = work.sliding_friction, work.v0, work.rate_bounds[1], work.step_length

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ....robot._kernels import contact_motion
 from ..contact_forces import FREE
 from ..dynamics import compute_kinematics, contact_gap
@@ -48,7 +48,7 @@ def bound(work, i):
     )
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time until `end` at which a gap closes, infinite if none does; and whose."""
     modes, start_gaps, end_gaps = work.modes, work.start_gaps, work.end_gaps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..dynamics import limit_gap
 from ..event_location import search_for_closing
 from .consequences import ARRIVAL
@@ -34,7 +34,7 @@ def bound(work, k):
     )
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time until `end` at which a limit is reached, infinite if none is; and which."""
     closed = work.modes[work.contacts :]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...._numeric.jit import inner
+from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall
@@ -29,7 +29,7 @@ def value(work, k, t):
 value_at, first_fall = sampled(value), search_for_fall(value)
 
 
-@inner
+@separate
 def first(work, end):
     """Return the first time before `end` at which a slip ends, infinite if none; and which.
 

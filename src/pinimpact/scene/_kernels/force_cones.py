@@ -1,0 +1,269 @@
+"""Forces that obey Coulomb's law at the level of accelerations, where sweeps take too long. (theory.md, 11)
+
+With a dual cone in place of the law, f minimises ½ fᵀWf + fᵀ(a⁰ + s) in its cone, s_i = μ|a_it| along n for a
+contact at rest: a convex program for given s, repeated with the s that it gives. (Acary, Cadoux, Lemaréchal,
+Malick, A formulation of the linear discrete Coulomb friction problem via convex optimization, 2011.) Friction
+of contacts that slip is carried over from one program to the next. From what is open, sticks and slips then
+Newton's method goes to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.cone_program import cone_program
+from ..._numeric.jit import separate
+from ..._numeric.least_norm import least_norm
+from ..._numeric.products import apply
+
+OUTER = 60
+"""Convex programs that are solved at most."""
+
+POLISH = 8
+"""Steps of Newton's method after one."""
+
+
+@separate
+def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations, scale_a, scale_f):
+    """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    apply(delassus, x, accelerations)
+    worst = 0.0
+    for a in range(size):
+        accelerations[a] += free[a]
+    for i in range(nc):
+        b = 3 * i
+        fn, an = x[b + 2] / scale_f[b], accelerations[b + 2] * scale_a[b]
+        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
+        a1, a2 = accelerations[b] * scale_a[b], accelerations[b + 1] * scale_a[b]
+        if held[i]:
+            worst = max(worst, abs(an), abs(a1), abs(a2))
+            continue
+        worst = max(worst, abs(fn - max(0.0, fn - an)))
+        if mu[i] == 0.0:
+            continue
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        if speed > 0.0:
+            worst = max(
+                worst,
+                abs(f1 + mu[i] * fn * velocity[i, 0] / speed),
+                abs(f2 + mu[i] * fn * velocity[i, 1] / speed),
+            )
+            continue
+        g1, g2 = f1 - a1, f2 - a2  # the projection of f − a onto the disc is f
+        limit, length = mu[i] * max(fn, 0.0), math.hypot(g1, g2)
+        if length > limit:
+            g1, g2 = g1 * limit / length, g2 * limit / length
+        worst = max(worst, abs(f1 - g1), abs(f2 - g2))
+    for i in range(ns):
+        b = 3 * nc + i
+        f, a = x[b] / scale_f[b], accelerations[b] * scale_a[b]
+        worst = max(worst, abs(f - min(max(f - a, lower[i] / scale_f[b]), upper[i] / scale_f[b])))
+    return worst
+
+
+@separate
+def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
+    """Fill x with forces from a sequence of convex programs, then Newton's method on what they say is active.
+
+    Returns the residual.
+    """
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    # scales: contact by contact, so that cones keep their shape
+    d = np.empty(size)
+    largest = 0.0
+    for a in range(size):
+        largest = max(largest, delassus[a, a])
+    for i in range(nc):
+        w = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1], delassus[3 * i + 2, 3 * i + 2])
+        w = 1.0 / math.sqrt(max(w, 1e-14 * largest))
+        d[3 * i] = d[3 * i + 1] = d[3 * i + 2] = w
+    for a in range(3 * nc, size):
+        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
+    unit = 0.0
+    for a in range(size):
+        unit = max(unit, abs(d[a] * free[a]))
+    if unit == 0.0:
+        for a in range(size):
+            x[a] = 0.0
+        return 0.0
+    scale_a, scale_f = np.empty(size), np.empty(size)
+    for a in range(size):
+        scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
+    w = np.empty((size, size))
+    f0 = np.empty(size)
+    for a in range(size):
+        f0[a] = scale_a[a] * free[a]
+        for b in range(size):
+            w[a, b] = d[a] * delassus[a, b] * d[b]
+    # variables: three of a contact at rest with friction or held, one of others, one of a scalar row
+    which = np.empty(size, dtype=np.int64)
+    n = lines = cones = 0
+    at_rest = np.zeros(nc, dtype=np.bool_)
+    for i in range(nc):
+        at_rest[i] = (mu[i] > 0.0 and velocity[i, 0] == 0.0 and velocity[i, 1] == 0.0) or held[i]
+        if at_rest[i]:
+            which[n], which[n + 1] = 3 * i, 3 * i + 1
+            n += 2
+            cones += not held[i]
+        else:
+            lines += 1
+        which[n] = 3 * i + 2
+        n += 1
+    for i in range(ns):
+        which[n] = 3 * nc + i
+        n += 1
+        lines += (lower[i] > -math.inf) + (upper[i] < math.inf)
+    P, c, y = np.empty((n, n)), np.empty(n), np.zeros(n)
+    for a in range(n):
+        for b in range(n):
+            P[a, b] = w[which[a], which[b]]
+    m = lines + 3 * cones
+    G, h, s, z = np.zeros((m, n)), np.zeros(m), np.empty(m), np.empty(m)
+    sizes = np.full(cones, 3)
+    line, cone = 0, lines
+    for a in range(n):
+        row = which[a]
+        if row < 3 * nc:
+            i = row // 3
+            if row % 3 == 2 and not at_rest[i]:
+                G[line, a] = -1.0
+                line += 1
+            elif row % 3 == 2 and not held[i]:
+                G[cone, a] = -mu[i]
+                G[cone + 1, a - 2] = -1.0
+                G[cone + 2, a - 1] = -1.0
+                cone += 3
+        else:
+            i = row - 3 * nc
+            if lower[i] > -math.inf:
+                G[line, a], h[line] = -1.0, -lower[i] / scale_f[row]
+                line += 1
+            if upper[i] < math.inf:
+                G[line, a], h[line] = 1.0, upper[i] / scale_f[row]
+                line += 1
+    f, a_now = np.zeros(size), np.empty(size)
+    corrected = np.zeros(size)  # what is added to the free accelerations
+    worst = math.inf
+    for outer in range(OUTER):
+        for k in range(n):
+            c[k] = f0[which[k]] + corrected[which[k]]
+        cone_program(P, c, G, h, lines, sizes, 1e-13, y, s, z)
+        for a in range(size):
+            f[a] = 0.0
+        for k in range(n):
+            f[which[k]] = y[k]
+        for i in range(nc):
+            if not at_rest[i] and mu[i] > 0.0:
+                speed = math.hypot(velocity[i, 0], velocity[i, 1])
+                f[3 * i] = -mu[i] * f[3 * i + 2] * velocity[i, 0] / speed
+                f[3 * i + 1] = -mu[i] * f[3 * i + 2] * velocity[i, 1] / speed
+        for a in range(size):
+            x[a] = f[a] * scale_f[a]
+        worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        if worst <= 1e-12:
+            return worst
+        if worst <= 1e-3 or outer == OUTER - 1:
+            worst = polish(
+                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst
+            )
+            if worst <= 1e-11:
+                return worst
+            # go on from the convex program's own answer
+            for a in range(size):
+                x[a] = f[a] * scale_f[a]
+            worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        for a in range(size):
+            corrected[a] = 0.0
+        for i in range(nc):
+            b = 3 * i
+            if at_rest[i] and not held[i]:
+                corrected[b + 2] += mu[i] * math.hypot(a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b + 1])
+            elif not at_rest[i]:
+                for a in range(size):
+                    corrected[a] += w[a, b] * f[b] + w[a, b + 1] * f[b + 1]
+    return worst
+
+
+@separate
+def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst):
+    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves."""
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
+    trial = x.copy()
+    best = worst
+    no_basis = np.empty((0, size))
+    for _ in range(POLISH):
+        for a in range(size):
+            for b in range(size):
+                system[a, b] = 0.0
+        for i in range(nc):
+            b = 3 * i
+            fn, an = trial[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
+            if not held[i] and fn - an <= 0.0:  # open
+                for r in range(b, b + 3):
+                    system[r, r], right[r] = 1.0, -trial[r] / scale_f[r]
+                continue
+            for k in range(size):
+                system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
+            right[b + 2] = -an
+            speed = math.hypot(velocity[i, 0], velocity[i, 1])
+            f1, f2 = trial[b] / scale_f[b], trial[b + 1] / scale_f[b]
+            if not held[i] and (speed > 0.0 or mu[i] == 0.0):
+                s1 = velocity[i, 0] / speed if speed > 0.0 else 0.0
+                s2 = velocity[i, 1] / speed if speed > 0.0 else 0.0
+                system[b, b], system[b, b + 2], right[b] = 1.0, mu[i] * s1, -f1 - mu[i] * fn * s1
+                system[b + 1, b + 1], system[b + 1, b + 2], right[b + 1] = (
+                    1.0,
+                    mu[i] * s2,
+                    -f2 - mu[i] * fn * s2,
+                )
+                continue
+            a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
+            g1, g2 = f1 - a1, f2 - a2
+            if held[i] or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
+                for k in range(size):
+                    system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+                    system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
+                right[b], right[b + 1] = -a1, -a2
+            else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
+                length = math.hypot(g1, g2)
+                u1, u2 = g1 / length, g2 / length
+                share = mu[i] * fn / length
+                right[b], right[b + 1] = -f1 + mu[i] * fn * u1, -f2 + mu[i] * fn * u2
+                for k in range(size):
+                    h1 = -scale_a[b] * delassus[b, k] * scale_f[k] + (1.0 if k == b else 0.0)
+                    h2 = -scale_a[b] * delassus[b + 1, k] * scale_f[k] + (1.0 if k == b + 1 else 0.0)
+                    across = u1 * h2 - u2 * h1
+                    system[b, k] = (1.0 if k == b else 0.0) + share * u2 * across
+                    system[b + 1, k] = (1.0 if k == b + 1 else 0.0) - share * u1 * across
+                system[b, b + 2] -= mu[i] * u1
+                system[b + 1, b + 2] -= mu[i] * u2
+        for i in range(ns):
+            b = 3 * nc + i
+            f, a = trial[b] / scale_f[b], a_now[b] * scale_a[b]
+            low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
+            if f - a <= low:
+                system[b, b], right[b] = 1.0, low - f
+            elif f - a >= high:
+                system[b, b], right[b] = 1.0, high - f
+            else:
+                for k in range(size):
+                    system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+                right[b] = -a
+        least_norm(system, right, 1e-11, step, no_basis)
+        for a in range(size):
+            trial[a] += step[a] * scale_f[a]
+        now = residual(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f)
+        if now < best:
+            best = now
+            for a in range(size):
+                x[a] = trial[a]
+        if now <= 1e-14 or not now < 10.0 * best:
+            break
+    return best

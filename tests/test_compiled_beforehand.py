@@ -1,0 +1,61 @@
+"""A scene compiles whatever it may need when it is set up, and nothing in the middle of a run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+RUNS = """
+import sys
+import numpy as np, pinocchio as pin
+from numba.core.dispatcher import Dispatcher
+from pinimpact import Contact, Event, Plane, Scene, Sphere, simulate
+from tests.scene_models import UP, ball, free_body, pendulum
+
+def overloads():
+    found = {}
+    for name, module in list(sys.modules.items()):
+        if name.startswith("pinimpact."):
+            for item in list(vars(module).values()):
+                if isinstance(item, Dispatcher):
+                    found[f"{item.py_func.__module__}.{item.py_func.__name__}"] = len(item.overloads)
+    return found
+
+# at rest on a plane and beside a sphere: all that follows is of these kinds
+floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
+post = Contact("center", Sphere((3, 0, 0), 0.2), radius=0.1, name="post")
+simulate(Scene(ball(), [floor, post]), [0, 0, 1.0, *UP], np.zeros(6), 1e-6)
+before = overloads()
+
+simulate(Scene(ball(), [floor, post]), [0, 0, 1, *UP], [2, 0, 0, 0, 30, 0], 2.0, rtol=1, atol=1, max_step=1)
+corners = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+box = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), corners)
+feet = [Contact(f"tip{k}", Plane(), friction=0.4) for k in range(4)]
+push = lambda t, q, v: [2 * t, 1.0, 0, 0, 0, 0]
+run = simulate(Scene(box, feet, control=push), [0, 0, 0.3, *UP], [0.5, 0.2, 0, 0, 0, 1.0], 3.0)
+assert {mode.mode for mode in run.modes} >= {"slip", "stick"}
+swinging = pendulum()
+swinging.lowerPositionLimit, swinging.friction = np.array([-0.5]), np.array([0.3])
+scene = Scene(swinging, limit_restitution=0.3, events=[Event(lambda t, q, v: q[0])])
+run = simulate(scene, [1.0], [0.0], 5.0)
+assert run.impacts and run.events
+grasped = Contact("center", Plane((0, 0, 1.0)), name="grasp")
+simulate(Scene(ball(), [floor], held=[grasped]), [0, 0, 1.0, *UP], [0, 0, 0, 0, 0, 1.0], 0.2)
+rolling = Scene(ball(), [Contact("center", Plane(), radius=0.1, friction=0.2)])
+simulate(rolling, [0, 0, 0.1, *UP], [1.0, 0.5, 0, 0, -5.0, 0], 2.0).at(np.float64(0.3))
+after = overloads()
+print({name: count for name, count in after.items() if count != before.get(name, 0) and "scene" in name})
+"""
+
+
+def test_nothing_is_compiled_later():
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", RUNS],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "{}"
