@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply
 from .contact_forces import SLIP
@@ -149,7 +150,7 @@ def solve_stages(work, t, h, rtol, atol):
         assign(rates[1 + i], rates[0])
         for c in range(count):
             assign(directions[i, c], reference[slips[c]])
-    before = math.inf
+    before, no_basis = math.inf, np.empty((0, size))
     for iteration in range(ITERATIONS):
         for i in range(s):
             advance_to(i, h, rates, v0, xi, v)
@@ -184,8 +185,9 @@ def solve_stages(work, t, h, rtol, atol):
                             total += across[i, c, m] * effect[j, d, m]
                         matrix[row, j * count + d] = h * MATRIX[i, j] * total
                 matrix[row, row] -= speeds[i, c]
+        # contacts that share their loads turn together where slip begins, and one of them cannot alone
         if solve(matrix, right, angle, RANK) == 0:
-            return math.inf
+            least_norm(matrix, right, RANK, angle, no_basis)
         norm = 0.0
         for i in range(s):
             for c in range(count):
