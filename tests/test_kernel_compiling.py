@@ -19,6 +19,7 @@ from rich.console import Console
 import pinimpact
 from pinimpact._numeric import jit as decorators
 from pinimpact._numeric.jit import inner, jit, separate
+from pinimpact._numeric.waiting import reached
 from pinimpact.app.cli import compiling_shown
 
 SOURCE = Path(pinimpact.__file__).parent / "_numeric"
@@ -114,7 +115,8 @@ def test_only_an_edit_of_code_compiles_anew_and_only_what_uses_it(package: Path)
     edit(leaf, '"""Shift."""', '"""Shift,\n\n    by one.\n    """')
     edit(entry, "def second(x):\n", 'def second(x):\n    """New docstring."""\n    # and a comment\n')
     edit(package / "_numeric" / "jit.py", '"""The decorators', '"""All the decorators')
-    assert call(package) == ([7.0, 130.0, -3.0], [])
+    edit(package / "scene" / "_kernels" / "other.py", "-x", "-1.0 * x")
+    assert call(package) == ([7.0, 130.0, -3.0], ["third"])
     # a constant of an inner kernel of a callee in another module
     edit(leaf, "FACTOR = 2.0", "FACTOR = 3.0")
     assert call(package) == ([10.0, 280.0, -3.0], ["first", "shifted", "scaled", "second"])
@@ -139,17 +141,27 @@ def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) 
 
 
 def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:
-    told = python(package, CALL).stderr
+    assert python(package).stderr == ""  # it takes no time
+    shutil.rmtree(package.parent / "cache")
+    edit(package / "_numeric" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
+    told = python(package).stderr
     assert told.count("\n") == 1
     assert told.startswith("pinimpact: compiling kernels for scenes, once per machine")
-    assert python(package, CALL).stderr == ""
+    assert python(package).stderr == ""
     shutil.rmtree(package.parent / "cache")
     quiet = "import logging; logging.getLogger('pinimpact.compiling').setLevel('ERROR')\n"
     assert python(package, quiet + CALL).stderr == ""
 
 
+def test_the_wait_is_that_of_all_kernels_reached() -> None:
+    names = {function.__name__ for function in reached([another_call, both])}
+    assert names == {"another_call", "halved", "cubed", "one_call", "both", "product"}
+    assert len(reached([both])) == 2 + 1
+
+
 def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path) -> None:
     (package.parent / "cache").write_text("a file where a folder is wanted")
+    edit(package / "_numeric" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     closed = "import tempfile\ndef fail(*_, **__): raise OSError\ntempfile.TemporaryFile = fail\n"
     answer = python(package, closed + CALL)
     assert json.loads(answer.stdout)[0] == [7.0, 130.0, -3.0]

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
+from pinimpact.robot._kernels import contact_kinematics, robot_impact
 
 from . import robot_cases as cases
 from .scene_models import ball
@@ -125,6 +126,24 @@ def test_two_free_balls(friction, rng):
     stop = 2.0 / 7.0 * reduced * np.linalg.norm(slip)
     drag = np.linalg.norm(hit.impulse_world - push * n)
     assert drag == pytest.approx(min(friction * push, stop), abs=1e-12)
+
+
+def test_no_kernel_is_compiled_anew_for_another_surface_or_carrier(rng):
+    model, data = cases.load("panda")
+    q, v = cases.random_state(model, rng)
+    kinds = [
+        surface(rng, body)
+        for surface in (cases.random_plane, cases.random_sphere)
+        for body in (None, "panda_link2")
+    ]
+    compiled = []
+    for surface in kinds:
+        contact = cases.random_contact("panda_hand_tcp", rng, surface)
+        contact.gap(model, data, q)
+        pinimpact.impact(model, data, q, cases.approaching(model, data, q, v, contact), contact)
+        kernels = (contact_kinematics.locate, contact_kinematics.jacobian, robot_impact.reset)
+        compiled.append([len(getattr(kernel, "overloads", ())) for kernel in kernels])
+    assert compiled[1:] == compiled[:1] * 3
 
 
 def test_a_default_name_tells_the_kind_of_surface():

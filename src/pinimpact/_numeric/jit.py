@@ -10,17 +10,14 @@
 The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
 writable, every process compiles for itself.
 
-Whoever has to wait is told what for, once, by the logger "pinimpact.compiling". It warns, so that it is
-seen where nobody has set up logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences
-it. At the level INFO it counts the kernels of `compile_all`.
+Whoever has to wait is told: see `waiting`.
 
 With NUMBA_DISABLE_JIT=1 all kernels are plain Python.
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numba
@@ -28,13 +25,11 @@ from numba.core import caching, compiler, dispatcher
 
 from .linking import InnerCompiler, KernelCompiler, KernelLibrary, compiling
 from .sources import PACKAGE, memory, stamp
+from .waiting import LOG, tell
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "no_cfunc_wrapper": True}
-_LOG = logging.getLogger(f"{PACKAGE}.compiling")
-_PURPOSES = {"scene": ("scenes", 25), "robot": ("impacts of robots", 8), "contact_space": ("impacts", 6)}
-"""What the kernels of a package are for, and the seconds that all of them take to compile, about."""
 
 
 def inner(function: F) -> F:
@@ -67,16 +62,24 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
     Args:
         calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come.
     """
-    ready = [isinstance(kernel, dispatcher.Dispatcher) for kernel, *_ in calls]
-    if not any(ready):
-        return  # plain Python
-    for done, (kernel, *arguments) in enumerate(calls, start=1):
-        types = tuple(kernel.typeof_pyval(argument) for argument in arguments)
-        if types not in kernel.overloads:
-            waited = len(_told)
+    global _together
+    missing = [
+        (kernel, types)
+        for kernel, *arguments in calls
+        if isinstance(kernel, dispatcher.Dispatcher)  # else it is plain Python
+        and (types := tuple(map(kernel.typeof_pyval, arguments))) not in kernel.overloads
+    ]
+    _together = [kernel for kernel, _ in missing]
+    try:
+        for done, (kernel, types) in enumerate(missing, start=1):
             kernel.compile(types)
-            if len(_told) > waited or kernel.stats.cache_misses.get(types):
-                _LOG.info("compiling, once: %d of %d", done, len(calls))
+            if kernel.stats.cache_misses:
+                LOG.info("compiling, once: %d of %d", done, len(missing))
+    finally:
+        _together = []
+
+
+_together: Sequence[Any] = []
 
 
 def _cached(function: F, **options: Any) -> F:
@@ -86,7 +89,7 @@ def _cached(function: F, **options: Any) -> F:
         )
     compiled = numba.njit(pipeline_class=KernelCompiler, **_OPTIONS, **options)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
-        compiled._cache = _Cache(function)
+        compiled._cache = _Cache(compiled)
     result: F = compiled
     return result
 
@@ -154,8 +157,8 @@ class _DiskCache(caching.FunctionCache):
 class _Cache(caching.NullCache):
     """The cache of a kernel, looked for on first use, for that takes time and most kernels are not used."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
         self._disk: Any = None
 
     @property
@@ -165,8 +168,8 @@ class _Cache(caching.NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         disk = self._find()
         found = disk.load_overload(sig, target_context)
-        if found is None:
-            _tell(self._function, isinstance(disk, _DiskCache))
+        if found is None and not compiling():
+            tell(_together or [self._kernel], isinstance(disk, _DiskCache))
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
@@ -175,23 +178,7 @@ class _Cache(caching.NullCache):
     def _find(self) -> Any:
         if self._disk is None:
             try:
-                self._disk = _DiskCache(self._function)
+                self._disk = _DiskCache(self._kernel.py_func)
             except RuntimeError:  # no writable place at all: compile in every process
                 self._disk = caching.NullCache()
         return self._disk
-
-
-_told: set[str] = set()
-
-
-def _tell(function: Callable[..., Any], kept: bool) -> None:
-    """Say what has to be waited for, once."""
-    package = function.__module__.removeprefix(f"{PACKAGE}.").split(".")[0]
-    if package in _told or compiling():
-        return
-    _told.add(package)
-    purpose, seconds = _PURPOSES.get(package, ("this", 1))
-    often = (
-        "once per machine" if kept else "in every process, for no folder is writable (see NUMBA_CACHE_DIR)"
-    )
-    _LOG.warning("%s: compiling kernels for %s, %s: up to about %d s", PACKAGE, purpose, often, seconds)

@@ -160,6 +160,36 @@ def _deep() -> Iterator[None]:
             gc.enable()
 
 
+class _Flags(compiler.Flags):
+    """The flags of a kernel, which tell numba's own functions compiled for it that all kernels are alike.
+
+    Those are kept by the flags that they were compiled for. numba compares flags option by option, which
+    takes an eighth of its time, and would compile them anew for inner kernels and others.
+    """
+
+    def copy(self) -> _Flags:
+        """Return what all kernels have in common."""
+        if _Flags.common is None:
+            _Flags.common = _Flags(self)
+            for name in ("no_cpython_wrapper", "forceinline", "no_compile"):
+                _Flags.common.discard(name)
+        return _Flags.common
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    common: _Flags | None = None
+
+
+class _Passes(PassManager):
+    """Passes between which nothing is checked or analysed that no pass after them asks for."""
+
+    _ENFORCING = False
+
+
 class KernelCompiler(compiler.CompilerBase):
     """The passes of numba that kernels need."""
 
@@ -168,6 +198,7 @@ class KernelCompiler(compiler.CompilerBase):
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
+        self.state.flags = _Flags(self.state.flags)
         with _deep():
             return super().compile_extra(func)
 
@@ -181,7 +212,7 @@ class KernelCompiler(compiler.CompilerBase):
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
             state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
-        passes = PassManager("kernel")
+        passes = _Passes("kernel")
         for one in (
             untyped_passes.TranslateByteCode,
             untyped_passes.FixupArgs,

@@ -16,9 +16,10 @@ from ..robot.loading import load_robot
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
 from ..robot.plane import Plane
+from ..scene.records import ImpactRecord
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
-from ..scene.trajectory import ImpactRecord, Trajectory
+from ..scene.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

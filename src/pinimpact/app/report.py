@@ -12,7 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ..robot.contact import Contact
-from ..scene.trajectory import ImpactRecord, Trajectory
+from ..scene.records import ImpactRecord
+from ..scene.trajectory import Trajectory
 
 CAUSES = ("compression", "restitution", "friction", "surface")
 WORKS = ("control", "joints", "friction", "surface", "impacts")

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..robot.names import near_matches
+from ..robot.plane import Plane
+from ..robot.sphere import Sphere
+from ..robot.surfaces import Surface
 from .units import quantity
 
 if sys.version_info >= (3, 11):
@@ -55,24 +59,29 @@ class RobotTable(_Table):
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
 
 
-class PlaneTable(_Table):
-    """``[plane.NAME]``: a surface; see `Plane`."""
+class SurfaceTable(_Table):
+    """What every surface has; see `Surface`."""
 
+    kind: ClassVar[type[Surface]]
+    velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
+    body: FrameKey | None = None
+
+
+class PlaneTable(SurfaceTable):
+    """``[plane.NAME]``: see `Plane`."""
+
+    kind = Plane
     point: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
-    angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
-    body: FrameKey | None = None
 
 
-class SphereTable(_Table):
-    """``[sphere.NAME]``: a surface; see `Sphere`."""
+class SphereTable(SurfaceTable):
+    """``[sphere.NAME]``: see `Sphere`."""
 
+    kind = Sphere
     center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     radius: Length
-    velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
-    angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
-    body: FrameKey | None = None
 
 
 class ContactTable(_Table):
@@ -141,6 +150,11 @@ class SceneFile(_Table):
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
     max_impacts: Annotated[int, Field(gt=0)] = 10_000
     output: OutputTable = OutputTable()
+
+    @property
+    def surfaces(self) -> dict[str, Mapping[str, SurfaceTable]]:
+        """The surfaces by kind and name."""
+        return {"plane": self.plane, "sphere": self.sphere}
 
 
 def read_scene_file(path: Path) -> SceneFile:

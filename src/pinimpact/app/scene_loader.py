@@ -16,9 +16,6 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
-from ..robot.plane import Plane
-from ..robot.sphere import Sphere
-from ..robot.surfaces import Surface
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
@@ -234,17 +231,18 @@ def _contacts(file: SceneFile) -> list[Contact]:
 
 def _contact(index: int, table: ContactTable, file: SceneFile, label: str) -> Contact:
     key, name = f"contact[{index}]", table.plane
-    tables: dict[type[Surface], dict[str, Any]] = {Plane: file.plane, Sphere: file.sphere}
-    kinds = [kind for kind, named in tables.items() if name in named]
+    kinds = [kind for kind, tables in file.surfaces.items() if name in tables]
     if len(kinds) != 1:
-        known = [known for named in tables.values() for known in named]
-        trouble = f"no [plane.{name}] or [sphere.{name}] in the file; {near_matches(name, known)}"
+        known = [known for tables in file.surfaces.values() for known in tables]
+        wanted = " or ".join(f"[{kind}.{name}]" for kind in file.surfaces)
+        trouble = f"no {wanted} in the file; {near_matches(name, known)}"
         if kinds:
-            trouble = f"{name!r} is both a plane and a sphere; give each its own name"
+            trouble = f"{name!r} is both a {' and a '.join(kinds)}; give each its own name"
         raise UnknownNameError(f"{key}.plane: {trouble}", field=f"{key}.plane", value=name)
+    surface = file.surfaces[kinds[0]][name]
     try:
-        surface = kinds[0](**tables[kinds[0]][name].model_dump())
-        return Contact(plane=surface, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
+        plane = surface.kind(**surface.model_dump())
+        return Contact(plane=plane, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
     except InputError as error:
         raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
     except UnknownNameError as error:
