@@ -152,12 +152,14 @@ def search_for_fall(value):
                 value_then = later_value[depth]
                 part = (later[depth] - time) / width
                 bulge = second * part * part
+                splits = part > SHORTEST and depth < DEPTH
                 if value_then < -floor:
                     if value_now > 0.0:
                         return root(work, i, time, later[depth], value_now, value_then)
-                    return time
+                    if not splits:
+                        return time
                 rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
-                if part > SHORTEST and not (min(value_now, value_then) > bulge or rises_clear):
+                if splits and not (min(value_now, value_then) > bulge or rises_clear):
                     depth += 1
                     later[depth] = time + 0.5 * (later[depth - 1] - time)
                     later_value[depth] = value_at(work, i, later[depth])[0]
