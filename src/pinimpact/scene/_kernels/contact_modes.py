@@ -207,10 +207,13 @@ def modes_of_contacts(
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
-        # what rests and is not set in motion sticks, also with its force on the cone: whether that leaves it
-        # is seen just after, see `events.force_bound`
-        still = math.hypot(acceleration[b], acceleration[b + 1]) <= pace
-        if mu[k] > 0.0 and speed == 0.0 and still:
+        # what slips and has come to rest goes on slipping where its force stays on the cone; what rests and
+        # is not set in motion sticks, and whether it leaves the cone is seen just after, see
+        # `events.force_bound`
+        inside = tangent <= mu[k] * normal * (1.0 - 1e-9)
+        shared = not work.forces_unique
+        inside |= (shared or before[i] != SLIP) and math.hypot(acceleration[b], acceleration[b + 1]) <= pace
+        if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True
             continue

@@ -187,6 +187,8 @@ def solve_stages(work, t, h, rtol, atol):
                 matrix[row, row] -= speeds[i, c]
         # contacts that share their loads turn together where slip begins, and one of them cannot alone
         if solve(matrix, right, angle, RANK) == 0:
+            if work.forces_unique:
+                return math.inf
             least_norm(matrix, right, RANK, angle, no_basis)
         norm = 0.0
         for i in range(s):

@@ -9,7 +9,7 @@ import numpy as np
 from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
-from ..event_location import sampled, search_for_fall
+from ..event_location import sampled, search_for_fall, search_for_root
 from ..samples import along, clear_of_zero
 from .consequences import MODE_CHANGE
 
@@ -26,7 +26,7 @@ def value(work, k, t):
     return along(work, k, work.contact_velocity), 0.0
 
 
-value_at, first_fall = sampled(value), search_for_fall(value)
+value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_root(value)
 
 
 @separate
@@ -37,14 +37,25 @@ def first(work, end):
     step the direction has turned too far to be followed.
     """
     mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
+    start, last = work.step_start, work.step_start + work.step_length
     time, which = math.inf, 0
     for k in range(len(mode)):
         if mode[k] != SLIP or mu[k] == 0.0:
             continue
-        if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
-            continue
-        speed = max(abs(work.sample_slip[0, k]), abs(along(work, k, work.end_velocity)))
-        found = first_fall(work, k, end, max(BEHIND * work.stick_speed, work.atol + work.rtol * speed))
+        end_speed = along(work, k, work.end_velocity)
+        if work.step_implicit:
+            # slip that begins may turn as far as it likes; what counts is where it is when it has begun
+            if end_speed >= -BEHIND * work.stick_speed:
+                continue
+            start_speed = value_at(work, k, start)[0]
+            if start_speed <= 0.0:  # a step before has left it there, for it was next to nothing
+                return start, k
+            found = root(work, k, start, last, start_speed, end_speed)
+        else:
+            if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
+                continue
+            speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
+            found = first_fall(work, k, end, max(BEHIND * work.stick_speed, work.atol + work.rtol * speed))
         if found < end:
             value_at(work, k, found)
             if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
