@@ -193,8 +193,8 @@ class _Passes(PassManager):
 class KernelCompiler(compiler.CompilerBase):
     """The passes of numba that kernels need.
 
-    Static single assignment is not among them, for it costs a tenth of the time: a variable of a kernel has one
-    type, and LLVM has its own.
+    Static single assignment is not among them, for it costs a tenth of the time: a variable of a kernel has
+    one type, and LLVM has its own.
     """
 
     library: type[JITCodeLibrary] = KernelLibrary
