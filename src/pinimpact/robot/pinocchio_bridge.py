@@ -271,8 +271,7 @@ class _InPlace(RobotDynamics):
         if not (_by_column(data.ddq) and _by_column(data.J) and _by_row(data.Minv)):
             raise _ElsewhereError("ddq, J or Minv")
         self.placements, self.local_velocities, self.velocities, self.accelerations = (
-            _rows(list(getattr(data, name)), list(getattr(data, name)), name)
-            for name in ("oMi", "v", "ov", "oa_gf")
+            _rows(getattr(data, name), getattr(data, name), name) for name in ("oMi", "v", "ov", "oa_gf")
         )
         self.acceleration = data.ddq.reshape(nv)
         self.minverse = data.Minv.reshape(nv, nv)
@@ -430,6 +429,8 @@ def _by_row(array: Array) -> bool:
 def _rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
     """Return (n, 12) placements or (n, 6) motions of a Data in place.
 
+    The first two elements and the last one tell where all are, for those of a vector stand one after another.
+
     Args:
         items: The elements of one of Pinocchio's vectors.
         again: The same, taken once more: copies that live at once would have two addresses each.
@@ -438,17 +439,17 @@ def _rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
     Raises:
         _ElsewhereError: They do not stand in rows.
     """
-    first = _parts(items[0])
-    width = sum(part.size for part in first)
-    start = first[0].__array_interface__["data"][0]
-    for taken in (items, again):
-        for k, item in enumerate(taken):
-            place = start + 8 * width * k
-            for part in _parts(item):
-                if part.__array_interface__["data"][0] != place or not _by_column(part):
-                    raise _ElsewhereError(f"data.{name}")
-                place += part.nbytes
-    return _at(start, len(items) * width).reshape(len(items), width)
+    count = len(items)
+    taken = [(k, _parts(vector[k])) for vector in (items, again) for k in {0, min(1, count - 1), count - 1}]
+    width = sum(part.size for part in taken[0][1])
+    start = _parts(items[0])[0].__array_interface__["data"][0]
+    for k, parts in taken:
+        place = start + 8 * width * k
+        for part in parts:
+            if part.__array_interface__["data"][0] != place or not _by_column(part):
+                raise _ElsewhereError(f"data.{name}")
+            place += part.nbytes
+    return _at(start, len(items) * width).reshape(count, width)
 
 
 def _parts(item: Any) -> tuple[Array, Array]:
