@@ -354,6 +354,11 @@ def test_what_is_given_once_holds_for_all_rows(rng):
     one_v = pinimpact.impacts(model, data, qs, vs[0], contact)
     assert one_v.v.tolist() == one_by_one(*((q, vs[0]) for q in qs))
     assert pinimpact.impacts(model, data, qs[0], vs[0], contact).v.tolist() == one_by_one((qs[0], vs[0]))
+    carried = cases.random_contact("tool0", rng, cases.random_plane(rng, "shoulder_link"))
+    found = pinimpact.impacts(model, data, qs, vs, carried)
+    hits = [pinimpact.impact(model, data, q, v, carried) for q, v in zip(qs, vs, strict=True)]
+    assert found.v.tolist() == [hit.v.tolist() for hit in hits]
+    assert found.impulse_world == pytest.approx(np.array([hit.impulse_world for hit in hits]), abs=1e-13)
     mu = np.linspace(0, 1, 5)
     many = pinimpact.impacts(model, data, qs[0], vs[0], contact, friction=mu)
     tiled = pinimpact.impacts(model, data, [qs[0]] * 5, [vs[0]] * 5, contact, friction=mu)
