@@ -369,6 +369,11 @@ def test_mimic_joints_move_as_they_are_told():
     assert np.abs(one.mass - mass).max() < 1e-14
     assert np.abs(one.jacobian - jacobian).max() < 1e-14
     assert np.abs(one.delassus - jacobian @ np.linalg.solve(mass, jacobian.T)).max() < 1e-14
+    data, v = coupled.createData(), np.array([-1.0, 0.3])
+    for carrier in (None, "left_finger"):
+        struck = pinimpact.Contact("right_finger", pinimpact.Plane(normal=(1, 2, 3), body=carrier))
+        hit = pinimpact.impact(coupled, data, q, v, struck)
+        assert pinimpact.impacts(coupled, data, q, v, struck).v[0].tolist() == hit.v.tolist()
 
 
 @pytest.mark.parametrize(

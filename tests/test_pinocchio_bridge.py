@@ -201,7 +201,8 @@ def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
     model = cases.load("panda")[0]
     monkeypatch.setattr(bridge, "_verdicts", {})
     monkeypatch.setattr(bridge, "_warned", False)
-    monkeypatch.setattr(bridge, "list", lambda items: list(items)[::-1], raising=False)
+    rows = bridge._rows
+    monkeypatch.setattr(bridge, "_rows", lambda *args: rows(*(list(one)[::-1] for one in args[:2]), args[2]))
     with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"data\.oMi in memory"):
         assert type(bridge.robot_dynamics(model)) is bridge._Copied
 

@@ -191,7 +191,11 @@ class _Passes(PassManager):
 
 
 class KernelCompiler(compiler.CompilerBase):
-    """The passes of numba that kernels need."""
+    """The passes of numba that kernels need.
+
+    Static single assignment is not among them, for it costs a tenth of the time: a variable of a kernel has
+    one type, and LLVM has its own.
+    """
 
     library: type[JITCodeLibrary] = KernelLibrary
     lowering = typed_passes.NativeLowering
@@ -220,8 +224,6 @@ class KernelCompiler(compiler.CompilerBase):
             untyped_passes.RewriteSemanticConstants,
             untyped_passes.DeadBranchPrune,
             untyped_passes.GenericRewrites,
-            untyped_passes.ReconstructSSA,
-            untyped_passes.DeadBranchPrune,
             typed_passes.NopythonTypeInference,
             typed_passes.PreLowerStripPhis,
             typed_passes.InlineOverloads,

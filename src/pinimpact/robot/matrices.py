@@ -13,6 +13,7 @@ from ._kernels import contact_kinematics, tree
 from .contact import WORLD, Contact, check_contact, check_held
 from .data_cache import DataCache, checked_configuration, data_cache
 from .names import free_velocities, model_of, singular_mass
+from .pinocchio_bridge import contact_columns
 
 Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -166,17 +167,8 @@ def kinematics(
     carried = WORLD if body is None else _placement(model, data, carrier).homogeneous
     columns = cache.columns
     if columns is None:
-        columns = _columns_of(model, data, q, frame)
-        if body is not None:
-            columns -= _columns_of(model, data, q, carrier)
+        columns = contact_columns(model, data, q, frame, carrier)
     return placement, carried, columns, signs
-
-
-def _columns_of(model: pin.Model, data: pin.Data, q: Array, frame: int) -> Array:
-    """Return (6, nv) a frame's Jacobian with respect to the world's origin, mimic joints summed."""
-    rows = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    rows[:3] -= np.cross(rows[3:], data.oMf[frame].translation, axisa=0, axisc=0)
-    return rows
 
 
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:

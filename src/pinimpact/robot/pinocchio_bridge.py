@@ -104,19 +104,83 @@ class MassAndColumns:
             self.columns[:] = jacobian.reshape(6, -1)
 
 
+class MassAndFrames:
+    """The mass matrix and the Jacobian of a contact for kernels: calls read a buffer and leave arrays.
+
+    Args:
+        model: Pinocchio model.
+        data: Its data.
+        frame: Id of the contact's frame.
+        carrier: Id of the frame that carries the surface, 0 for the world.
+
+    Attributes:
+        q: (nq,) buffer that the calls read.
+        calls: To be made in turn; the arrays are then those of q.
+        mass: (nv, nv) M.
+        frame, carrier: (12,) placements: rotation column by column, translation.
+        columns: (6, nv) as in `MassAndColumns`, or what `contact_columns` returns.
+    """
+
+    def __init__(self, model: pin.Model, data: pin.Data, frame: int, carrier: int) -> None:
+        self._arguments = model, data, frame, carrier
+        self.q = pin.neutral(model)
+        self._whole = data.J.size == 6 * model.nv
+        if self._whole and _trusted(model, _disagreement_of_crba):
+            with contextlib.suppress(_ElsewhereError):
+                self._read_in_place()
+                return
+        self.mass = np.zeros((model.nv, model.nv), order="F")
+        self.frame, self.carrier = np.zeros((2, 12))
+        self.columns = np.zeros((6, model.nv), order="F")
+        self.calls = [Call(self._copy, ())]
+
+    def _read_in_place(self) -> None:
+        model, data, *frames = self._arguments
+        self.frame, self.carrier = (_rows([data.oMf[k]], [data.oMf[k]], "oMf")[0] for k in frames)
+        self.mass = data.M.reshape(model.nv, model.nv, order="F")
+        self.columns = data.J.reshape(6, model.nv, order="F")
+        self.calls = [Call(pin.crba, (model, data, self.q, _WORLD))]
+        self.calls += [Call(pin.updateFramePlacement, (model, data, k)) for k in frames if k > 0]
+
+    def _copy(self) -> None:
+        model, data, *frames = self._arguments
+        self.mass[:] = pin.crba(model, data, self.q)
+        pin.forwardKinematics(model, data, self.q)
+        for k, placement in zip(frames, (self.frame, self.carrier), strict=True):
+            found = pin.updateFramePlacement(model, data, k)
+            placement[:9], placement[9:] = found.rotation.T.ravel(), found.translation
+        if self._whole:
+            self.columns[:] = pin.computeJointJacobians(model, data, self.q).reshape(6, -1)
+        else:
+            self.columns[:] = contact_columns(model, data, self.q, *frames)
+
+
+def contact_columns(model: pin.Model, data: pin.Data, q: Array, frame: int, carrier: int) -> Array:
+    """Return (6, nv) a frame's Jacobian at the world's origin less its carrier's, mimic joints summed."""
+    columns = np.zeros((6, model.nv), order="F")
+    for sign, k in ((1.0, frame), (-1.0, carrier)):
+        if k > 0:
+            rows = pin.computeFrameJacobian(model, data, q, k, pin.LOCAL_WORLD_ALIGNED)
+            rows[:3] -= np.cross(rows[3:], data.oMf[k].translation, axisa=0, axisc=0)
+            columns += sign * rows
+    return columns
+
+
 def _disagreement_of_crba(model: pin.Model) -> str | None:
     """Return what `crba` does not leave behind, or None."""
     model, q, _, _ = _probe(model)
     data = model.createData()
     whole = data.J.size == 6 * model.nv
     before = data.J.__array_interface__["data"][0]
-    mass = pin.crba(model, data, q, _WORLD)
-    if not _agree(mass, pin.crba(model, model.createData(), q)):
+    expected = pin.crba(model, model.createData(), q)
+    if not _agree(pin.crba(model, data, q, _WORLD), expected):
         return "crba in the world convention"
     if whole and not _agree(data.J.reshape(6, -1), _columns(model, q)):
         return "data.J after crba"
     if whole and not (data.J.__array_interface__["data"][0] == before and _by_column(data.J)):
         return "the address of data.J"
+    if not (_agree(data.M, expected) and _by_column(data.M)):
+        return "data.M after crba"
     other = model.createData()
     pin.forwardKinematics(model, other, q)
     if not all(_agree(a.homogeneous, b.homogeneous) for a, b in zip(data.oMi, other.oMi, strict=True)):
@@ -206,8 +270,9 @@ class _InPlace(RobotDynamics):
             call.function(*call.arguments)
         if not (_by_column(data.ddq) and _by_column(data.J) and _by_row(data.Minv)):
             raise _ElsewhereError("ddq, J or Minv")
-        self.placements, self.local_velocities = _rows(data, "oMi"), _rows(data, "v")
-        self.velocities, self.accelerations = _rows(data, "ov"), _rows(data, "oa_gf")
+        self.placements, self.local_velocities, self.velocities, self.accelerations = (
+            _rows(getattr(data, name), getattr(data, name), name) for name in ("oMi", "v", "ov", "oa_gf")
+        )
         self.acceleration = data.ddq.reshape(nv)
         self.minverse = data.Minv.reshape(nv, nv)
         self.joint_jacobian = data.J.reshape(6, nv, order="F")
@@ -361,24 +426,30 @@ def _by_row(array: Array) -> bool:
     return array.dtype == np.float64 and (array.ndim == 1 or bool(array.flags.c_contiguous))
 
 
-def _rows(data: pin.Data, name: str) -> Array:
+def _rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
     """Return (n, 12) placements or (n, 6) motions of a Data in place.
+
+    The first two elements and the last one tell where all are, for those of a vector stand one after another.
+
+    Args:
+        items: The elements of one of Pinocchio's vectors.
+        again: The same, taken once more: copies that live at once would have two addresses each.
+        name: Of the vector.
 
     Raises:
         _ElsewhereError: They do not stand in rows.
     """
-    items, again = list(getattr(data, name)), list(getattr(data, name))  # copies would have two addresses
-    first = _parts(items[0])
-    width = sum(part.size for part in first)
-    start = first[0].__array_interface__["data"][0]
-    for taken in (items, again):
-        for k, item in enumerate(taken):
-            place = start + 8 * width * k
-            for part in _parts(item):
-                if part.__array_interface__["data"][0] != place or not _by_column(part):
-                    raise _ElsewhereError(f"data.{name}")
-                place += part.nbytes
-    return _at(start, len(items) * width).reshape(len(items), width)
+    count = len(items)
+    taken = [(k, _parts(vector[k])) for vector in (items, again) for k in {0, min(1, count - 1), count - 1}]
+    width = sum(part.size for part in taken[0][1])
+    start = _parts(items[0])[0].__array_interface__["data"][0]
+    for k, parts in taken:
+        place = start + 8 * width * k
+        for part in parts:
+            if part.__array_interface__["data"][0] != place or not _by_column(part):
+                raise _ElsewhereError(f"data.{name}")
+            place += part.nbytes
+    return _at(start, len(items) * width).reshape(count, width)
 
 
 def _parts(item: Any) -> tuple[Array, Array]:

@@ -19,10 +19,12 @@ from ..contact_space.solve import solve_impact, solve_inputs
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
+from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
 from .data_cache import checked_configuration, data_cache
 from .matrices import ContactMatrices, contact_geometry, contact_matrices, kinematics
 from .names import model_of, singular_mass
+from .pinocchio_bridge import MassAndFrames, call_addresses
 
 LOCKED = int(Status.LOCKED)
 """The last status that is an answer."""
@@ -269,37 +271,29 @@ def impacts(
     v = _per_row("v", v, count, cache.v_shape)
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
-    found = Hits(
-        np.full((count, cache.nv), np.nan),
-        np.full((count, 3), np.nan),
-        np.full(count, int(Status.INVALID_NUMBERS)),
-        np.zeros(count, dtype=np.int64),
+    after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
+    usable = np.array(np.isfinite(q).all(axis=1))
+    if cache.curved:
+        usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
+    if e is None:
+        e = np.zeros(count)
+        for row in np.flatnonzero(usable):
+            e[row] = _restitution_of_approach(model, data, q[row], v[row], contact)
+    frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
+    cache.mass_matrix(model, data, pin.neutral(model), _WORLD)  # says what is wrong with model or data
+    parts = MassAndFrames(model, data, frame, carrier)
+    codes = np.empty((count, 2), dtype=np.int64)
+    codes[:] = int(Status.INVALID_NUMBERS), 0
+    stopped = kernel.reset_rows(
+        *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
+        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants),
+        *(q, v, usable, mu, e, contact.law_code, after, impulses, codes),
     )
-    answer = np.empty(cache.nv + kernel.SIZE)
-    for row in range(count):
-        if not np.isfinite(q[row]).all() or (cache.curved and not pin.isNormalized(model, q[row], 1e-8)):
-            continue
-        outcome = kernel.reset(
-            cache.mass_matrix(model, data, q[row], _WORLD),
-            cache.parents,
-            *kinematics(model, data, q[row], cache, contact),
-            contact.constants,
-            q[row],
-            v[row],
-            mu[row],
-            _restitution_of_approach(model, data, q[row], v[row], contact) if e is None else e[row],
-            contact.law_code,
-            answer,
-        )
-        if outcome[0] == kernel.SINGULAR_MASS:
-            raise singular_mass(model, outcome[1])
-        found.status[row] = outcome[0]
-        if outcome[0] <= LOCKED:
-            hit = Hit(answer, cache.nv, outcome, contact, 0.0)
-            found.v[row] = hit.v
-            found.impulse_world[row] = hit.impulse_world
-            found.flags[row] = outcome[1]
-    return found
+    if stopped == kernel.CALL_RAISED:
+        raise_kept_error()
+    if stopped >= 0:
+        raise singular_mass(model, stopped)
+    return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy())
 
 
 def _restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:

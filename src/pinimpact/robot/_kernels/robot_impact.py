@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..._numeric.jit import inner, jit
-from ...contact_space._kernels.codes import INVALID_NUMBERS, NO_IMPACT
+from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.path import SCRATCH, solve_into
 from .contact_kinematics import jacobian
+from .python_calls import call
 from .tree import factor, solve, solve_transposed
 
 DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SIZE = 0, 6, 9, 12, 21, 28
@@ -16,6 +17,9 @@ velocity, the contact axes, and v⁺, P and the compression impulse."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
+
+CALL_RAISED, ALL_DONE = -2, -1
+"""Where `reset_rows` came to no velocity at which M is singular."""
 
 
 @inner
@@ -104,3 +108,88 @@ def reset(
     for i in range(SIZE):
         out[n + i] = rest[i]
     return status, flags, iterations
+
+
+@inner
+def homogeneous(placement, matrix):
+    """Fill a homogeneous (4, 4) matrix with a placement (12,); its last row stands."""
+    for i in range(3):
+        for j in range(4):
+            matrix[i, j] = placement[3 * j + i]
+
+
+@jit
+def reset_rows(
+    calls,
+    buffer,
+    mass,
+    parents,
+    frame,
+    carrier,
+    columns,
+    signs,
+    constants,
+    q,
+    v,
+    usable,
+    mu,
+    e,
+    law,
+    after,
+    impulses,
+    codes,
+):
+    """Resolve one contact's impact from N states.
+
+    Args:
+        calls: (2 k,) addresses of functions and their arguments, see `python_calls`; after them mass, frame,
+            carrier and columns are those of the buffer.
+        buffer: (nq,) where the calls find the configuration.
+        mass: As in `reset`, as all that is not told here.
+        parents: See there.
+        frame: (12,) placement of the contact's frame.
+        carrier: (12,) placement of the frame that carries the surface.
+        columns: See `reset`.
+        signs: See there.
+        constants: See there.
+        q: (N, nq).
+        v: (N, nv).
+        usable: (N,) whether a row's q is a configuration; the others are passed by.
+        mu: (N,).
+        e: (N,).
+        law: Code of the law.
+        after: (N, nv) takes v⁺.
+        impulses: (N, 3) takes the impulses in world axes.
+        codes: (N, 2) takes status and flags.
+
+    Returns:
+        `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.
+    """
+    n = v.shape[1]
+    out, placed, carried = np.empty(n + SIZE), np.eye(4), np.eye(4)
+    for row in range(len(v)):
+        if not usable[row]:
+            continue
+        for i in range(len(buffer)):
+            buffer[i] = q[row, i]
+        for k in range(0, len(calls), 2):
+            if not call(calls[k], calls[k + 1]):
+                return CALL_RAISED
+        homogeneous(frame, placed)
+        homogeneous(carrier, carried)
+        status, flags, _ = reset(
+            *(mass, parents, placed, carried, columns, signs, constants),
+            *(q[row], v[row], mu[row], e[row], law, out),
+        )
+        if status == SINGULAR_MASS:
+            return flags
+        codes[row, 0] = status
+        if status > LOCKED:
+            continue
+        codes[row, 1] = flags
+        for j in range(n):
+            after[row, j] = out[j]
+        axes, p = out[n + AXES :], out[n + AFTER + 3 :]
+        for i in range(3):
+            impulses[row, i] = p[0] * axes[i] + p[1] * axes[3 + i] + p[2] * axes[6 + i]
+    return ALL_DONE
