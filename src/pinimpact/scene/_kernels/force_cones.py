@@ -60,8 +60,8 @@ def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations,
         worst = max(worst, abs(f1 - g1), abs(f2 - g2))
     for i in range(ns):
         b = 3 * nc + i
-        f, a = x[b] / scale_f[b], accelerations[b] * scale_a[b]
-        worst = max(worst, abs(f - min(max(f - a, lower[i] / scale_f[b]), upper[i] / scale_f[b])))
+        f, rate = x[b] / scale_f[b], accelerations[b] * scale_a[b]
+        worst = max(worst, abs(f - min(max(f - rate, lower[i] / scale_f[b]), upper[i] / scale_f[b])))
     return worst
 
 
@@ -79,9 +79,10 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     for a in range(size):
         largest = max(largest, delassus[a, a])
     for i in range(nc):
-        w = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1], delassus[3 * i + 2, 3 * i + 2])
-        w = 1.0 / math.sqrt(max(w, 1e-14 * largest))
-        d[3 * i] = d[3 * i + 1] = d[3 * i + 2] = w
+        softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
+        softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
+        for a in range(3 * i, 3 * i + 3):
+            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
     for a in range(3 * nc, size):
         d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
     unit = 0.0
@@ -246,16 +247,16 @@ def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, 
                 system[b + 1, b + 2] -= mu[i] * u2
         for i in range(ns):
             b = 3 * nc + i
-            f, a = trial[b] / scale_f[b], a_now[b] * scale_a[b]
+            f, rate = trial[b] / scale_f[b], a_now[b] * scale_a[b]
             low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
-            if f - a <= low:
+            if f - rate <= low:
                 system[b, b], right[b] = 1.0, low - f
-            elif f - a >= high:
+            elif f - rate >= high:
                 system[b, b], right[b] = 1.0, high - f
             else:
                 for k in range(size):
                     system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
-                right[b] = -a
+                right[b] = -rate
         least_norm(system, right, 1e-11, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
