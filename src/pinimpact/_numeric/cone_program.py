@@ -146,13 +146,15 @@ def longest_step(lines, sizes, lam, d):
 def cholesky(matrix):
     """Replace a positive definite matrix by its factor; a pivot lost to rounding counts as a large one."""
     n = len(matrix)
-    largest = 0.0
+    whole = np.empty(n)
+    largest = 1e-300
     for i in range(n):
-        largest = max(largest, matrix[i, i])
+        whole[i] = matrix[i, i]
+        largest = max(largest, whole[i])
     for k in range(n):
         pivot = matrix[k, k]
-        if not pivot > 1e-15 * largest * n:
-            pivot = max(largest, 1e-300) * 1e64  # what does not matter stays where it is
+        if not pivot > 1e-15 * n * whole[k]:
+            pivot = 1e64 * largest  # what does not matter stays where it is
         root = math.sqrt(pivot)
         matrix[k, k] = root
         for i in range(k + 1, n):
