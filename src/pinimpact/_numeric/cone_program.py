@@ -13,9 +13,13 @@ import math
 import numpy as np
 
 from .jit import inner, separate
+from .loops import assign
 
 MAX_ITERATIONS = 60
 """What no program needs; badly scaled ones stop there."""
+
+FALLS_BACK = 1e-6
+"""Accuracy from which on what gets worse is at the end of what double precision gives."""
 
 STEP = 0.99
 """Part of the way to the boundary of the cone that an iteration goes."""
@@ -236,7 +240,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         s[i], z[i] = h[i], 0.0
     lift(lines, sizes, s, 1.0 + max(outside(lines, sizes, s), 0.0))
     lift(lines, sizes, z, 1.0)
-    accuracy = math.inf
+    best = math.inf
+    best_x, best_s, best_z = np.empty(n), np.empty(m), np.empty(m)
     for _ in range(MAX_ITERATIONS):
         gap = 0.0
         for i in range(m):
@@ -256,6 +261,13 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
                 total += G[i, j] * x[j]
             rz[i] = total
             accuracy = max(accuracy, abs(total))
+        if accuracy < best:
+            best = accuracy
+            assign(best_x, x)
+            assign(best_s, s)
+            assign(best_z, z)
+        elif best < FALLS_BACK and accuracy > 10.0 * best:
+            break
         if accuracy <= tolerance or not scaling(lines, sizes, s, z, beta, v, lam):
             break
         for j in range(n):
@@ -309,4 +321,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         scale(lines, sizes, beta, v, dz, work, True)
         for i in range(m):
             z[i] += step * work[i]
-    return accuracy
+    assign(x, best_x)
+    assign(s, best_s)
+    assign(z, best_z)
+    return best
