@@ -35,6 +35,10 @@ class Arm:
     q: tuple[float, ...]
     v: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        for name in ("rpy", "normal", "q", "v"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
     def urdf(self) -> str:
         """Return the arm as URDF; its last frame is ``tip``."""
         text = '<robot name="arm"><link name="world"/>'

@@ -13,6 +13,7 @@ import numpy as np
 from ..._numeric.jit import inlined, inner
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
+    IMPULSE,
     INDEFINITE_DELASSUS,
     INVALID_NUMBERS,
     NO_FLAG,
@@ -28,6 +29,10 @@ PROCEEDS = np.int64(-1)
 
 TOO_SHORT = 2.0**-300
 """Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
+
+DOUBTFUL = 2.0**20
+"""Where stick locks and the scale of v is not known, parts of v that W cannot have made may be so many times
+its rounding. Then they are zero, rather than that the answer is divided by them or refused for them."""
 
 
 class View(NamedTuple):
@@ -189,6 +194,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     # a part of v that W cannot have made is rounding up to here, and a moving surface beyond (theory.md, 6)
     size = max(abs(v1) + abs(v2) + abs(v3), velocity_scale * fv1 * fv2)
     tiny = ZERO * spread * size
+    doubtful = DOUBTFUL * tiny if velocity_scale == 0.0 and s == 0.0 else tiny
     leaning = False
     lean1, lean2 = 0.0, 1.0
     normal_part = abs(n3)
@@ -209,7 +215,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
         d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
         along = d1 * v1 + d2 * v2
-        planar = abs(d1 * v2 - d2 * v1) <= tiny
+        planar = abs(d1 * v2 - d2 * v1) <= doubtful
         crosses = not planar
         if planar:
             v1, v2 = d1 * along, d2 * along
@@ -236,7 +242,8 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     offset = 0.0
     if s == 0.0:
         offset = v3 - k1 * v1 - k2 * v2
-        if normal_part * abs(offset) <= tiny:
+        known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
+        if normal_part * abs(offset) <= (tiny if known else doubtful):
             offset = 0.0
     endless_slip = crosses or s == 0.0
     problem = Problem(
