@@ -2,9 +2,9 @@
 
     python -m benchmarks.fuzz_arms --seed 1 --count 1000
 
-Run from the root of the repository. Bases and planes are turned at random, or aligned within 1e-15 … 1e-3; some
-tips move parallel to the plane, and some contact velocities are small by cancellation. An impact may disagree
-with the answer of its exact numbers by eight times what a few roundings of those numbers change.
+Run from the root of the repository. Bases and planes are turned at random, or aligned within 1e-15 … 1e-3;
+some tips move parallel to the plane, and some contact velocities are small by cancellation. An impact may
+disagree with the answer of its exact numbers by eight times what a few roundings of those numbers change.
 What is drawn and checked stands in tests/random_arms.py; the tests run a few of them.
 """
 
