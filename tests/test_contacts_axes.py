@@ -33,6 +33,7 @@ tilt = st.tuples(st.floats(-150, 0), st.floats(0, 2 * np.pi)).map(
 @example((3e-13, -4e-13), -1.0, 1.0)
 @example((1e-150, 1e-150), -1.0, 1.0)
 @example((1e-9, 2e-9), 1.0, 1.0)
+@example((2.225e-311, 2.225e-311), -1.0, 1.0)
 def test_axes_are_those_of_the_smallest_rotation(xy, z, length):
     normal = length * np.array([*xy, z])
     assert np.abs(contact_axes(normal) - rotated_axes(normal)).max() < 1e-15

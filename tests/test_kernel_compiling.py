@@ -130,6 +130,21 @@ def test_a_callee_that_the_cache_has_lost_is_compiled_before_its_caller_is_loade
     assert call(package) == ([7.0, 130.0, -3.0], ["shifted", "scaled"])
 
 
+def test_what_other_processes_write_late_is_not_taken_for_what_was_asked(package: Path) -> None:
+    both = "\nprint(other.third(2.0), other.third(2))"
+    imports = "from pinimpact.scene._kernels import other"
+    assert python(package, imports + both).stdout == "-2.0 -2\n"
+    real, whole = sorted((package.parent / "cache").rglob("other.third*.nbc"))
+    of_reals, of_integers = real.read_bytes(), whole.read_bytes()
+    real.write_bytes(of_integers)
+    whole.write_bytes(of_reals)
+    assert python(package, imports + both).stdout == "-2.0 -2\n"
+    edit(package / "scene" / "_kernels" / "other.py", "-x", "-3 * x")
+    assert python(package, imports + both).stdout == "-6.0 -6\n"
+    real.write_bytes(of_reals)
+    assert python(package, imports + both).stdout == "-6.0 -6\n"
+
+
 def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) -> None:
     leaf = package / "scene" / "_kernels" / "leaf.py"
     late = (

@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching, compiler, dispatcher
 
-from .linking import InnerCompiler, KernelCompiler, KernelLibrary, compiling
+from .linking import InnerCompiler, KernelCompiler, KernelLibrary, compiling, symbol_stamp
 from .sources import PACKAGE, memory, stamp
 from .waiting import LOG, tell
 
@@ -121,13 +121,13 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     )
 
     def reduce(self, result: Any) -> Any:
-        library, fndesc, env, signature, *_, reload_init, envs = result._reduce()
-        return library, fndesc, env, signature, reload_init, tuple(one for one in envs if one.consts)
+        library, fndesc, env, signature, *_, envs = result._reduce()
+        return library, fndesc, env, signature, tuple(one for one in envs if one.consts)
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        state, fndesc, env, signature, reload_init, envs = payload
-        for prepare in reload_init:
-            prepare()
+        state, fndesc, env, signature, envs = payload
+        if fndesc.uid != symbol_stamp(fndesc.modname):  # written late, by a process that ran on other code
+            return None
         codegen = target_context.codegen()
         library = KernelLibrary.load(codegen, state)
         entry = target_context.get_executable(library, fndesc, env)
@@ -142,7 +142,7 @@ class _CacheImpl(caching.CompileResultCacheImpl):
             fndesc=fndesc,
             signature=signature,
             objectmode=False,
-            reload_init=reload_init,
+            reload_init=(),
             referenced_envs=envs,
         )
 
@@ -168,6 +168,8 @@ class _Cache(caching.NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         disk = self._find()
         found = disk.load_overload(sig, target_context)
+        if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
+            found = None
         if found is None and not compiling():
             tell(_together or [self._kernel], isinstance(disk, _DiskCache))
         return found

@@ -26,6 +26,11 @@ Kernel = tuple[str, str, tuple[Any, ...]]
 """Module, name and argument types of a kernel that is compiled on its own."""
 
 
+def symbol_stamp(module: str) -> str:
+    """Return the part of the symbols of a module's kernels that changes with their code."""
+    return stamp(module)[:16]
+
+
 class InnerLibrary(JITCodeLibrary):
     """The intermediate code of an inner kernel, for its callers to take in."""
 
@@ -63,7 +68,6 @@ class KernelLibrary(JITCodeLibrary):
             if isinstance(library, KernelLibrary):
                 self.callees += (library.kernel,)
             else:
-                self._reload_init.update(library._reload_init)
                 self._final_module.link_in(_code(library), preserve=True)
         self._linking_libraries.clear()
         super().finalize()
@@ -132,7 +136,6 @@ class InnerLowering(typed_passes.NativeLowering):
             fndesc.lookup_module(), fndesc.qualname, "", 0, lowered.env, (library,)
         )
         state.targetctx.insert_user_function(entry, fndesc, [library])
-        state.reload_init.extend(library._reload_init)
         state["cr"] = lowered._replace(cfunc=entry)
         return True
 
@@ -211,7 +214,7 @@ class KernelCompiler(compiler.CompilerBase):
         state = self.state
         function = state.func_id
         if self.library is KernelLibrary:  # the symbol has to be the same in every process
-            function.unique_id = stamp(function.modname)[:16]
+            function.unique_id = symbol_stamp(function.modname)
         if state.library is None:
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()

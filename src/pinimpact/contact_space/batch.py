@@ -25,7 +25,7 @@ class BatchSolution:
         iterations: (N,) steps taken.
     """
 
-    def __init__(self, inputs: tuple[Array, Array, Array, Array, int]) -> None:
+    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array]) -> None:
         self._inputs = inputs
         numbers, codes, _ = self._solve(0)
         self.velocity = numbers[:, 0:3]
@@ -59,6 +59,7 @@ def solve_impacts(
     friction: ArrayLike,
     restitution: ArrayLike,
     law: str = "poisson",
+    velocity_scale: ArrayLike | None = None,
 ) -> BatchSolution:
     """Resolve N frictional impacts with the method "exact".
 
@@ -68,6 +69,8 @@ def solve_impacts(
         friction: Coefficient μ, a number or (N,).
         restitution: Coefficient e, a number or (N,).
         law: The restitution law of all of them.
+        velocity_scale: Sizes of the numbers that the velocities were formed from, a number or (N,); see
+            `ImpactProblem`.
 
     Returns:
         A `BatchSolution`. A row whose numbers are unusable gets its status and NaN, and spoils no other.
@@ -90,14 +93,16 @@ def solve_impacts(
             value=delassus,
         )
     coefficients = []
-    for name, value in (("friction", friction), ("restitution", restitution)):
+    scale = 0.0 if velocity_scale is None else velocity_scale
+    for name, value in (("friction", friction), ("restitution", restitution), ("velocity_scale", scale)):
         array = _numbers(name, value)
         if array.shape not in ((), (count,)):
             raise InputError(
                 f"{name}: shape {array.shape} given, a number or ({count},) expected", field=name, value=value
             )
         coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
-    return BatchSolution((matrices, velocities, coefficients[0], coefficients[1], law_code(law)))
+    mu, e, scales = coefficients
+    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales))
 
 
 def _numbers(field: str, value: ArrayLike) -> Array:

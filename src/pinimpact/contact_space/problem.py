@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import float_array
+from ..checks import at_least_zero, float_array
 from ..errors import InputError
 from .inputs import Inputs
 from .laws import law_code
@@ -32,6 +32,9 @@ class ImpactProblem:
         law: One of `pinimpact.LAWS`.
         surface_velocity: (3,) velocity of the surface at the contact point [m/s]; only the work
             ``solution.work.surface`` depends on it.
+        velocity_scale: Size of the numbers that v was formed from [m/s], for a robot Σ|J||q̇| + |v_surface|. A
+            v small by cancellation is known to rounding of that size only, and parts of it that W cannot have
+            made are zero within 32 ε of it. None: not known; then |v₁| + |v₂| + |v₃| is taken.
     """
 
     delassus: ArrayLike
@@ -40,6 +43,7 @@ class ImpactProblem:
     restitution: float
     law: str = "poisson"
     surface_velocity: ArrayLike = (0.0, 0.0, 0.0)
+    velocity_scale: float | None = None
 
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
@@ -60,7 +64,8 @@ def contact_inputs(problem: ImpactProblem) -> Inputs:
         e = float(problem.restitution)
     except (TypeError, ValueError):
         raise _no_number("restitution", problem.restitution) from None
-    return (*delassus_upper(problem.delassus), v1, v2, v3, mu, e, law_code(problem.law))
+    scale = 0.0 if problem.velocity_scale is None else at_least_zero("velocity_scale", problem.velocity_scale)
+    return (*delassus_upper(problem.delassus), v1, v2, v3, mu, e, law_code(problem.law), scale)
 
 
 def _no_number(field: str, value: Any) -> InputError:

@@ -50,6 +50,11 @@ class ContactGeometry:
         """Return the (3,) contact velocity J q̇ − v_surface in contact axes [m/s]."""
         return self.jacobian @ np.asarray(v, dtype=np.float64) - self.surface_velocity
 
+    def velocity_scale(self, v: ArrayLike) -> float:
+        """Return the size of the numbers that `velocity` is formed from, Σ|J||q̇| + |v_surface| [m/s]."""
+        moving = np.abs(self.jacobian) @ np.abs(np.asarray(v, dtype=np.float64))
+        return float(np.sum(moving + np.abs(self.surface_velocity)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMatrices(ContactGeometry):

@@ -103,6 +103,7 @@ class Hit:
             self._restitution,
             self._contact.law,
             self._part(kernel.SURFACE, 3).copy(),
+            float(self._part(kernel.SCALE, 1)[0]),
         )
 
     @property
@@ -126,6 +127,7 @@ class Hit:
             contact.friction,
             self._restitution,
             contact.law_code,
+            float(self._part(kernel.SCALE, 1)[0]),
         )
 
     def _part(self, start: int, count: int) -> Array:
@@ -322,8 +324,10 @@ def _impact_in_steps(
     _check_at_rest(matrices, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
+    scale = matrices.velocity_scale(v)
     problem = ImpactProblem(
-        matrices.delassus, velocity, contact.friction, restitution, contact.law, matrices.surface_velocity
+        *(matrices.delassus, velocity, contact.friction, restitution, contact.law, matrices.surface_velocity),
+        velocity_scale=scale,
     )
     solution = solve_impact(problem, method=method, record=record, **options)
     held_impulses = matrices.held_response @ solution.impulse
@@ -345,7 +349,7 @@ def _impact_in_steps(
             matrices.axes.ravel(),
             solution.velocity,
             solution.impulse,
-            [solution.compression_impulse],
+            [solution.compression_impulse, scale],
         ]
     )
     outcome = (solution.status, solution.flags, solution.iterations)

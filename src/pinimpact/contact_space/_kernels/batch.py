@@ -24,12 +24,13 @@ def _asymmetry(w):
 
 
 @jit
-def solve_rows(delassus, velocity, friction, restitution, law, numbers, codes, works):
+def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, numbers, codes, works):
     """Solve N problems.
 
     Args:
         delassus, velocity, friction, restitution: (N, 3, 3), (N, 3), (N,), (N,).
         law: Code of the law.
+        velocity_scale: (N,) sizes of the numbers that the velocities were formed from; 0: not known.
         numbers: (N, 7) receives v⁺, P and the compression impulse.
         codes: (N, 3) receives status, flags and iterations.
         works: (N, 3) receives the work of compression, restitution and friction; (0, 3): not wanted.
@@ -53,6 +54,7 @@ def solve_rows(delassus, velocity, friction, restitution, law, numbers, codes, w
                 friction[i],
                 restitution[i],
                 law,
+                velocity_scale[i],
                 scratch,
                 trace,
                 path,

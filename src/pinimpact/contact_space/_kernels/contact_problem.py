@@ -13,6 +13,7 @@ import numpy as np
 from ..._numeric.jit import inlined, inner
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
+    IMPULSE,
     INDEFINITE_DELASSUS,
     INVALID_NUMBERS,
     NO_FLAG,
@@ -20,7 +21,7 @@ from .codes import (
     SINGULAR_DELASSUS,
     UNSTOPPABLE,
 )
-from .delassus import ZERO, classify
+from .delassus import LEANING, ZERO, classify
 from .laws import counted, law_of_slow_approach
 
 PROCEEDS = np.int64(-1)
@@ -28,6 +29,10 @@ PROCEEDS = np.int64(-1)
 
 TOO_SHORT = 2.0**-300
 """Approach over slip at which an impact without jam sees no turn of the slip: laws agree, works underflow."""
+
+DOUBTFUL = 2.0**20
+"""Where stick locks and the scale of v is not known, parts of v that W cannot have made may be so many times
+its rounding. Then they are zero, rather than that the answer is divided by them or refused for them."""
 
 
 class View(NamedTuple):
@@ -38,6 +43,8 @@ class View(NamedTuple):
         swapped: Whether they are then swapped.
         diagonal: Whether swapping changes nothing.
         scale_w, scale_v: W and v were divided by 2 to these powers.
+        leaning: Whether the tangent axes were then turned, which rounds, so that the second is
+        lean1, lean2: this direction, the one in which a nearly planar mechanism is weak.
     """
 
     sign1: float
@@ -46,6 +53,9 @@ class View(NamedTuple):
     diagonal: bool
     scale_w: int
     scale_v: int
+    leaning: bool
+    lean1: float
+    lean2: float
 
 
 class Problem(NamedTuple):
@@ -91,11 +101,11 @@ class Problem(NamedTuple):
 
 
 @inner
-def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e):
+def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
     """Whether all numbers are finite, μ ≥ 0 and 0 ≤ e ≤ 1."""
     zero = 0.0 * w11 + 0.0 * w12 + 0.0 * w13 + 0.0 * w22 + 0.0 * w23 + 0.0 * w33
     zero += 0.0 * v1 + 0.0 * v2 + 0.0 * v3  # 0 times infinity is NaN, and so is every sum with one
-    return zero == 0.0 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0
+    return zero == 0.0 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0 and 0.0 <= velocity_scale < math.inf
 
 
 @inner
@@ -127,21 +137,38 @@ def halves(exponent):
 @inner
 def _nothing_to_follow(status, figure):
     nan, no = math.nan, np.int64(0)
-    view = View(1.0, 1.0, False, False, 0, 0)
+    view = View(1.0, 1.0, False, False, 0, 0, False, 0.0, 1.0)
     nans = (nan, nan, nan, nan, nan, nan, nan)
     problem = Problem(*nans, nan, nan, nan, nan, no, no, *nans, False, False, False)
     return status, figure, NO_FLAG, view, problem
 
 
+@inner
+def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
+    """Return W of rank two in tangent axes of which the second is e, where its null vector is norm e + n₃ e₃.
+
+    All that is small in it is made from n₃, so that it is right in every digit that n₃ has. (6.3)
+    """
+    along = e2 * (e2 * a11 - e1 * a12) - e1 * (e2 * a12 - e1 * a22)
+    skew = e2 * (e1 * a11 + e2 * a12) - e1 * (e1 * a12 + e2 * a22)
+    across = e1 * (e1 * a11 + e2 * a12) + e2 * (e1 * a12 + e2 * a22)
+    beta = norm * (e2 * b1 - e1 * b2) - n3 * skew
+    gamma = norm * norm * c - 2.0 * n3 * norm * (e1 * b1 + e2 * b2) + n3 * n3 * across
+    return along, -beta * n3, gamma * n3 * n3, beta * norm, -gamma * n3 * norm, gamma * norm * norm
+
+
 @inlined
-def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
+def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale):
     """Check, scale, mirror and classify a problem, and decide whether there is an impact.
+
+    Args:
+        velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
 
     Returns:
         PROCEEDS or the status with which it ends here, the figure of that status' message, flags, the
         `View` and the `Problem`.
     """
-    if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e):
+    if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
         return _nothing_to_follow(INVALID_NUMBERS, 0.0)
 
     # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
@@ -157,12 +184,30 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
     v1, v2, v3 = sign1 * v1 * fv1 * fv2, sign2 * v2 * fv1 * fv2, v3 * fv1 * fv2
     if swapped:
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
-    view = View(sign1, sign2, swapped, diagonal, scale_w, scale_v)
 
-    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread = classify(w11, w12, w13, w22, w23, w33)
+    found = classify(w11, w12, w13, w22, w23, w33)
+    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3 = found
     if rank < 0:
         return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w))
     flags = SINGULAR_DELASSUS if rank < 3 else NO_FLAG
+
+    # a part of v that W cannot have made is rounding up to here, and a moving surface beyond (theory.md, 6)
+    size = max(abs(v1) + abs(v2) + abs(v3), velocity_scale * fv1 * fv2)
+    tiny = ZERO * spread * size
+    doubtful = DOUBTFUL * tiny if velocity_scale == 0.0 and s == 0.0 else tiny
+    leaning = False
+    lean1, lean2 = 0.0, 1.0
+    normal_part = abs(n3)
+    if rank == 2 and 0.0 < normal_part < LEANING:
+        leaning = True
+        norm = math.hypot(n1, n2)
+        lean1, lean2 = n1 / norm, n2 / norm
+        a11, a12, a22, b1, b2, c = _lean(a11, a12, a22, b1, b2, c, lean1, lean2, norm, n3)
+        k1, k2 = 0.0, -norm / n3
+        v1, v2 = lean2 * v1 - lean1 * v2, lean1 * v1 + lean2 * v2
+        if abs(norm * v2 + n3 * v3) <= tiny:
+            v2 = -n3 * v3 / norm
+    view = View(sign1, sign2, swapped, diagonal, scale_w, scale_v, leaning, lean1, lean2)
 
     # where A is singular nothing acts across its range: v_t either has a part there for good, or none
     flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
@@ -170,10 +215,14 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
         norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
         d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
         along = d1 * v1 + d2 * v2
-        planar = abs(d1 * v2 - d2 * v1) <= ZERO * spread * (abs(v1) + abs(v2))
+        planar = abs(d1 * v2 - d2 * v1) <= doubtful
         crosses = not planar
         if planar:
             v1, v2 = d1 * along, d2 * along
+    if rank < 3 and a11 + a22 == 0.0 and abs(v1) + abs(v2) <= tiny:
+        v1 = v2 = 0.0
+    if c == 0.0 and abs(v3) <= tiny:
+        v3 = 0.0
     speed = math.sqrt(v1 * v1 + v2 * v2)
     if speed < 1e-140:
         speed = math.hypot(v1, v2)
@@ -193,7 +242,8 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
     offset = 0.0
     if s == 0.0:
         offset = v3 - k1 * v1 - k2 * v2
-        if abs(offset) <= ZERO * spread * (abs(v3) + abs(k1 * v1) + abs(k2 * v2)):
+        known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
+        if normal_part * abs(offset) <= (tiny if known else doubtful):
             offset = 0.0
     endless_slip = crosses or s == 0.0
     problem = Problem(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from ..._numeric.jit import inner
 
@@ -69,17 +72,54 @@ def _sort3(l1, l2, l3, x, y, z):
     return l1, l2, l3, x, y, z
 
 
+GRADED = 2.0**-10
+"""A diagonal of W that spans more than this is looked at in units of its own."""
+
+CORRELATED = 2.0**-10
+"""Part of its bound √(wᵢᵢwⱼⱼ) that an entry of a small row reaches only if rounding did not make it."""
+
+LEANING = 2.0**-6
+"""Normal part of a null vector below which the tangent axes are turned to it."""
+
+
+class Delassus(NamedTuple):
+    """What W is found to be. (theory.md, 6)
+
+    Attributes:
+        rank: Its rank; −1: indefinite.
+        w11 … w33: W with its zero eigenvalues removed.
+        k1, k2: Stick ratio κ = A⁺b.
+        s: c − bᵀA⁺b; exactly 0 where stick locks the normal direction.
+        least: The smallest eigenvalue found.
+        spread: ‖W‖/λ of the smallest eigenvalue λ that counts.
+        n1, n2, n3: Null vector, where the rank is 2; where it is 1, n₃ is the tangential part of the range,
+            so that v₃ = κ·v_t + η holds to rounding over n₃; else 0, 0, 1.
+    """
+
+    rank: np.int64
+    w11: float
+    w12: float
+    w13: float
+    w22: float
+    w23: float
+    w33: float
+    k1: float
+    k2: float
+    s: float
+    least: float
+    spread: float
+    n1: float
+    n2: float
+    n3: float
+
+
 @inner
-def classify(w11, w12, w13, w22, w23, w33):
-    """Decide the rank of W and clean it.
+def eliminate(w11, w12, w13, w22, w23, w33):
+    """Solve for stick by elimination with the larger pivot first.
 
     Returns:
-        rank (−1: indefinite), the six entries of W with its zero eigenvalues removed, the stick ratio
-        κ = A⁺b (2), s = c − bᵀA⁺b (exactly 0 where stick locks the normal direction), the smallest
-        eigenvalue found, and the spread ‖W‖/λ of the smallest eigenvalue that counts. (theory.md, 6)
+        det W (0 where a pivot is not positive), κ (2) and s.
     """
-    # elimination with the larger pivot first; det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
-    trace = w11 + w22 + w33
     first = w11 >= w22
     pivot, other, bp, bo = (w11, w22, w13, w23) if first else (w22, w11, w23, w13)
     if pivot > 0.0:
@@ -90,60 +130,153 @@ def classify(w11, w12, w13, w22, w23, w33):
         if other > 0.0:
             ko = bo / other
             s = (w33 - bp * bp * inv) - bo * ko
-            if pivot * other * s > 1e-12 * trace * trace * trace:
-                kp = bp * inv - factor * ko
-                k1, k2 = (kp, ko) if first else (ko, kp)
-                return 3, w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0
+            kp = bp * inv - factor * ko
+            k1, k2 = (kp, ko) if first else (ko, kp)
+            return pivot * other * s, k1, k2, s
+    return 0.0, 0.0, 0.0, 0.0
+
+
+@inner
+def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread):
+    """Return W cleared of what acts along its null vector n, a unit vector that is known to ZERO·spread."""
+    n1, n2, n3 = n
+    norm = math.hypot(n1, n2)
+    uncertain = ZERO * spread
+    two, nought = np.int64(2), 0.0
+    if norm <= uncertain:
+        # nothing moves along the normal
+        return Delassus(
+            two,
+            w11,
+            w12,
+            nought,
+            w22,
+            nought,
+            nought,
+            nought,
+            nought,
+            nought,
+            least,
+            spread,
+            nought,
+            nought,
+            1.0,
+        )
+    if abs(n3) > uncertain:
+        return Delassus(
+            two, w11, w12, w13, w22, w23, w33, -n1 / n3, -n2 / n3, nought, least, spread, n1, n2, n3
+        )
+    # the null direction is tangential: A has rank one along d, and b is parallel to d
+    d1, d2 = n2 / norm, -n1 / norm
+    alpha = d1 * (w11 * d1 + w12 * d2) + d2 * (w12 * d1 + w22 * d2)
+    beta = w13 * d1 + w23 * d2
+    ratio = beta / alpha
+    return Delassus(
+        two,
+        alpha * d1 * d1,
+        alpha * d1 * d2,
+        beta * d1,
+        alpha * d2 * d2,
+        beta * d2,
+        w33,
+        ratio * d1,
+        ratio * d2,
+        w33 - beta * ratio,
+        least,
+        spread,
+        n1,
+        n2,
+        nought,
+    )
+
+
+@inner
+def _unit_of(x):
+    """Return a power of two near 1/√x, and 1 for zero."""
+    return math.ldexp(1.0, -((math.frexp(x)[1] + 1) // 2)) if x > 0.0 else 1.0
+
+
+@inner
+def _graded(w11, w12, w13, w22, w23, w33):
+    """Classify a W of which a row is small, in units in which its diagonal is of order one. (6.2)
+
+    Returns:
+        whether that decides, and the `Delassus` if it does.
+    """
+    u1, u2, u3 = _unit_of(w11), _unit_of(w22), _unit_of(w33)
+    g11, g22, g33 = w11 * u1 * u1, w22 * u2 * u2, w33 * u3 * u3
+    g12, g13, g23 = w12 * u1 * u2, w13 * u1 * u3, w23 * u2 * u3
+    l1, l2, l3, x, y, z = eigen(g11, g12, g13, g22, g23, g33)
+    l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)
+    zero = ZERO * l3
+    largest = max(max(abs(g12), abs(g13)), abs(g23))
+    if abs(l1) <= zero and l2 > CORRELATED and largest > CORRELATED:
+        n1, n2, n3 = x[0] * u1, x[1] * u2, x[2] * u3
+        norm = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
+        n = (n1 / norm, n2 / norm, n3 / norm)
+        c11, c12, c13 = l1 * x[0] * x[0], l1 * x[0] * x[1], l1 * x[0] * x[2]
+        c22, c23, c33 = l1 * x[1] * x[1], l1 * x[1] * x[2], l1 * x[2] * x[2]
+        return True, _rank_two(
+            *(w11 - c11 / u1 / u1, w12 - c12 / u1 / u2, w13 - c13 / u1 / u3),
+            *(w22 - c22 / u2 / u2, w23 - c23 / u2 / u3, w33 - c33 / u3 / u3),
+            *(n, 0.0, l3 / l2),
+        )
+    det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
+    regular = l1 > CORRELATED and det > 0.0 and largest > CORRELATED
+    return regular, Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
+
+
+@inner
+def classify(w11, w12, w13, w22, w23, w33):
+    """Decide the rank of W, clean it, and return its `Delassus`. (theory.md, 6)"""
+    # det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
+    trace = w11 + w22 + w33
+    det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
+    if det > 0.0 and det > 1e-12 * trace * trace * trace:
+        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
+
+    smallest, largest = min(w11, w22, w33), max(w11, w22, w33)
+    if ZERO * ZERO * largest < smallest < GRADED * largest:
+        decided, found = _graded(w11, w12, w13, w22, w23, w33)
+        if decided:
+            return found
 
     l1, l2, l3, x, y, z = eigen(w11, w12, w13, w22, w23, w33)
     l1, l2, l3, x, y, z = _sort3(l1, l2, l3, x, y, z)
     zero = ZERO * max(abs(l1), abs(l3))
+    nought, one = 0.0, 1.0
     if l1 < -zero or not (l3 >= 0.0):
-        return -1, w11, w12, w13, w22, w23, w33, 0.0, 0.0, 0.0, l1, 1.0
+        return Delassus(
+            np.int64(-1), w11, w12, w13, w22, w23, w33, nought, nought, nought, l1, one, nought, nought, one
+        )
     if l1 > zero:
         # κ = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
         g1, g2, g3 = x[2] / l1, y[2] / l2, z[2] / l3
         q3 = g1 * x[2] + g2 * y[2] + g3 * z[2]
         k1 = -(g1 * x[0] + g2 * y[0] + g3 * z[0]) / q3
         k2 = -(g1 * x[1] + g2 * y[1] + g3 * z[1]) / q3
-        return 3, w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1
+        return Delassus(
+            np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1, nought, nought, one
+        )
     if l2 > zero:
-        spread = min(l3 / l2, MOST_SPREAD)
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
         w13 -= l1 * x[0] * x[2]
         w22 -= l1 * x[1] * x[1]
         w23 -= l1 * x[1] * x[2]
         w33 -= l1 * x[2] * x[2]
-        if abs(x[2]) > ZERO * spread:
-            return 2, w11, w12, w13, w22, w23, w33, -x[0] / x[2], -x[1] / x[2], 0.0, l1, spread
-        # the null direction is tangential: A has rank one along d, and b is parallel to d
-        norm = math.hypot(x[0], x[1])
-        d1, d2 = x[1] / norm, -x[0] / norm
-        alpha = d1 * (w11 * d1 + w12 * d2) + d2 * (w12 * d1 + w22 * d2)
-        beta = w13 * d1 + w23 * d2
-        s = w33 - beta * beta / alpha
-        return (
-            2,
-            alpha * d1 * d1,
-            alpha * d1 * d2,
-            beta * d1,
-            alpha * d2 * d2,
-            beta * d2,
-            w33,
-            beta / alpha * d1,
-            beta / alpha * d2,
-            s,
-            l1,
-            spread,
-        )
+        return _rank_two(w11, w12, w13, w22, w23, w33, x, l1, min(l3 / l2, MOST_SPREAD))
     if l3 > 0.0:
         tangential = z[0] * z[0] + z[1] * z[1]
         if tangential <= ZERO * ZERO:
-            return 1, 0.0, 0.0, 0.0, 0.0, 0.0, l3 * z[2] * z[2], 0.0, 0.0, l3 * z[2] * z[2], l1, 1.0
+            c = l3 * z[2] * z[2]
+            return Delassus(
+                np.int64(1), *(nought, nought, nought, nought, nought, c, nought, nought, c, l1, one),
+                *(nought, nought, one),
+            )  # fmt: skip
         z3 = z[2] if abs(z[2]) > ZERO else 0.0
-        return (
-            1,
+        return Delassus(
+            np.int64(1),
             l3 * z[0] * z[0],
             l3 * z[0] * z[1],
             l3 * z[0] * z3,
@@ -152,8 +285,14 @@ def classify(w11, w12, w13, w22, w23, w33):
             l3 * z3 * z3,
             z3 / tangential * z[0],
             z3 / tangential * z[1],
-            0.0,
+            nought,
             l1,
-            1.0,
+            one,
+            nought,
+            nought,
+            math.sqrt(tangential),
         )
-    return 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, l1, 1.0
+    return Delassus(
+        np.int64(0), *(nought, nought, nought, nought, nought, nought, nought, nought, nought, l1, one),
+        *(nought, nought, one),
+    )  # fmt: skip

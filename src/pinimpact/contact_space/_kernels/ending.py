@@ -79,6 +79,12 @@ def _creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
 
 
 @inner
+def turn_back(view, x1, x2):
+    """Turn a tangential vector back into the axes before leaning."""
+    return view.lean2 * x1 + view.lean1 * x2, view.lean2 * x2 - view.lean1 * x1
+
+
+@inner
 def finish(
     view, problem, status, flags, iterations, velocity, impulse, compressed, trace, rows, path, points
 ):
@@ -96,11 +102,14 @@ def finish(
     if v3 <= 0.0:
         v3 = 0.0
         status = LOCKED if flags & LOCKS else ENDED_AT_REST
+    if _creates_energy(problem.v1, problem.v2, problem.v3, v1, v2, v3, p1, p2, p3):
+        flags |= ENERGY_CREATED
+    if view.leaning:
+        v1, v2 = turn_back(view, v1, v2)
+        p1, p2 = turn_back(view, p1, p2)
     if view.diagonal:
         v1 = v2 = 0.5 * (v1 + v2)
         p1 = p2 = 0.5 * (p1 + p2)
-    if _creates_energy(problem.v1, problem.v2, problem.v3, v1, v2, v3, p1, p2, p3):
-        flags |= ENERGY_CREATED
 
     if view.swapped:
         v1, v2, p1, p2 = v2, v1, p2, p1
@@ -121,6 +130,9 @@ def finish(
         trace[i, 5] = math.ldexp(trace[i, 5], scale_p + scale_v)
     for i in range(points):
         x1, x2, y1, y2 = path[i, 1], path[i, 2], path[i, 4], path[i, 5]
+        if view.leaning:
+            x1, x2 = turn_back(view, x1, x2)
+            y1, y2 = turn_back(view, y1, y2)
         if view.swapped:
             x1, x2, y1, y2 = x2, x1, y2, y1
         path[i, 0] = math.ldexp(path[i, 0], scale_p)

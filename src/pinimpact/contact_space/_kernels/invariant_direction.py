@@ -11,7 +11,7 @@ import math
 
 from ..._numeric.jit import inner
 from .delassus import EPS
-from .slip_equations import RECIPROCAL, TERMS, Shape, in_frame, polynomials
+from .slip_equations import RECIPROCAL, TERMS, Shape, along_slip, in_frame, polynomials
 
 
 @inner
@@ -35,23 +35,24 @@ def nearby_root(p0, polynomials):
 
 
 @inner
-def expand_around_root(coefficients, reciprocals, a11, a12, a22, b1, b2, s1, s2, root):
+def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s1, s2, root):
     """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
 
     Args:
         coefficients: Receives the coefficients of G(y) = H/π. (4.3)
         reciprocals: Receives 1/(a + k), and 0 where that is close to a pole.
-        a11 … b2: μA/ω and b/ω.
+        weak, a11 … b2: As in `along_slip`.
 
     Returns:
         whether the series converges up to the present direction; the invariant direction (2);
-        p₁ and b∥/ω, b⊥/ω there; and the `Shape`.
+        p₁ and b∥/ω, b⊥/ω there; the size of the terms of m₀; and the `Shape`.
     """
     scale = 1.0 / (1.0 + root * root)
     cos, sin = (1.0 - root * root) * scale, 2.0 * root * scale
     d1, d2 = s1 * cos - s2 * sin, s2 * cos + s1 * sin
     al, ax, ap, bl, bp = in_frame(a11, a12, a22, b1, b2, d1, d2)
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
+    m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, bl, 0.0, 0.0)
     t = -root
     inv = 1.0 / p1
     exponent = 2.0 * m0 * inv
@@ -87,5 +88,6 @@ def expand_around_root(coefficients, reciprocals, a11, a12, a22, b1, b2, s1, s2,
         p1,
         bl,
         bp,
+        terms,
         Shape(t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
     )

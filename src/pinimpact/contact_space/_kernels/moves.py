@@ -33,7 +33,7 @@ from .codes import (
 )
 from .laws import first_event
 from .resumed_slip import resumed_direction
-from .slip_equations import Polynomials, in_frame, polynomials
+from .slip_equations import Polynomials, along_slip, in_frame, polynomials
 
 STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
@@ -43,6 +43,10 @@ NEAR_THRESHOLD = 1e-6
 
 NO_FORCE = 2.0**-46
 """Where slip may turn into a direction without force, a force this small is rounding."""
+
+
+WEAK = 2.0**-10
+"""Ratio of the diagonal of A below which its smaller axis counts as weak."""
 
 
 class State(NamedTuple):
@@ -96,6 +100,7 @@ class Units(NamedTuple):
         a11, a12, a22: μA/ω.
         b1, b2: b/ω.
         omega, per: ω, a power of two, and 1/ω.
+        weak: The axis along which A is weak, 1 or 2, or 0.
     """
 
     a11: float
@@ -105,6 +110,7 @@ class Units(NamedTuple):
     b2: float
     omega: float
     per: float
+    weak: int
 
 
 class Move(NamedTuple):
@@ -132,7 +138,14 @@ def slip_units(problem):
     omega = math.ldexp(1.0, math.frexp(largest)[1]) if mu > 0.0 else 1.0
     per = 1.0 / omega
     muo = mu * per
-    return Units(muo * problem.a11, muo * problem.a12, muo * problem.a22, per * b1, per * b2, omega, per)
+    weak = 0
+    if problem.a22 < WEAK * problem.a11:
+        weak = 2
+    elif problem.a11 < WEAK * problem.a22:
+        weak = 1
+    return Units(
+        muo * problem.a11, muo * problem.a12, muo * problem.a22, per * b1, per * b2, omega, per, weak
+    )
 
 
 @inner
@@ -163,13 +176,18 @@ def slip_course(problem, units, state, fresh):
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mu = problem.mu
     al, ax, ap, bl, bp = in_frame(units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2)
+    doubt = 0.0
     if fresh:
         turn = 0.0 if problem.planar else bp - ax
+        doubt = abs(bp) + abs(ax)
     t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
+    m0, terms = along_slip(
+        units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, bl, turn, doubt
+    )
     bl *= units.omega
     bp *= units.omega
     rate = problem.c - mu * bl
-    if problem.endless_slip and abs(m0) <= NO_FORCE:
+    if problem.endless_slip and abs(m0) <= NO_FORCE * terms:
         m0, rate = 0.0, problem.s
     bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
     unbent = bend <= 0.25 * STRAIGHT * abs(m0)

@@ -50,13 +50,14 @@ VANISHED = 2.0**-80
 
 
 @jit
-def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, trace, path):
+def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, scratch, trace, path):
     """Solve one impact.
 
     Args:
         w11 … w33: Upper triangle of W, row by row.
         v1, v2, v3: Pre-impact velocity.
         mu, e, law: Friction, restitution and the code of its law.
+        velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
         scratch: SCRATCH floats.
         trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
@@ -64,7 +65,9 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scratch, tr
     Returns:
         the values of an `Answer`.
     """
-    begins, figure, flags, view, problem = prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law)
+    begins, figure, flags, view, problem = prepare(
+        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
+    )
     if begins == NO_IMPACT:
         return plain(without_impact(v1, v2, v3))
     if begins != PROCEEDS:

@@ -87,6 +87,32 @@ def polynomials(al, ax, ap, bl, bp):
 
 
 @inner
+def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
+    """Return m₀ = σᵀ(b − μAσ), and the size of the terms that it was summed from. (3.7), (6.4)
+
+    Where A is weak along an axis w, as that of a nearly planar mechanism is, b∥ − A∥ cancels as slip comes to
+    creep. All terms of m₀ = (w·(b − μAσ) − p₀ w·σ⊥)/w·σ are small there.
+
+    Args:
+        weak: 1 or 2: the weak axis; 0: none.
+        a11 … b2: μA/ω and b/ω.
+        al, bl: A∥ and b∥.
+        turn: p₀,
+        doubt: and the size of the terms that it was summed from, if it was not carried here.
+    """
+    if weak > 0:
+        rest, terms = b1 - (a11 * s1 + a12 * s2), abs(b1) + abs(a11 * s1) + abs(a12 * s2)
+        part, turned, cross = s1, -turn * s2, s2
+        if weak == 2:
+            rest, terms = b2 - (a12 * s1 + a22 * s2), abs(b2) + abs(a12 * s1) + abs(a22 * s2)
+            part, turned, cross = s2, turn * s1, s1
+        terms += abs(turned) + abs(doubt * cross) + abs(bl - al)  # the last for the rounding of w·σ
+        if terms < abs(part) * (abs(bl) + abs(al)):
+            return (rest - turned) / part, terms / abs(part)
+    return bl - al, 1.0
+
+
+@inner
 def expand(coefficients, p0, polynomials):
     """Fill `coefficients` with those of S(x)/S(0). (3.10), (3.11)
 

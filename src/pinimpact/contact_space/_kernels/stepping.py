@@ -168,10 +168,12 @@ def stop_impulse(a11, a12, a22, v1, v2):
 
 
 @jit
-def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, steps, rtol, trace, path):
+def solve_stepping(
+    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, table, steps, rtol, trace, path
+):
     """Solve one impact by steps in P₃.
 
-    Beside the twelve numbers of the problem it takes:
+    Beside the thirteen numbers of the problem, as `solve_into` has them, it takes:
         table: The Runge–Kutta method.
         steps: Steps over the scale |v₃ᵒ|/c, or where that is zero over the impulse that would end slip.
         rtol: 0 for steps of that length; else they are chosen so that the error of P_t in one step stays
@@ -182,7 +184,9 @@ def solve_stepping(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, table, 
     Returns:
         the values of an `Answer`; its path has one point for each step and one more, as far as there is room.
     """
-    begins, figure, flags, view, problem = prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law)
+    begins, figure, flags, view, problem = prepare(
+        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
+    )
     if begins == NO_IMPACT:
         return plain(without_impact(v1, v2, v3))
     if begins != PROCEEDS:

@@ -16,7 +16,7 @@ def repeat_exact(count, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law):
     last = 0.0
     for _ in range(count):
         v = v1 + 0.0 * last
-        last = solve_into(w11, w12, w13, w22, w23, w33, v, v2, v3, mu, e, law, scratch, empty, empty)[3]
+        last = solve_into(w11, w12, w13, w22, w23, w33, v, v2, v3, mu, e, law, 0.0, scratch, empty, empty)[3]
     return last
 
 
@@ -28,6 +28,6 @@ def repeat_stepping(count, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law,
     for _ in range(count):
         v = v1 + 0.0 * last
         last = solve_stepping(
-            w11, w12, w13, w22, w23, w33, v, v2, v3, mu, e, law, table, steps, rtol, empty, empty
+            w11, w12, w13, w22, w23, w33, v, v2, v3, mu, e, law, 0.0, table, steps, rtol, empty, empty
         )[3]
     return last

@@ -52,7 +52,8 @@ def turning_move(
     d1, d2, n1, x = s1, s2, 0.0, 0.0
     restoring = phase == RESTITUTION
     near_jump = around_invariant = expanded = event != NO_EVENT  # False, but no literal: see `codes`
-    last, shape = 0.0, Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    last, terms = 0.0, 1.0
+    shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     series = SlipSeries(around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed)
 
     # most often the next event is near: try for it at once
@@ -83,10 +84,11 @@ def turning_move(
         root = nearby_root(turn, polynomials)
         if root != 0.0:
             expanded = False
-            around_invariant, e1, e2, n1, el, ep, shape = expand_around_root(
-                coefficients, reciprocals, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root
-            )
-        if around_invariant and endless_slip and abs(shape.exponent * n1) <= NO_FORCE:
+            around_invariant, e1, e2, n1, el, ep, terms, shape = expand_around_root(
+                coefficients, reciprocals, units.weak,
+                units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root,
+            )  # fmt: skip
+        if around_invariant and endless_slip and abs(shape.exponent * n1) <= NO_FORCE * terms:
             h, factor, unit, _, q1, q2, q3, w0, w1, w2, q4, w3 = shape
             shape = Shape(h, factor, unit, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
         if around_invariant:

@@ -25,7 +25,10 @@ def contact_axes(nx, ny, nz):
     s = math.hypot(nx, ny)
     if s == 0.0:
         return (1.0, 0.0, 0.0, 0.0, 1.0 if nz > 0.0 else -1.0, 0.0)
-    u1, u2 = nx / s, ny / s
+    up = 2.0**600 if s < 1e-290 else 1.0  # numbers that small have few digits, and so has their hypot
+    u1, u2 = nx * up, ny * up
+    r = math.hypot(u1, u2)
+    u1, u2 = u1 / r, u2 / r
     f = s * (s / (1.0 + nz)) if nz > 0.0 else 1.0 - nz
     return 1.0 - f * u1 * u1, -f * u1 * u2, -nx, -f * u1 * u2, 1.0 - f * u2 * u2, -ny
 

@@ -11,9 +11,9 @@ from .contact_kinematics import jacobian
 from .python_calls import call
 from .tree import factor, solve, solve_transposed
 
-DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SIZE = 0, 6, 9, 12, 21, 28
+DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SIZE = 0, 6, 9, 12, 21, 28, 29
 """Where `reset` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
-velocity, the contact axes, and v⁺, P and the compression impulse."""
+velocity, the contact axes, v⁺, P and the compression impulse, and the scale of v."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
@@ -87,12 +87,15 @@ def reset(
     seen = jacobian(frame, carrier, columns, signs, constants, y)
     s1, s2, s3 = seen[9], seen[10], seen[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
+    scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
+    for j in range(n):
+        scale += (abs(y[0, j]) + abs(y[1, j]) + abs(y[2, j])) * abs(v[j])
     solve_transposed(lower, parents, y)
     w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
     w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
     unwanted = np.empty((0, 6))
     status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
-        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law), np.empty(SCRATCH), unwanted, unwanted
+        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale), np.empty(SCRATCH), unwanted, unwanted
     )
     for j in range(n):
         delta[j] = y[0, j] * p1 + y[1, j] * p2 + y[2, j] * p3
@@ -103,7 +106,7 @@ def reset(
     rest = (
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
         *seen[:9],
-        *(a1, a2, a3, p1, p2, p3, pc),
+        *(a1, a2, a3, p1, p2, p3, pc, scale),
     )
     for i in range(SIZE):
         out[n + i] = rest[i]

@@ -1,0 +1,181 @@
+"""Planar arms of one to three joints, drawn at random and held against multiple precision.
+
+The bases are turned at random or stand within 1e-15 … 1e-3 of an alignment; some tips move parallel to the
+plane, and some contact velocities are small by cancellation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from pinimpact import LAWS, Contact, PinimpactError, Plane, impact
+
+from .reference.arms import Arm
+from .reference.reference import UnsupportedProblemError, solve_reference
+
+EPS = 2.0**-52
+ALLOWED = 8.0
+"""Disagreement over sensitivity that counts as a violation."""
+RESOLVED = 1e-12
+"""An angle that the package need not tell from zero; both answers are then right."""
+ANSWERED = ("SEPARATED", "ENDED_AT_REST", "LOCKED", "NO_IMPACT")
+TRIALS = (4, 60)
+"""How often the sensitivity is measured: for every impact, and for one that would violate without."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """An impact of an arm."""
+
+    kind: str
+    arm: Arm
+    friction: float
+    restitution: float
+    law: str
+
+
+def _rotation(rpy):
+    return pin.rpy.rpyToMatrix(*rpy)
+
+
+def _any(rng, arm, tilt):
+    return arm.rpy, tuple(rng.standard_normal(3))
+
+
+def _upright(rng, arm, tilt):
+    """In a vertical plane, leaning by `tilt`, above a horizontal floor; turned about the vertical or not."""
+    return (np.pi / 2 + tilt, 0.0, float(rng.choice([0.0, rng.uniform(-3, 3)]))), (0.0, 0.0, 1.0)
+
+
+def _parallel(rng, arm, tilt):
+    """The joints' axis along the plane's normal, but for `tilt`."""
+    normal = _rotation(arm.rpy) @ [np.sin(tilt), 0.0, np.cos(tilt)]
+    return arm.rpy, tuple(normal)
+
+
+KINDS = {"any": _any, "upright": _upright, "parallel": _parallel}
+
+
+def draw(rng: np.random.Generator) -> Case:
+    """Draw an impact that approaches."""
+    kind = str(rng.choice(list(KINDS)))
+    joints = int(rng.integers(1, 4))
+    rpy = tuple(rng.uniform(-1.5, 1.5, 3).tolist())
+    tilt = float(rng.choice([-1, 1]) * 10.0 ** rng.uniform(-15, -3)) if rng.random() < 0.7 else 0.0
+    q, v = rng.uniform(-2, 2, joints), rng.standard_normal(joints)
+    arm = Arm(rpy, (0.0, 0.0, 1.0), tuple(q.tolist()), tuple(v.tolist()))
+    rpy, normal = KINDS[kind](rng, arm, tilt)
+    arm = Arm(tuple(map(float, rpy)), tuple(map(float, normal)), arm.q, arm.v)
+    if kind == "upright" and rng.random() < 0.4:
+        if joints == 1:  # the tip straight below the base
+            arm = Arm(arm.rpy, arm.normal, (-np.pi / 2,), arm.v)
+        else:  # the tip comes straight down
+            J = np.array(arm._planar()[0].tolist(), dtype=float)
+            arm = Arm(arm.rpy, arm.normal, arm.q, tuple((np.linalg.pinv(J) @ [0.0, -1.0]).tolist()))
+    elif joints == 3 and rng.random() < 0.4:
+        J = np.array(arm._planar()[0].tolist(), dtype=float)
+        still = np.linalg.svd(J)[2][2]
+        v = still + 10.0 ** rng.uniform(-8, -1) * v
+        arm = Arm(arm.rpy, arm.normal, arm.q, tuple(v.tolist()))
+    if float(arm.contact_problem()[1][2]) > 0:
+        arm = Arm(arm.rpy, arm.normal, arm.q, tuple(-x for x in arm.v))
+    e = float(rng.choice([0.0, 1.0, rng.random()]))
+    return Case(f"{kind}, {tilt:.0e}", arm, float(10.0 ** rng.uniform(-1.5, 1)), e, str(rng.choice(LAWS)))
+
+
+def solve(case: Case):
+    """Return the package's `Hit`."""
+    arm = case.arm
+    model = pin.buildModelFromXML(arm.urdf())
+    contact = Contact("tip", Plane(normal=arm.normal), case.friction, case.restitution, case.law)
+    return impact(model, model.createData(), np.array(arm.q), np.array(arm.v), contact)
+
+
+def perturbed(rng: np.random.Generator, case: Case) -> Case:
+    """The impact after a few roundings of the robot's numbers."""
+
+    def shaken(x):
+        return tuple((np.array(x) + 8 * EPS * rng.uniform(-1, 1, len(x))).tolist())
+
+    arm = case.arm
+    scale = max(abs(x) for x in arm.v)
+    rates = tuple((np.array(arm.v) + 8 * EPS * scale * rng.uniform(-1, 1, len(arm.v))).tolist())
+    changed = Arm(shaken(arm.rpy), shaken(arm.normal), shaken(arm.q), rates)
+    mu = case.friction * (1 + 8 * EPS * rng.uniform(-1, 1))
+    return Case(case.kind, changed, mu, case.restitution, case.law)
+
+
+@dataclass
+class Report:
+    """What a run saw: how many impacts, how many the reference does not cover, and what disagrees."""
+
+    impacts: int = 0
+    uncovered: int = 0
+    refused: int = 0
+    worst: float = 0.0
+    violations: list[tuple[str, Case]] = field(default_factory=list)
+
+
+def check(rng: np.random.Generator, case: Case, report: Report) -> None:
+    """Hold one impact against the reference, and enter what was seen."""
+    report.impacts += 1
+    found = {}
+    try:
+        for aligned in (0.0, RESOLVED):
+            W, v, axes = case.arm.contact_problem(aligned)
+            exact = solve_reference(W, v, case.friction, case.restitution, case.law)
+            found[aligned] = exact, np.array(axes, dtype=float)
+    except UnsupportedProblemError:
+        report.uncovered += 1
+        return
+    answers = [
+        (
+            np.concatenate([np.array(part, dtype=float) @ axes for part in (x.velocity, x.impulse)]),
+            4 * aligned,
+        )
+        for aligned, (x, axes) in found.items()
+        if x.status in ANSWERED
+    ]
+    try:
+        hit = solve(case)
+    except PinimpactError as error:
+        report.refused += 1
+        if len(answers) == len(found):
+            report.violations.append((f"refused: {error}", case))
+        return
+    scale = hit.problem.velocity_scale
+    here = np.concatenate([hit.solution.velocity, hit.solution.impulse])
+
+    def gap(other):
+        size = max(np.abs(here[3:]).max(), np.abs(other[3:]).max(), 1e-300)
+        change = np.abs(here - other)
+        return max(change[:3].max() / scale, change[3:].max() / size)
+
+    off = min((max(gap(other) - slack, 0.0) for other, slack in answers), default=np.inf)
+    sensitivity, trials = 8 * EPS, 0
+    for most in TRIALS:
+        while trials < most and off > ALLOWED * sensitivity:
+            trials += 1
+            try:
+                other = solve(perturbed(rng, case)).solution
+            except PinimpactError:
+                sensitivity = np.inf
+                break
+            sensitivity = max(sensitivity, gap(np.concatenate([other.velocity, other.impulse])))
+    report.worst = max(report.worst, off / sensitivity)
+    if off > ALLOWED * sensitivity:
+        told = [(x.status, x.flags) for x, _ in found.values()]
+        what = f"off by {off:.2g}, sensitivity {sensitivity:.2g}; {told} {hit.solution.flags!r}"
+        report.violations.append((what, case))
+
+
+def run(seed: int, count: int) -> Report:
+    """Check `count` impacts."""
+    report = Report()
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        check(rng, draw(rng), report)
+    return report

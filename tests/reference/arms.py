@@ -1,0 +1,154 @@
+"""Planar arms in multiple precision, from the very numbers of their URDF: W and v unrounded.
+
+An arm of one to three joints with parallel axes hangs on a base that is turned by any angles; its tip meets a
+plane of any normal. Everything is doubles as the package gets them, and everything that follows is formed
+with `mpmath`: rotations, Jacobian, mass matrix. W = FFᵀ and v = Fr have
+exactly the rank that the mechanism has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mpmath as mp
+from mpmath import mpf
+
+MASS, REACH, LENGTH, CENTRE, INERTIA = 1.25, 0.375, 0.5, 0.25, 0.03125
+"""Of each link: mass, distance of the tip and of the next joint, centre of mass, inertia about it."""
+
+_BITS = 80
+"""To so many bits F and r are rounded, so that W and v are exact in the precision of the reference."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm that strikes.
+
+    Attributes:
+        rpy: Roll, pitch and yaw of its base.
+        normal: Of the plane.
+        q, v: One to three angles and rates.
+    """
+
+    rpy: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    q: tuple[float, ...]
+    v: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("rpy", "normal", "q", "v"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    def urdf(self) -> str:
+        """Return the arm as URDF; its last frame is ``tip``."""
+        text = '<robot name="arm"><link name="world"/>'
+        parent, place = "world", f'rpy="{self.rpy[0]!r} {self.rpy[1]!r} {self.rpy[2]!r}" xyz="0 0 0"'
+        for i in range(len(self.q)):
+            text += (
+                f'<link name="link{i}"><inertial><origin xyz="{CENTRE} 0 0"/><mass value="{MASS}"/>'
+                f'<inertia ixx="{INERTIA}" iyy="{INERTIA}" izz="{INERTIA}" ixy="0" ixz="0" iyz="0"/>'
+                f'</inertial></link><joint name="joint{i}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="link{i}"/><origin {place}/><axis xyz="0 0 1"/>'
+                '<limit lower="-9" upper="9" effort="9" velocity="99"/></joint>'
+            )
+            parent, place = f"link{i}", f'xyz="{LENGTH} 0 0"'
+        return text + (
+            f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
+            f'<origin xyz="{REACH} 0 0"/></joint></robot>'
+        )
+
+    def contact_problem(self, aligned: float = 0.0, digits: int = 60) -> tuple[list[list[mpf]], list[mpf]]:
+        """Return W (3, 3) and v (3) in contact axes.
+
+        Args:
+            aligned: Angles up to this one between the arm and the plane or its normal are taken as zero, as
+                they are meant: π/2 is no double. The tangent axes then lie along and across the arm.
+            digits: The precision.
+        """
+        with mp.workdps(digits):
+            plane = _axes(self.normal) * _rotation(self.rpy)[:, 0:2]  # the arm's own axes in contact axes
+            jacobian, mass = self._planar()
+            across = mp.matrix([mp.fsum(r) for r in _cross(plane[:, 0], plane[:, 1])])
+            turn = mp.eye(3)
+            tangential = mp.hypot(across[0], across[1])
+            if tangential < aligned:
+                plane[2, :] = mp.zeros(1, 2)
+            elif abs(across[2]) < aligned:
+                d1, d2 = across[0] / tangential, across[1] / tangential
+                turn = mp.matrix([[d2, -d1, 0], [d1, d2, 0], [0, 0, 1]])
+                plane = turn * plane
+                plane[1, :] = mp.zeros(1, 2)
+            if len(self.q) == 1:
+                plane, rates = _snapped(plane * jacobian, aligned), mp.matrix(self.v)
+                lower = mp.matrix([[1 / mp.sqrt(mass[0, 0])]])
+            else:
+                rates = jacobian * mp.matrix(self.v)
+                lower = mp.cholesky(jacobian * mp.inverse(mass) * jacobian.T)
+            factor, made = (plane * lower).apply(_rounded), mp.lu_solve(lower, rates).apply(_rounded)
+        with mp.workprec(400):
+            return (factor * factor.T).tolist(), list(factor * made), turn.tolist()
+
+    def _planar(self) -> tuple[mp.matrix, mp.matrix]:
+        """Return the (2, n) Jacobian of the tip in the arm's plane, and its mass matrix."""
+        n = len(self.q)
+        angles = [mp.fsum(mpf(x) for x in self.q[: i + 1]) for i in range(n)]
+        along = [mp.matrix([mp.cos(a), mp.sin(a)]) for a in angles]
+        joints = [mp.matrix([0, 0])]
+        for i in range(n - 1):
+            joints.append(joints[i] + mpf(LENGTH) * along[i])
+
+        def jacobian(point: mp.matrix, last: int) -> mp.matrix:
+            columns = [point - joints[j] if j <= last else mp.matrix([0, 0]) for j in range(n)]
+            return mp.matrix([[-r[1] for r in columns], [r[0] for r in columns]])
+
+        mass = mp.zeros(n)
+        for i in range(n):
+            J = jacobian(joints[i] + mpf(CENTRE) * along[i], i)
+            turning = mp.matrix([[1 if j <= i else 0 for j in range(n)]])
+            mass += mpf(MASS) * J.T * J + mpf(INERTIA) * turning.T * turning
+        return jacobian(joints[-1] + mpf(REACH) * along[-1], n - 1), mass
+
+
+def _cross(x: mp.matrix, y: mp.matrix) -> list[tuple[mpf, mpf]]:
+    """Return the terms of x × y."""
+    return [
+        (x[1] * y[2], -x[2] * y[1]),
+        (x[2] * y[0], -x[0] * y[2]),
+        (x[0] * y[1], -x[1] * y[0]),
+    ]
+
+
+def _snapped(x: mp.matrix, angle: float) -> mp.matrix:
+    """Return a vector in contact axes, along the normal or in the plane if it is within an angle of that."""
+    tangential = mp.hypot(x[0], x[1])
+    size = mp.hypot(tangential, x[2])
+    if abs(x[2]) < angle * size:
+        return mp.matrix([x[0], x[1], 0]) * (size / tangential)
+    if tangential < angle * size:
+        return mp.matrix([0, 0, mp.sign(x[2]) * size])
+    return x
+
+
+def _rounded(x: mpf) -> mpf:
+    with mp.workprec(_BITS):
+        return +x
+
+
+def _rotation(rpy: tuple[float, float, float]) -> mp.matrix:
+    """Return R_z(yaw) R_y(pitch) R_x(roll)."""
+    (cr, sr), (cp, sp), (cy, sy) = (mp.cos_sin(mpf(x)) for x in rpy)
+    about_x = mp.matrix([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = mp.matrix([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = mp.matrix([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z * about_y * about_x
+
+
+def _axes(normal: tuple[float, float, float]) -> mp.matrix:
+    """Return t₁, t₂, n as rows: the axes to which the smallest rotation that takes z to n carries x, y, z."""
+    x, y, z = (mpf(c) for c in normal)
+    size = mp.sqrt(x * x + y * y + z * z)
+    x, y, z = x / size, y / size, z / size
+    share = 1 / (1 + z)
+    return mp.matrix(
+        [[1 - x * x * share, -x * y * share, -x], [-x * y * share, 1 - y * y * share, -y], [x, y, z]]
+    )

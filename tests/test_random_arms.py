@@ -1,0 +1,179 @@
+"""Mechanisms that are singular or nearly so as Pinocchio forms them, against their own exact numbers."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import (
+    LAWS,
+    Contact,
+    Flag,
+    ImpactProblem,
+    InputError,
+    Plane,
+    Status,
+    UnstoppableApproachError,
+    impact,
+    solve_impact,
+    solve_impacts,
+)
+
+from . import random_arms
+from .random_arms import Case, Report, check, run, solve
+from .reference.arms import Arm
+from .reference.reference import solve_reference
+
+
+def test_random_arms_agree_with_their_exact_numbers():
+    report = run(5, 15)
+    assert report.impacts == 15
+    assert report.uncovered <= 2
+    assert [what for what, _ in report.violations] == []
+
+
+def test_the_run_notices_a_wrong_arm(monkeypatch):
+    """A friction that is wrong by 1e-7 is a violation."""
+    arm = Arm((0.3, 0.7, -1.2), (0.2, 0.5, 0.7), (0.3, 0.8, -0.4), (1.0, -0.5, 0.2))
+    arm = (
+        arm if float(arm.contact_problem()[1][2]) < 0 else Arm(arm.rpy, arm.normal, arm.q, (-1.0, 0.5, -0.2))
+    )
+    case = Case("any", arm, 0.3, 0.5, "poisson")
+    for factor, violations in ((1.0, 0), (1.0 + 1e-7, 1)):
+        report = Report()
+        monkeypatch.setattr(
+            random_arms, "solve", lambda c, f=factor: solve(dataclasses.replace(c, friction=c.friction * f))
+        )
+        check(np.random.default_rng(0), case, report)
+        assert len(report.violations) == violations
+
+
+def _tip_beside_the_plane(rng, joints):
+    """An arm, its base turned at random, whose tip can only move parallel to the plane."""
+    rpy = rng.uniform(-3, 3, 3)
+    normal = pin.rpy.rpyToMatrix(*rpy)[:, 2]
+    return Arm(
+        tuple(rpy), tuple(normal), tuple(rng.uniform(-2, 2, joints)), tuple(rng.standard_normal(joints))
+    )
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("joints", [1, 2, 3])
+def test_motion_parallel_to_the_plane_is_no_impact(joints, law):
+    rng = np.random.default_rng(joints)
+    for _ in range(20):
+        arm = _tip_beside_the_plane(rng, joints)
+        hit = solve(Case("parallel", arm, 0.3, 0.5, law))
+        assert hit.solution.status == Status.NO_IMPACT
+        assert hit.v.tolist() == list(arm.v)
+
+
+def test_an_approach_that_a_parallel_motion_cannot_stop_is_still_refused():
+    arm = _tip_beside_the_plane(np.random.default_rng(0), 2)
+    model = pin.buildModelFromXML(arm.urdf())
+    plane = Plane(normal=arm.normal, velocity=tuple(1e-9 * np.array(arm.normal)))
+    with pytest.raises(UnstoppableApproachError, match="no normal impulse can stop"):
+        impact(model, model.createData(), np.array(arm.q), np.array(arm.v), Contact("tip", plane, 0.3, 0.5))
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+def test_no_impulse_across_the_plane_of_an_arm_out_of_noise(joints):
+    """The tip comes straight down, its v_t is some 1e-17: what the mechanism cannot feel is zero."""
+    rng = np.random.default_rng(joints)
+    for yaw in rng.uniform(-3, 3, 20):
+        q = rng.uniform(0.3, 2.0, joints)
+        arm = Arm((np.pi / 2, 0.0, yaw), (0.0, 0.0, 1.0), tuple(q), (0.0,) * joints)
+        J = np.array(arm._planar()[0].tolist(), dtype=float)
+        arm = Arm(arm.rpy, arm.normal, arm.q, tuple(np.linalg.pinv(J) @ [0.0, -1.0]))
+        hit = solve(Case("upright", arm, 1.5, 0.5, "poisson"))
+        across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+        assert np.abs(hit.problem.velocity[:2]).max() < 3e-15
+        assert abs(hit.impulse_world @ across) <= 1e-14 * hit.impulse_world[2]
+
+
+CANCELLED = ImpactProblem(
+    [
+        [0.003631707486929861, -0.00936539822372787, -0.0041241163159054794],
+        [-0.00936539822372787, 0.02415136246646152, 0.010635215462267282],
+        [-0.0041241163159054794, 0.010635215462267282, 0.004683288907030377],
+    ],
+    (6.553959486511713e-07, -1.690126221736247e-06, -7.442584885864878e-07),
+    193.57780565863237,
+    0.0,
+    "energetic",
+)
+
+
+def test_a_velocity_small_by_cancellation_is_not_refused():
+    solution = solve_impact(CANCELLED)
+    assert solution.velocity.tolist() == [0.0, 0.0, 0.0]
+    assert np.abs(solution.impulse).max() < 1e-4
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("scale", [True, False])
+def test_velocities_that_w_made_never_end_in_quotients_of_roundings(scale, law):
+    """v = W r, of rank one, as a matrix product rounds it; some of it small by cancellation."""
+    rng = np.random.default_rng(3)
+    X = rng.standard_normal((50_000, 3, 1))
+    W = X @ X.transpose(0, 2, 1)
+    r = rng.standard_normal((50_000, 3))
+    v = np.einsum("nij,nj->ni", W, r)
+    v[v[:, 2] > 0] *= -1
+    sizes = np.einsum("nij,nj->n", np.abs(W), np.abs(r))
+    mu, e = 10 ** rng.uniform(-1.5, 2.5, len(v)), rng.random(len(v))
+    batch = solve_impacts(W, v, mu, e, law, velocity_scale=sizes if scale else None)
+    assert (batch.status <= Status.LOCKED).all()
+    # an impact of rank one ends in slip or stick along the one direction there is
+    u = X[:, :, 0]
+    made = np.abs(np.sum(u * batch.velocity, axis=1) - np.sum(u * v, axis=1)) / np.sum(u * u, axis=1)
+    assert np.abs(np.sum(u * batch.impulse, axis=1)) == pytest.approx(made, rel=1e-9, abs=1e-12)
+    c = W[:, 2, 2]
+    assert (np.abs(batch.impulse[:, 2]) * c <= 1e6 * np.abs(v).max(axis=1)).all()
+
+
+NEARLY_PLANAR = ImpactProblem(
+    [
+        [2.0029409218408483, -3.039812777756059e-12, 0.6203699546440935],
+        [-3.039812777756059e-12, 5.0461925204740406e-24, -1.0298352082600083e-12],
+        [0.6203699546440935, -1.0298352082600083e-12, 0.2101704506653078],
+    ],
+    (-0.9901205183766008, 1.7998771973194827e-12, -0.3673218770039761),
+    1.123977948132712,
+    0.21721067982942144,
+    "energetic",
+)
+
+
+def test_a_nearly_planar_mechanism_keeps_its_digits():
+    solution = solve_impact(NEARLY_PLANAR)
+    p = NEARLY_PLANAR
+    exact = solve_reference(p.delassus, p.velocity, p.friction, p.restitution, p.law)
+    assert solution.impulse == pytest.approx([float(x) for x in exact.impulse], rel=1e-12)
+    assert solution.velocity == pytest.approx([float(x) for x in exact.velocity], rel=1e-11, abs=1e-24)
+    assert Flag.SLIP_RESUMED in solution.flags
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 1e-5, 1e-7, 1e-9, 4.9e-12])
+def test_tilted_arms_creep_as_their_exact_numbers_say(tilt):
+    """The plane of the arm leans by `tilt`: v_t never quite vanishes, and friction turns sideways."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        arm = Arm((np.pi / 2 + tilt, 0.0, 0.0), (0.0, 0.0, 1.0), tuple(rng.uniform(0.3, 1.8, 2)), (1.0, -2.0))
+        W, v, _ = arm.contact_problem()
+        if v[2] > 0:
+            arm = Arm(arm.rpy, arm.normal, arm.q, (-1.0, 2.0))
+            W, v, _ = arm.contact_problem()
+        exact = solve_reference(W, v, 0.8, 0.5, "poisson")
+        hit = solve(Case("tilted", arm, 0.8, 0.5, "poisson"))
+        size = float(exact.impulse[2])
+        error = np.abs(hit.solution.impulse - [float(x) for x in exact.impulse]).max() / size
+        assert error <= 1e-12 + 4e-15 / tilt  # one rounding of the base angle is 2e-16 of the tilt
+
+
+@pytest.mark.parametrize("scale", [-1.0, np.nan, "fast"])
+def test_the_scale_of_the_velocity_is_checked(scale):
+    with pytest.raises(InputError, match="velocity_scale") as caught:
+        solve_impact(ImpactProblem(np.eye(3), (1, 0, -1), 0.3, 0.5, velocity_scale=scale))
+    assert caught.value.field == "velocity_scale"
