@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inlined, inner
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS
@@ -227,14 +227,8 @@ def _graded(w11, w12, w13, w22, w23, w33):
 
 
 @inner
-def classify(w11, w12, w13, w22, w23, w33):
-    """Decide the rank of W, clean it, and return its `Delassus`. (theory.md, 6)"""
-    # det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
-    trace = w11 + w22 + w33
-    det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
-    if det > 0.0 and det > 1e-12 * trace * trace * trace:
-        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
-
+def _nearly_singular(w11, w12, w13, w22, w23, w33):
+    """Classify a W that its determinant does not clear, by eigenvalues."""
     smallest, largest = min(w11, w22, w33), max(w11, w22, w33)
     if ZERO * ZERO * largest < smallest < GRADED * largest:
         decided, found = _graded(w11, w12, w13, w22, w23, w33)
@@ -296,3 +290,15 @@ def classify(w11, w12, w13, w22, w23, w33):
         np.int64(0), *(nought, nought, nought, nought, nought, nought, nought, nought, nought, l1, one),
         *(nought, nought, one),
     )  # fmt: skip
+
+
+@inlined
+def classify(w11, w12, w13, w22, w23, w33):
+    """Decide the rank of W, clean it, and return its `Delassus`. (theory.md, 6)"""
+    # det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
+    trace = w11 + w22 + w33
+    det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
+    if det > 0.0 and det > 1e-12 * trace * trace * trace:
+        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
+
+    return _nearly_singular(w11, w12, w13, w22, w23, w33)

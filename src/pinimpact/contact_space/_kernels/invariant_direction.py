@@ -52,7 +52,9 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     d1, d2 = s1 * cos - s2 * sin, s2 * cos + s1 * sin
     al, ax, ap, bl, bp = in_frame(a11, a12, a22, b1, b2, d1, d2)
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
-    m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, bl, 0.0, 0.0)
+    terms = 1.0
+    if weak > 0:
+        m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, bl, 0.0, 0.0)
     t = -root
     inv = 1.0 / p1
     exponent = 2.0 * m0 * inv

@@ -181,9 +181,11 @@ def slip_course(problem, units, state, fresh):
         turn = 0.0 if problem.planar else bp - ax
         doubt = abs(bp) + abs(ax)
     t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
-    m0, terms = along_slip(
-        units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, bl, turn, doubt
-    )
+    terms = 1.0
+    if units.weak > 0:
+        m0, terms = along_slip(
+            units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, bl, turn, doubt
+        )
     bl *= units.omega
     bp *= units.omega
     rate = problem.c - mu * bl

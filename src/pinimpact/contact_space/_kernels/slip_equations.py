@@ -94,21 +94,20 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
     creep. All terms of m₀ = (w·(b − μAσ) − p₀ w·σ⊥)/w·σ are small there.
 
     Args:
-        weak: 1 or 2: the weak axis; 0: none.
+        weak: 1 or 2: the weak axis.
         a11 … b2: μA/ω and b/ω.
         al, bl: A∥ and b∥.
         turn: p₀,
         doubt: and the size of the terms that it was summed from, if it was not carried here.
     """
-    if weak > 0:
-        rest, terms = b1 - (a11 * s1 + a12 * s2), abs(b1) + abs(a11 * s1) + abs(a12 * s2)
-        part, turned, cross = s1, -turn * s2, s2
-        if weak == 2:
-            rest, terms = b2 - (a12 * s1 + a22 * s2), abs(b2) + abs(a12 * s1) + abs(a22 * s2)
-            part, turned, cross = s2, turn * s1, s1
-        terms += abs(turned) + abs(doubt * cross) + abs(bl - al)  # the last for the rounding of w·σ
-        if terms < abs(part) * (abs(bl) + abs(al)):
-            return (rest - turned) / part, terms / abs(part)
+    rest, terms = b1 - (a11 * s1 + a12 * s2), abs(b1) + abs(a11 * s1) + abs(a12 * s2)
+    part, turned, cross = s1, -turn * s2, s2
+    if weak == 2:
+        rest, terms = b2 - (a12 * s1 + a22 * s2), abs(b2) + abs(a12 * s1) + abs(a22 * s2)
+        part, turned, cross = s2, turn * s1, s1
+    terms += abs(turned) + abs(doubt * cross) + abs(bl - al)  # the last for the rounding of w·σ
+    if terms < abs(part) * (abs(bl) + abs(al)):
+        return (rest - turned) / part, terms / abs(part)
     return bl - al, 1.0
 
 
