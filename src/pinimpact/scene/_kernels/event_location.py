@@ -152,7 +152,8 @@ def search_for_fall(value):
                 value_then = later_value[depth]
                 part = (later[depth] - time) / width
                 bulge = second * part * part
-                splits = part > SHORTEST and depth < DEPTH
+                middle = time + 0.5 * (later[depth] - time)
+                splits = part > SHORTEST and depth < DEPTH and time < middle < later[depth]
                 if value_then < -floor:
                     if value_now > 0.0:
                         return root(work, i, time, later[depth], value_now, value_then)
@@ -161,8 +162,8 @@ def search_for_fall(value):
                 rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
                 if splits and not (min(value_now, value_then) > bulge or rises_clear):
                     depth += 1
-                    later[depth] = time + 0.5 * (later[depth - 1] - time)
-                    later_value[depth] = value_at(work, i, later[depth])[0]
+                    later[depth] = middle
+                    later_value[depth] = value_at(work, i, middle)[0]
                     continue
                 time, value_now = later[depth], max(value_then, 0.0)
                 depth -= 1
