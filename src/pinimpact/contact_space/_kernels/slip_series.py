@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
 from .slip_equations import TERMS, Shape, moments, within_reach
 
@@ -131,7 +131,7 @@ def invariant_moments(coefficients, reciprocals, exponent, span):
     return y, value, n0, n1, n2, n3, n4
 
 
-@inner
+@inlined
 def point(series, x):
     """Return the state at x. (3.12), (4.5)
 
@@ -163,7 +163,7 @@ def point(series, x):
     return normal, along, across, dv3, factor * value * fall * chord, t, unit * value * chord * chord, bend
 
 
-@inner
+@inlined
 def works(series, x):
     """Integrate the normal work and the friction work over (0, x) by Gauss quadrature. (3.14)"""
     mu, v3, speed = series.mu, series.v3, series.speed
@@ -192,7 +192,7 @@ def works(series, x):
     return normal_work, friction_work
 
 
-@inner
+@inlined
 def measure(series, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
     mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
