@@ -128,16 +128,17 @@ def test_a_dip_of_a_thousandth_of_the_step_is_found(dynamics):
     sign=st.sampled_from([-1.0, 1.0]),
 )
 def test_a_reversal_is_where_the_velocity_vanishes(dynamics, start, slopes, sign):
-    """Told from the ends of the step, and located to rounding and not before."""
+    """The first one in the step, also where the velocity has its old sign again at the end; to rounding."""
     work = dynamics.work
     speed = sign * Polynomial([start, *slopes])
     take_step(work, speed.integ() * H)
     work.sliding_friction[:] = [0.0, 0.0, sign]
     time, which = first_reversal(work, START + H)
-    if sign * speed(1.0) > 1e-12:
+    lowest = (sign * speed)(np.linspace(0.0, 1.0, 100_001)).min()
+    if lowest > 1e-9:
         assert time == math.inf
         return
-    if sign * speed(1.0) > -1e-9:
+    if lowest > -1e-6:  # a reversal as deep as the tolerance may be none
         return
     assert which == 2
     assert START < time <= START + H

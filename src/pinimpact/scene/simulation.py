@@ -126,6 +126,7 @@ class _Run:
         self.state = SimulationState(scene, model, self.data, q, v)
         self.dynamics = self.state.dynamics
         self.work = self.dynamics.work
+        self.work.rtol, self.work.atol = rtol, atol
         self.rtol, self.atol = rtol, atol
         self.largest_drift = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()

@@ -15,6 +15,17 @@ from ..._numeric.jit import inner
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 
+PARTS = 8
+"""Parts of a step at which a function without a bound is sampled."""
+
+DEPTH = 10
+"""How often they are halved."""
+
+SHORTEST = 1.5 * 0.5**DEPTH
+
+CURVED = 1.5
+"""Factor on the curvature that the samples of such a function show."""
+
 
 def sampled(value):
     """Return the kernel value_at(work, i, t): a function and its rate at a time within the step."""
@@ -106,6 +117,59 @@ def search_for_closing(value):
         return math.inf
 
     return first_closing
+
+
+def search_for_fall(value):
+    """Return the kernel that finds where a function first falls below zero."""
+    value_at, root = sampled(value), search_for_root(value)
+
+    @inner
+    def first_fall(work, i, end, floor):
+        """Return the first time until `end` at which a function falls below −floor; infinite if it does not.
+
+        The function is sampled, and where its curvature leaves room for a dip between two samples it is
+        sampled again, down to 2⁻¹⁰ of the step's parts. A function that starts from zero and falls has fallen
+        at the start.
+        """
+        start = work.step_start
+        width = (end - start) / PARTS
+        if not width > 0.0:
+            return math.inf
+        values = np.empty(PARTS + 1)
+        for k in range(PARTS + 1):
+            values[k] = value_at(work, i, end if k == PARTS else start + k * width)[0]
+        second = 0.0
+        for k in range(1, PARTS):
+            second = max(second, abs(values[k - 1] - 2.0 * values[k] + values[k + 1]))
+        second *= 0.125 * CURVED
+        later, later_value = np.empty(DEPTH + 1), np.empty(DEPTH + 1)
+        for k in range(PARTS):
+            time, value_now = start + k * width, max(values[k], 0.0)
+            later[0] = end if k == PARTS - 1 else time + width
+            later_value[0] = values[k + 1]
+            depth = 0
+            while depth >= 0:
+                value_then = later_value[depth]
+                part = (later[depth] - time) / width
+                bulge = second * part * part
+                middle = time + 0.5 * (later[depth] - time)
+                splits = part > SHORTEST and depth < DEPTH and time < middle < later[depth]
+                if value_then < -floor:
+                    if value_now > 0.0:
+                        return root(work, i, time, later[depth], value_now, value_then)
+                    if not splits:
+                        return time
+                rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
+                if splits and not (min(value_now, value_then) > bulge or rises_clear):
+                    depth += 1
+                    later[depth] = middle
+                    later_value[depth] = value_at(work, i, middle)[0]
+                    continue
+                time, value_now = later[depth], max(value_then, 0.0)
+                depth -= 1
+        return math.inf
+
+    return first_fall
 
 
 def search_for_root(value):

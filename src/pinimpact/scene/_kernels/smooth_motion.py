@@ -49,6 +49,8 @@ def begin(work, t, q, v):
     for m in range(n):
         rates[0, m] = v[m]
     evaluate(work, t, rates[0, n:])
+    for m in range(n):
+        work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     turn_references(work, work.contact_velocity)
     work.slip_stiffness = stiffness_of_slip(work)
     work.previous_length = 0.0

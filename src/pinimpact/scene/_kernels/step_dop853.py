@@ -17,7 +17,8 @@ def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it turns too far."""
     rates, v0, v1 = work.stage_rates, work.v0, work.v1
     work.least_force_margin = math.inf
-    n = len(v0)
+    reactions = work.stage_reactions
+    n, closed = len(v0), work.closed_contacts + work.closed_scalars > 0
     for i in range(1, STAGES + 1):
         set_stage(work, i, h)
         if i == STAGES:
@@ -28,9 +29,38 @@ def attempt(work, t, h, rtol, atol):
         evaluate(work, t + NODES[i] * h, rates[i, n:])
         if work.callback_failed:
             return math.inf
+        if closed:
+            for m in range(n):
+                reactions[i, m] = rates[i, n + m] - work.acceleration[m]
     magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
     error = error_norm(h, rates[: STAGES + 1], v0, v1, work.tolerance_sizes, rtol, atol)
+    if closed:
+        error = max(error, reaction_error(h, reactions, v0, v1, rtol, atol))
     return error if error == error else math.inf
+
+
+@inner
+def reaction_error(h, reactions, v0, v1, rtol, atol):
+    """Return the error over the tolerance of the velocity that what is closed takes away in the step.
+
+    What rests does not move whatever pulls at it, so the error of the motion does not see a load that the
+    step is too long for; that of the reactions does.
+    """
+    n = len(v0)
+    e3 = e5 = 0.0
+    for m in range(n):
+        a = b = largest = 0.0
+        for j in range(STAGES + 1):
+            largest = max(largest, abs(reactions[j, m]))
+            if j < ERROR.shape[1]:
+                a += ERROR[0, j] * reactions[j, m]
+                b += ERROR[1, j] * reactions[j, m]
+        scale = 1.0 / (atol + rtol * max(abs(v0[m]), abs(v1[m]), abs(h) * largest))
+        e3 += (a * scale) ** 2
+        e5 += (b * scale) ** 2
+    if e3 == 0.0 and e5 == 0.0:
+        return 0.0
+    return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
 
 
 @separate
@@ -102,3 +132,4 @@ def begin_next(work):
     assign(rates[0], rates[STAGES])
     for m in range(len(v0)):
         rates[0, m] = v0[m]
+        work.stage_reactions[0, m] = work.stage_reactions[STAGES, m]

@@ -109,6 +109,8 @@ def attempt(work, t, h, rtol, atol):
     else:  # where slip is slow, friction goes on in the direction that was found
         set_state(work, work.q1, work.v1)
         evaluate(work, t + h, work.stage_rates[LAST, len(work.v1) :])
+        for m in range(len(work.v1)):
+            work.stage_reactions[LAST, m] = work.stage_rates[LAST, len(work.v1) + m] - work.acceleration[m]
         complete(work, h)
     return error
 

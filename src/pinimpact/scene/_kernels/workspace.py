@@ -89,6 +89,7 @@ class SceneWorkspace(Workspace):
     system = reals("closed_rows", "closed_rows", meaning="equations of the forces")
     target = reals("closed_rows", meaning="their right-hand side")
     solution = reals("closed_rows", meaning="their solution")
+    stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     contact_force = reals("closed_contacts", 3, meaning="in contact axes [N]")
     scalar_force = reals("closed_scalars", meaning="[N or N m]")
     force_margin = real("by how much the forces keep to their laws; below 0 the modes do not hold [N]")
@@ -107,6 +108,8 @@ class SceneWorkspace(Workspace):
     force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
 
     # the step under way
+    rtol = real("relative tolerance of a step")
+    atol = real("absolute tolerance of a step")
     joint_charts = integers("charts", 4, meaning="table of the configuration space, see `lie_charts`")
     q0 = reals("nq", meaning="configuration at the start")
     v0 = reals("nv", meaning="velocity at the start")

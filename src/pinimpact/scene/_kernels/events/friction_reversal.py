@@ -5,30 +5,34 @@ from __future__ import annotations
 import math
 
 from ...._numeric.jit import inner, separate
-from ..event_location import search_for_root
+from ..event_location import search_for_fall
 from .consequences import MODE_CHANGE
+from .gap import SAFETY
 
 CONSEQUENCE = MODE_CHANGE
+
+ROUNDING = 1e-12
+"""A reversal slower than this [rad/s or m/s] is none."""
 
 
 @inner
 def value(work, j, t):
-    """Return the joint's velocity at the state that is set."""
-    return work.v[j], 0.0
+    """Return the joint's velocity against its dry friction at the state that is set."""
+    return math.copysign(work.v[j], work.v[j] * work.sliding_friction[j]), 0.0
 
 
-root = search_for_root(value)
+first_fall = search_for_fall(value)
 
 
 @separate
 def first(work, end):
     """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""
-    sliding, v0, v1 = work.sliding_friction, work.v0, work.v1
-    start, last = work.step_start, work.step_start + work.step_length
+    sliding, v0, slowest, change = work.sliding_friction, work.v0, work.rate_bounds[1], work.step_length
     time, which = math.inf, 0
     for j in range(len(v0)):
-        if sliding[j] * v1[j] < -1e-12 * abs(sliding[j]) and sliding[j] * v0[j] > 0.0:
-            found = root(work, j, start, last, v0[j], v1[j])
+        if sliding[j] != 0.0 and not abs(v0[j]) > SAFETY * change * slowest[j]:
+            speed = max(abs(v0[j]), abs(work.v1[j]))
+            found = first_fall(work, j, end, max(ROUNDING, work.atol + work.rtol * speed))
             if found < end:
                 time, end, which = found, found, j
     return time, which
