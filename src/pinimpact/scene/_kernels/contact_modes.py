@@ -130,7 +130,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         if j < work.limits:
             closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
             stopped[a] = closed
-        elif abs(free[a]) > pace:
+        elif abs(free[a]) > pace:  # a force at its bound holds what it does not let move
             stopped[a] = False
             breaking[scalars[m]] = strength[m]
             v[scalars[m]] = 0.0
