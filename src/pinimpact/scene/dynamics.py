@@ -203,9 +203,9 @@ class SceneDynamics:
         self.check()
         return float(energy)
 
-    def stop_jammed_slip(self, t: float, q: Array, v: Array, certain: bool) -> bool:
-        """Stop contacts whose forces grow without bound, changing v; return whether there are any."""
-        jammed = jamming.stop_jammed_slip(self.work, t, q, v, certain)
+    def stop_jammed_slip(self, t: float, q: Array, v: Array, without_forces: bool) -> bool:
+        """Stop contacts whose forces grow without bound, see the kernel; return whether there are any."""
+        jammed = jamming.stop_jammed_slip(self.work, t, q, v, without_forces)
         self.check()
         return bool(jammed)
 

@@ -252,8 +252,6 @@ class _Run:
         if self.steps - self.last_progress[0] > MAX_STALLED:
             if t - self.last_progress[1] > STALLED * min(1.0, self.duration):
                 self.last_progress = self.steps, t
-            elif self._stop_slip():
-                return self.dynamics.first_length(self.rtol, self.atol)
             else:
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -266,8 +264,6 @@ class _Run:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                if self._stop_slip():
-                    return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
@@ -322,17 +318,6 @@ class _Run:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
-    def _stop_slip(self) -> bool:
-        """Stop all slip where the motion does not go on; return False if nothing slips."""
-        if not self.state.stop_jammed_slip(certain=True):
-            return False
-        self.last_progress = self.steps, self.state.t
-        self.jams += 1
-        self._settle()
-        self._begin_motion()
-        self._sample()
-        return True
-
     def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
         """End a step at an event of the user's."""
         state = self.state
@@ -373,7 +358,7 @@ class _Run:
         if self.work.end_drift > self.largest_drift:
             state.correct_drift()
         if arriving is None:
-            state.stop_jammed_slip(certain=False)
+            state.stop_jammed_slip()
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         self._settle(arriving)
         if bounded and self.work.force_bound_ignored:
@@ -392,7 +377,7 @@ class _Run:
         before = len(impacts)
         self.state.settle(arriving)
         for _ in range(JAMS):
-            if not self.state.stop_jammed_slip(certain=False):
+            if not self.state.stop_jammed_slip():
                 break
             self.jams += 1
             self.state.settle()

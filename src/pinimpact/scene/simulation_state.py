@@ -89,6 +89,7 @@ class SimulationState:
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
 
+        self._forces_found = True
         self.impact_energy = 0.0
         self.impacts: list[ImpactRecord] = []
         self.notes: list[Note] = []
@@ -180,14 +181,10 @@ class SimulationState:
         self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
         self.v = v
 
-    def stop_jammed_slip(self, certain: bool) -> bool:
-        """Stop contacts that jam, an impact without collision; return whether there are any.
-
-        Args:
-            certain: Whether the motion is known to end here, so that any slip is stopped.
-        """
+    def stop_jammed_slip(self) -> bool:
+        """Stop contacts that jam, an impact without collision; return whether there are any."""
         v = self.v.copy()
-        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, certain):
+        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, not self._forces_found):
             return False
         modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
         slipping = ", ".join(name for name, mode in modes if mode == SLIP)
@@ -206,6 +203,7 @@ class SimulationState:
         self.impact_energy += energy
         if jammed >= 0:
             return jammed
+        self._forces_found = converged
         if not converged:
             self.note("The forces of the closed contacts were not found to the usual accuracy.")
         same = bool((work.modes == before).all())

@@ -30,6 +30,13 @@ ACCURACY = 1e-10
 """How far forces may be from Coulomb's law, in parts of the largest acceleration."""
 
 
+ROUNDS = 4
+"""How often modes are found anew, for what closes takes velocity away, and slip may then go another way."""
+
+NOTHING = 1e-3
+"""Part of the speed of sticking that takes no slip another way."""
+
+
 @jit
 def set_modes(work, t, q, v, slow):
     """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `find_modes`."""
@@ -46,9 +53,19 @@ def set_modes(work, t, q, v, slow):
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
     jamming, converged, energy = -1, True, 0.0
     if len(nonzero(candidates)) > 0:
-        jamming, converged, energy = find_modes(work, t, q, v, candidates, modes, reference, breaking)
-        if jamming >= 0 or work.callback_failed:
-            return jamming, converged, energy
+        slips, stopped = True, math.inf
+        for _ in range(ROUNDS):
+            if not (slips and stopped > NOTHING * work.stick_speed):
+                break
+            jamming, converged, gained, stopped = find_modes(
+                work, t, q, v, candidates, modes, reference, breaking
+            )
+            energy += gained
+            if jamming >= 0 or work.callback_failed:
+                return jamming, converged, energy
+            slips = False
+            for mode in modes[: work.contacts]:
+                slips |= mode == SLIP
     for j in range(n):
         if breaking[j] != 0.0:
             sliding[j] = -math.copysign(dry[j], breaking[j])
@@ -73,7 +90,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
-        found to the usual accuracy; the kinetic energy gained.
+        found to the usual accuracy; the kinetic energy gained; the fastest speed that was taken away.
     """
     for i in range(len(modes)):
         modes[i] = FREE
@@ -88,7 +105,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
     if work.callback_failed or not invert_mass_matrix(work):
-        return -1, True, 0.0
+        return -1, True, 0.0, 0.0
     rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
     velocity, free = np.empty((nc, 3)), np.empty(size)
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
@@ -120,7 +137,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                     strength[a - 3 * nc] = both[a]
     if jamming >= 0:
         b = 3 * jamming + 2
-        return contacts[jamming], True, stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
+        gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
+        return contacts[jamming], True, gained, 0.0
     stopped = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
     pace = resulting_accelerations(delassus, free, force, strength)
     modes_of_contacts(work, contacts, velocity, slip, mu, held, force, free, pace, stopped, modes, reference)
@@ -135,14 +153,15 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             breaking[scalars[m]] = strength[m]
             v[scalars[m]] = 0.0
         modes[work.contacts + j] = 1 if stopped[a] else 0
-    taken = 0
+    taken, fastest = 0, 0.0
     speeds = np.empty(size)
     for a in range(size):
         if stopped[a]:
             speeds[taken] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
+            fastest = max(fastest, abs(speeds[taken]))
             assign(rows[taken], rows[a])
             taken += 1
-    return -1, converged, stop_along(rows[:taken], speeds[:taken], work.minverse, v)
+    return -1, converged, stop_along(rows[:taken], speeds[:taken], work.minverse, v), fastest
 
 
 @inner
@@ -218,7 +237,7 @@ def modes_of_contacts(
             stopped[b] = stopped[b + 1] = True
             continue
         modes[i] = SLIP
-        if speed == 0.0 and before[i] != SLIP:  # slip begins from rest
+        if speed == 0.0:  # slip begins from rest
             stopped[b] = stopped[b + 1] = True
         reference[i, 0] = 1.0
         if speed > 0.0:

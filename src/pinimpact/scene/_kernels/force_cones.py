@@ -24,6 +24,12 @@ OUTER = 60
 POLISH = 8
 """Steps of Newton's method after one."""
 
+STEADY = 0.9
+"""Cosine of two changes of s from which on they go the same way: past where a solution has just ceased to
+exist they are small and many, so each is taken twice as far as the one before."""
+
+LONGEST = 1e12
+
 
 @separate
 def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations, scale_a, scale_f):
@@ -149,6 +155,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 line += 1
     f, a_now = np.zeros(size), np.empty(size)
     corrected = np.zeros(size)  # what is added to the free accelerations
+    lifts, changes, stretch = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
     worst = math.inf
     for outer in range(OUTER):
         for k in range(n):
@@ -178,13 +185,24 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             for a in range(size):
                 x[a] = f[a] * scale_f[a]
             worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        along = new = old = 0.0
+        for i in range(nc):
+            if at_rest[i] and not held[i]:
+                b = 3 * i
+                lift = mu[i] * math.hypot(a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b + 1])
+                change = lift - lifts[i]
+                along += change * changes[i]
+                new, old = new + change**2, old + changes[i] ** 2
+                changes[i] = change
+        stretch = min(2.0 * stretch, LONGEST) if along > STEADY * math.sqrt(new * old) else 1.0
         for a in range(size):
             corrected[a] = 0.0
         for i in range(nc):
             b = 3 * i
-            if at_rest[i] and not held[i]:
-                corrected[b + 2] += mu[i] * math.hypot(a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b + 1])
-            elif not at_rest[i]:
+            if at_rest[i]:
+                lifts[i] = max(0.0, lifts[i] + stretch * changes[i])
+                corrected[b + 2] += lifts[i]
+            else:
                 for a in range(size):
                     corrected[a] += w[a, b] * f[b] + w[a, b + 1] * f[b + 1]
     return worst

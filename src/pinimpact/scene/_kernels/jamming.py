@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..._numeric.jit import jit
@@ -14,7 +16,7 @@ SINGULAR = 1e-5
 
 
 @jit
-def stop_jammed_slip(work, t, q, v, certain):
+def stop_jammed_slip(work, t, q, v, without_forces):
     """Stop all slip where contacts that slip drive the surface in until their forces have no bound.
 
     Args:
@@ -22,7 +24,8 @@ def stop_jammed_slip(work, t, q, v, certain):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what the closed contacts take away of it.
-        certain: Whether this is known to be such a place, so that any slip is stopped.
+        without_forces: Whether no forces were found for the modes; where the determinant of their equations
+            has changed its sign there are none.
 
     Returns:
         Whether slip was stopped; else v is as it was.
@@ -52,7 +55,8 @@ def stop_jammed_slip(work, t, q, v, certain):
             total += part
             whole = max(whole, abs(part))
         left = max(left, abs(total))
-    if not certain and not left < SINGULAR * whole:
+    impossible = without_forces and work.force_margin == -math.inf
+    if not impossible and not left < SINGULAR * whole:
         return False
     stop_along(rows, speeds, minverse, v)
     return True
