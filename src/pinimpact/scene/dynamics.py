@@ -203,9 +203,9 @@ class SceneDynamics:
         self.check()
         return float(energy)
 
-    def stop_jammed_slip(self, t: float, q: Array, v: Array, without_forces: bool) -> bool:
+    def stop_jammed_slip(self, t: float, q: Array, v: Array, without_forces: bool, singular: float) -> bool:
         """Stop contacts whose forces grow without bound, see the kernel; return whether there are any."""
-        jammed = jamming.stop_jammed_slip(self.work, t, q, v, without_forces)
+        jammed = jamming.stop_jammed_slip(self.work, t, q, v, without_forces, singular)
         self.check()
         return bool(jammed)
 
@@ -288,7 +288,7 @@ def _compile(work: SceneWorkspace) -> None:
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),
-        (jamming.stop_jammed_slip, work, 0.0, q, v, True),
+        (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
         (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
     )

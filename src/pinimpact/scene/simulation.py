@@ -36,6 +36,9 @@ MAX_STALLED = 200
 JAMS = 3
 """How often slip that a jam has stopped may begin again at one instant before it is left to begin."""
 
+NEARLY_SINGULAR = 1e-3
+"""The part to which the effects of forces cancel where their growth lets no step be short enough."""
+
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -237,7 +240,7 @@ class _Run:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
         error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
-        work.direction_speed = min(CERTAIN * error, work.stick_speed)
+        work.direction_speed = min(CERTAIN * error, 1e-3 * work.stick_speed)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored &= self.dynamics.forces_doubtful
@@ -252,6 +255,8 @@ class _Run:
         if self.steps - self.last_progress[0] > MAX_STALLED:
             if t - self.last_progress[1] > STALLED * min(1.0, self.duration):
                 self.last_progress = self.steps, t
+            elif self._stop_jam():
+                return self.dynamics.first_length(self.rtol, self.atol)
             else:
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -264,6 +269,8 @@ class _Run:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
+                if self._stop_jam():
+                    return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
@@ -317,6 +324,17 @@ class _Run:
         if event.CONSEQUENCE != ARRIVAL:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
+
+    def _stop_jam(self) -> bool:
+        """Stop slip whose forces have grown until no step is short enough; return False if there is none."""
+        if not self.state.stop_jammed_slip(NEARLY_SINGULAR):
+            return False
+        self.last_progress = self.steps, self.state.t
+        self.jams += 1
+        self._settle()
+        self._begin_motion()
+        self._sample()
+        return True
 
     def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
         """End a step at an event of the user's."""

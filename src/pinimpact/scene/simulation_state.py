@@ -35,6 +35,9 @@ STICK_FRACTION = 0.1
 LEAST_APPROACH_FRACTION = 1e-9
 """An approach slower than this part of the resting speed is rounding."""
 
+SINGULAR = 1e-5
+"""Forces whose effects cancel to this part are those of a singularity."""
+
 LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
 
@@ -181,10 +184,14 @@ class SimulationState:
         self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
         self.v = v
 
-    def stop_jammed_slip(self) -> bool:
-        """Stop contacts that jam, an impact without collision; return whether there are any."""
+    def stop_jammed_slip(self, singular: float = SINGULAR) -> bool:
+        """Stop contacts that jam, an impact without collision; return whether there are any.
+
+        Args:
+            singular: The part to which the effects of the forces cancel at a singularity.
+        """
         v = self.v.copy()
-        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, not self._forces_found):
+        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, not self._forces_found, singular):
             return False
         modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
         slipping = ", ".join(name for name, mode in modes if mode == SLIP)

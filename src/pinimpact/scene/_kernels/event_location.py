@@ -14,6 +14,7 @@ import numpy as np
 from ..._numeric.jit import inner
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
+from .slip import set_directions_within
 
 PARTS = 8
 """Parts of a step at which a function without a bound is sampled."""
@@ -32,7 +33,9 @@ def sampled(value):
 
     @inner
     def value_at(work, i, t):
-        set_state_within(work, (t - work.step_start) / work.step_length)
+        fraction = (t - work.step_start) / work.step_length
+        set_state_within(work, fraction)
+        set_directions_within(work, fraction)
         return value(work, i, t)
 
     return value_at

@@ -24,6 +24,9 @@ OUTER = 60
 POLISH = 8
 """Steps of Newton's method after one."""
 
+MOST_CHOSEN = 8
+"""Contacts that slip of which all choices are tried."""
+
 STEADY = 0.9
 """Cosine of two changes of s from which on they go the same way: past where a solution has just ceased to
 exist they are small and many, so each is taken twice as far as the one before."""
@@ -72,6 +75,43 @@ def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations,
 
 
 @separate
+def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f):
+    """Fill x with forces by Newton's method from each choice of which contacts that slip are closed.
+
+    Choices with fewer closed ones come first: of several solutions, the contact that opens. Returns the
+    residual.
+    """
+    nc, size = len(mu), len(x)
+    slips = np.empty(nc, dtype=np.int64)
+    count = 0
+    closed, a_now = np.ones(nc, dtype=np.int64), np.empty(size)
+    for i in range(nc):
+        if not held[i] and (velocity[i, 0] != 0.0 or velocity[i, 1] != 0.0):
+            slips[count] = i
+            count += 1
+    worst = math.inf
+    if count > MOST_CHOSEN:
+        return worst
+    for total in range(count + 1):
+        for choice in range(1 << count):
+            chosen = 0
+            for c in range(count):
+                closed[slips[c]] = (choice >> c) & 1
+                chosen += closed[slips[c]]
+            if chosen != total:
+                continue
+            for a in range(size):
+                x[a] = 0.0
+            residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = polish(
+                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, math.inf, closed
+            )
+            if worst <= 1e-12:
+                return worst
+    return worst
+
+
+@separate
 def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     """Fill x with forces from a sequence of convex programs, then Newton's method on what they say is active.
 
@@ -101,6 +141,8 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     scale_a, scale_f = np.empty(size), np.empty(size)
     for a in range(size):
         scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
+    if forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f) <= 1e-12:
+        return 0.0
     w = np.empty((size, size))
     f0 = np.empty(size)
     for a in range(size):
@@ -156,7 +198,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     f, a_now = np.zeros(size), np.empty(size)
     corrected = np.zeros(size)  # what is added to the free accelerations
     lifts, changes, stretch = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
-    worst = math.inf
+    worst, undecided = math.inf, np.full(nc, -1)
     for outer in range(OUTER):
         for k in range(n):
             c[k] = f0[which[k]] + corrected[which[k]]
@@ -177,7 +219,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             return worst
         if worst <= 1e-3 or outer == OUTER - 1:
             worst = polish(
-                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst
+                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
             )
             if worst <= 1e-11:
                 return worst
@@ -209,22 +251,28 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
 
 
 @separate
-def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst):
-    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves."""
+def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed):
+    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.
+
+    In the first iteration the contacts are closed (1), those at rest stick, or open (0) as `closed` has it; its
+    −1 leaves that to the forces.
+    """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
     system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
     trial = x.copy()
     best = worst
     no_basis = np.empty((0, size))
-    for _ in range(POLISH):
+    for iteration in range(POLISH):
         for a in range(size):
             for b in range(size):
                 system[a, b] = 0.0
         for i in range(nc):
             b = 3 * i
             fn, an = trial[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
-            if not held[i] and fn - an <= 0.0:  # open
+            given = iteration == 0 and closed[i] >= 0
+            opens = closed[i] == 0 if given else fn - an <= 0.0
+            if not held[i] and opens:
                 for r in range(b, b + 3):
                     system[r, r], right[r] = 1.0, -trial[r] / scale_f[r]
                 continue
@@ -245,7 +293,7 @@ def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, 
                 continue
             a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
             g1, g2 = f1 - a1, f2 - a2
-            if held[i] or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
+            if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
                 for k in range(size):
                     system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
                     system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]

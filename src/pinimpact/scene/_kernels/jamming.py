@@ -11,12 +11,8 @@ from .closed_set import ALL, closed_rows, delassus_of_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 
-SINGULAR = 1e-5
-"""Forces whose effects cancel to this part are those of a singularity."""
-
-
 @jit
-def stop_jammed_slip(work, t, q, v, without_forces):
+def stop_jammed_slip(work, t, q, v, without_forces, singular):
     """Stop all slip where contacts that slip drive the surface in until their forces have no bound.
 
     Args:
@@ -26,6 +22,7 @@ def stop_jammed_slip(work, t, q, v, without_forces):
         v: (nv,) the velocity, which loses what the closed contacts take away of it.
         without_forces: Whether no forces were found for the modes; where the determinant of their equations
             has changed its sign there are none.
+        singular: The part to which the effects of forces cancel at a singularity.
 
     Returns:
         Whether slip was stopped; else v is as it was.
@@ -56,7 +53,7 @@ def stop_jammed_slip(work, t, q, v, without_forces):
             whole = max(whole, abs(part))
         left = max(left, abs(total))
     impossible = without_forces and work.force_margin == -math.inf
-    if not impossible and not left < SINGULAR * whole:
+    if not impossible and not left < singular * whole:
         return False
     stop_along(rows, speeds, minverse, v)
     return True

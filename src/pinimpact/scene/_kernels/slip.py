@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import separate
+from ..._numeric.jit import inner, separate
+from ..._numeric.loops import assign
 from .contact_forces import SLIP
 
 
@@ -18,6 +19,28 @@ def turn_references(work, velocity):
             speed = math.hypot(x, y)
             if speed > work.direction_speed and x * reference[k, 0] + y * reference[k, 1] > 0.0:
                 reference[k, 0], reference[k, 1] = x / speed, y / speed
+        assign(work.start_directions[k], reference[k])
+        assign(work.end_directions[k], reference[k])
+
+
+@inner
+def set_directions_within(work, fraction):
+    """Set the directions of slip at a fraction of the step, for contacts too slow to show them."""
+    reference, start, end = work.slip_reference, work.start_directions, work.end_directions
+    for k in range(len(reference)):
+        x = (1.0 - fraction) * start[k, 0] + fraction * end[k, 0]
+        y = (1.0 - fraction) * start[k, 1] + fraction * end[k, 1]
+        length = math.hypot(x, y)
+        if length > 0.0:
+            reference[k, 0], reference[k, 1] = x / length, y / length
+
+
+@inner
+def restore_directions(work):
+    """Go back to the directions of slip at the start of the step."""
+    for k in range(len(work.slip_reference)):
+        assign(work.slip_reference[k], work.start_directions[k])
+        assign(work.end_directions[k], work.start_directions[k])
 
 
 @separate

@@ -23,7 +23,7 @@ from .dynamics import (
 )
 from .events.registry import find_first_event
 from .samples import along, record_sample
-from .slip import stiffness_of_slip, turn_references
+from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
 
 
 @jit
@@ -101,6 +101,7 @@ def finish(work, t, h, error, explicit):
     if explicit:
         step_dop853.complete(work, t, h)
     find_first_event(work)
+    set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
     work.growth = 1.0
     if work.event_time > t + h:
         step_dop853.begin_next(work)
@@ -112,6 +113,8 @@ def finish(work, t, h, error, explicit):
         for k in range(len(velocity)):
             work.sample_slip[0, k] = along(work, k, velocity)
         set_growth(work, h, error)
+    elif work.event_time == -math.inf:  # the step will be tried again, shorter
+        restore_directions(work)
 
 
 @inner

@@ -29,6 +29,7 @@ from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
 from .samples import record_sample
+from .slip import restore_directions
 
 STAGES = 5
 ITERATIONS = 12
@@ -99,14 +100,12 @@ def turn(work, k, s1, s2, across, effect):
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    reference = work.slip_reference
-    remembered, slowest = reference.copy(), work.direction_speed
+    slowest = work.direction_speed
     work.direction_speed = math.inf  # so that friction takes the direction that it is given
     error = solve_stages(work, t, h, rtol, atol)
     work.direction_speed = slowest
     if not error <= 1.0 or work.callback_failed:
-        for k in range(len(reference)):
-            assign(reference[k], remembered[k])
+        restore_directions(work)
     else:  # where slip is slow, friction goes on in the direction that was found
         set_state(work, work.q1, work.v1)
         evaluate(work, t + h, work.stage_rates[LAST, len(work.v1) :])
@@ -228,6 +227,7 @@ def solve_stages(work, t, h, rtol, atol):
     advance(joints, q0, xi, work.q1)
     for c in range(count):
         assign(reference[slips[c]], directions[s - 1, c])
+        assign(work.end_directions[slips[c]], directions[s - 1, c])
     return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
 
 

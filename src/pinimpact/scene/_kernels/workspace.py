@@ -73,6 +73,8 @@ class SceneWorkspace(Workspace):
     closed_friction = reals("closed_contacts", meaning="its coefficient of friction")
     closed_rest_gap = reals("closed_contacts", meaning="the gap that it keeps [m]")
     slip_reference = reals("closed_contacts", 2, meaning="the direction of slip last known")
+    start_directions = reals("closed_contacts", 2, meaning="the same at the start of the step")
+    end_directions = reals("closed_contacts", 2, meaning="the same at its end")
     scalar_velocity = integers("closed_scalars", meaning="index in v of each scalar row")
     scalar_lower = reals("closed_scalars", meaning="least force of each scalar row")
     scalar_upper = reals("closed_scalars", meaning="largest force of each scalar row")

@@ -48,8 +48,10 @@ def first(work, end):
             if end_speed >= -BEHIND * work.stick_speed:
                 continue
             start_speed = value_at(work, k, start)[0]
-            if start_speed <= 0.0:  # a step before has left it there, for it was next to nothing
-                return start, k
+            if start_speed <= 0.0:
+                # either a step before has left it there, for it was next to nothing, or friction drives
+                nothing = math.hypot(velocity[k, 0], velocity[k, 1]) <= BEHIND * work.stick_speed
+                return (start if nothing and work.previous_length > 0.0 else -math.inf), k
             found = root(work, k, start, last, start_speed, end_speed)
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
