@@ -379,9 +379,10 @@ class _Run:
             state.stop_jammed_slip()
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         self._settle(arriving)
-        if bounded and self.work.force_bound_ignored:
-            self.state.set_modes_ahead(step)
         self._begin_motion()
+        # forces that a correction has brought back into their bounds leave them again soon
+        if bounded and self.work.force_bound_ignored and state.set_modes_ahead(step):
+            self._begin_motion()
         self._sample()
 
     def _settle(self, arriving: int | None = None) -> None:
