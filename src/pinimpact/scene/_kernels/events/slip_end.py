@@ -58,6 +58,9 @@ def first(work, end):
                 continue
             speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
             found = first_fall(work, k, end, max(BEHIND * work.stick_speed, work.atol + work.rtol * speed))
+            across = math.hypot(work.end_velocity[k, 0], work.end_velocity[k, 1])
+            if found == math.inf and end_speed <= 0.0 and across > work.stick_speed:
+                return -math.inf, k
         if found < end:
             value_at(work, k, found)
             if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
