@@ -57,7 +57,8 @@ def first(work, end):
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
                 continue
             speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
-            found = first_fall(work, k, end, max(BEHIND * work.stick_speed, work.atol + work.rtol * speed))
+            error = min(work.atol + work.rtol * speed, 0.1 * work.stick_speed)
+            found = first_fall(work, k, end, max(BEHIND * work.stick_speed, error))
             across = math.hypot(work.end_velocity[k, 0], work.end_velocity[k, 1])
             if found == math.inf and end_speed <= 0.0 and across > work.stick_speed:
                 return -math.inf, k
