@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numba
 import numpy as np
 import pytest
@@ -57,3 +59,88 @@ def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, 
         assert tangent @ slip == pytest.approx(-mu[i] * normal * np.linalg.norm(slip), abs=near)
     assert abs(x[-1]) <= bound + near
     assert x[-1] * a[-1] == pytest.approx(-bound * abs(a[-1]), abs=near)
+
+
+def forces_at_rest(delassus, free, mu):
+    """Solve for contacts that are all at rest; return their forces, and how far these are from the law."""
+    contacts = len(mu)
+    x = np.empty(3 * contacts)
+    nothing = np.zeros(0)
+    accuracy = solve(
+        delassus,
+        free,
+        np.zeros((contacts, 2)),
+        mu,
+        np.zeros(contacts, dtype=np.bool_),
+        nothing,
+        nothing,
+        x,
+    )
+    return x, accuracy
+
+
+@pytest.mark.parametrize("excess", [1e-8, 1e-5])
+@pytest.mark.parametrize("seed", range(40))
+def test_forces_are_found_where_sticking_has_just_ceased_to_be_possible(seed, excess):
+    """Slip that begins may be far from rest there, with iterations that creep past where the solution was."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(6, 8))
+    delassus, mu = jacobian @ jacobian.T, np.array([1.2, 0.9])
+    angle = rng.uniform(0.0, 2.0 * np.pi, size=2)
+    normal = rng.uniform(0.5, 5.0, size=2)
+    share = np.array([1.0 + excess, 0.6])  # of the cone
+    stick = np.column_stack(
+        [share * mu * normal * np.cos(angle), share * mu * normal * np.sin(angle), normal]
+    )
+    free = -delassus @ stick.ravel()
+    x, accuracy = forces_at_rest(delassus, free, mu)
+    assert accuracy <= 1e-10
+    a = delassus @ x + free
+    near = 1e-9 * (np.abs(free).max() + np.abs(x).max())
+    for i in range(2):
+        tangent, push = x[3 * i : 3 * i + 2], x[3 * i + 2]
+        slip, rise = a[3 * i : 3 * i + 2], a[3 * i + 2]
+        assert min(push, rise) >= -near
+        assert abs(push * rise) <= near
+        assert np.linalg.norm(tangent) <= mu[i] * push + near
+        assert tangent @ slip == pytest.approx(-mu[i] * push * np.linalg.norm(slip), abs=10.0 * near)
+
+
+def choices_that_hold(delassus, free, directions, mu):
+    """Return the forces of each choice of which slipping contacts are closed that obeys the law."""
+    contacts = len(mu)
+    pushes = np.zeros((3 * contacts, contacts))
+    for i in range(contacts):
+        pushes[3 * i : 3 * i + 2, i], pushes[3 * i + 2, i] = -mu[i] * directions[i], 1.0
+    normal = (delassus @ pushes)[2::3]
+    found = []
+    for choice in itertools.product([False, True], repeat=contacts):
+        closed = np.flatnonzero(choice)
+        push = np.zeros(contacts)
+        push[closed] = np.linalg.solve(normal[np.ix_(closed, closed)], -free[2::3][closed])
+        rise = normal @ push + free[2::3]
+        if push.min() >= 0.0 and rise[~np.array(choice)].min(initial=0.0) >= 0.0:
+            found.append(pushes @ push)
+    return found
+
+
+def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
+    """Slip may drive contacts in (Painlevé): then there may be none, or several."""
+    rng = np.random.default_rng(5)
+    counts = []
+    for _ in range(300):
+        jacobian = rng.normal(size=(9, 12))
+        delassus, mu = jacobian @ jacobian.T, rng.uniform(0.5, 2.0, size=3)
+        velocity = rng.normal(size=(3, 2))
+        free = rng.normal(size=9)
+        expected = choices_that_hold(delassus, free, velocity / np.linalg.norm(velocity, axis=1)[:, None], mu)
+        x = np.empty(9)
+        nothing, held = np.zeros(0), np.zeros(3, dtype=np.bool_)
+        accuracy = solve(delassus, free, velocity, mu, held, nothing, nothing, x)
+        assert (accuracy <= 1e-10) == bool(expected)
+        if expected:
+            nearest = min(np.abs(x - one).max() for one in expected)
+            assert nearest <= 1e-8 * (1.0 + np.abs(x).max())
+        counts.append(len(expected))
+    assert {0, 1}.issubset(counts)
+    assert max(counts) > 1

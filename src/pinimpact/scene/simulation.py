@@ -28,7 +28,10 @@ Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
 
 CERTAIN = 10.0
-"""Slip has a direction where it is faster than the error of a step by this factor."""
+"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
+
+DIRECTED = 1e-3
+"""Part of the speed of sticking below which slip has no direction but the one last known."""
 
 MAX_STALLED = 200
 """Steps without progress in time, after which slip is stopped, or a simulation gives up."""
@@ -240,7 +243,8 @@ class _Run:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
         error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
-        work.direction_speed = min(CERTAIN * error, 1e-3 * work.stick_speed)
+        work.certain_speed = min(CERTAIN * error, work.stick_speed)
+        work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored &= self.dynamics.forces_doubtful

@@ -254,5 +254,5 @@ def goes_on_slipping(work, i, x, y):
     index, mode, reference = work.closed_index, work.closed_mode, work.slip_reference
     for k in range(len(index)):
         if index[k] == i and mode[k] == SLIP:
-            return reference[k, 0] * x + reference[k, 1] * y > work.direction_speed
+            return reference[k, 0] * x + reference[k, 1] * y > work.certain_speed
     return False

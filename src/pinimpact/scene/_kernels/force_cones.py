@@ -4,7 +4,7 @@ With a dual cone in place of the law, f minimises ½ fᵀWf + fᵀ(a⁰ + s) in 
 contact at rest: a convex program for given s, repeated with the s that it gives. (Acary, Cadoux, Lemaréchal,
 Malick, A formulation of the linear discrete Coulomb friction problem via convex optimization, 2011.) Friction
 of contacts that slip is carried over from one program to the next. From what is open, sticks and slips then
-Newton's method goes to rounding.
+Newton's method goes to rounding. It is also tried first, from each choice of which slipping contacts close.
 """
 
 from __future__ import annotations
@@ -254,8 +254,8 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
 def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed):
     """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.
 
-    In the first iteration the contacts are closed (1), those at rest stick, or open (0) as `closed` has it; its
-    −1 leaves that to the forces.
+    In the first iteration contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1
+    leaves that to the forces.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns

@@ -11,6 +11,7 @@ from .closed_set import ALL, closed_rows, delassus_of_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 
+
 @jit
 def stop_jammed_slip(work, t, q, v, without_forces, singular):
     """Stop all slip where contacts that slip drive the surface in until their forces have no bound.

@@ -109,6 +109,7 @@ class SceneWorkspace(Workspace):
     resting_speed = real("of a bounce that is taken as rest [m/s]; 0 where no contact is to stay closed")
     least_approach = real("below which what has just closed its gap does not approach [m/s]")
     stick_speed = real("below which a contact may stick [m/s]")
+    certain_speed = real("above which slip goes on where modes are set anew [m/s]")
     direction_speed = real("below which slip has no direction but the one last known [m/s]")
     force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
 
