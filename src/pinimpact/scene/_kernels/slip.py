@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_ROWS, ahead
 from ..._numeric.jit import separate
 from .contact_forces import SLIP
+from .workspace import SceneWorkspace
 
 
+@ahead(SceneWorkspace, FLOAT_ROWS)
 @separate
 def turn_references(work, velocity):
     """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
@@ -20,6 +23,7 @@ def turn_references(work, velocity):
                 reference[k, 0], reference[k, 1] = x / speed, y / speed
 
 
+@ahead(SceneWorkspace)
 @separate
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
 from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
+from .workspace import SceneWorkspace
 
 
 @jit
@@ -63,6 +65,7 @@ def reaction_error(h, reactions, v0, v1, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
 
 
+@ahead(SceneWorkspace, int, float)
 @separate
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""

@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_root
+from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
@@ -27,6 +29,7 @@ def value(work, _, t):
 value_at, root = sampled(value), search_for_root(value)
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""

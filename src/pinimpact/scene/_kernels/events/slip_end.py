@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_root
+from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
@@ -35,6 +37,7 @@ def along(work, k, velocity):
     return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time before `end` at which a slip ends, infinite if none; and which.
