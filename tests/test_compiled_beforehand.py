@@ -1,10 +1,12 @@
-"""A scene compiles whatever it may need when it is set up, and nothing in the middle of a run."""
+"""A scene compiles whatever it may need when it is set up, with the types told ahead, and nothing later."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 RUNS = """
 import sys
@@ -48,10 +50,28 @@ after = overloads()
 print({name: count for name, count in after.items() if count != before.get(name, 0) and "scene" in name})
 """
 
+TOLD_AHEAD = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from pinimpact import Contact, Plane, Scene, Sphere, simulate
+from pinimpact._numeric.ahead import types_ahead
+from tests.scene_models import UP, ball
 
-def test_nothing_is_compiled_later():
+floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
+simulate(Scene(ball(), [floor]), [0, 0, 1.0, *UP], np.zeros(6), 1e-6)
+kernels = {item for name, module in sys.modules.items() if name.startswith("pinimpact.")
+           for item in vars(module).values() if isinstance(item, Dispatcher) and hasattr(item, "ahead")}
+assert len(kernels) > 20
+print({one.py_func.__qualname__: set(one.overloads) - {types_ahead(one)}
+       for one in kernels if set(one.overloads) - {types_ahead(one)}})
+"""
+
+
+@pytest.mark.parametrize("code", [RUNS, TOLD_AHEAD], ids=["nothing compiled later", "as told ahead"])
+def test_what_is_compiled(code):
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", RUNS],
+        [sys.executable, "-W", "error", "-c", code],
         cwd=Path(__file__).parents[1],
         capture_output=True,
         text=True,

@@ -8,15 +8,19 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
 from numba.core import event
+from numba.core.runtime import _nrt_python, rtsys
 from rich.console import Console
 
 import pinimpact
+from pinimpact._numeric import company
 from pinimpact._numeric import jit as decorators
 from pinimpact._numeric.jit import inner, jit, separate
 from pinimpact._numeric.waiting import reached
@@ -153,6 +157,213 @@ def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) 
     )
     assert json.loads(python(package, late + CALL).stdout)[0] == [7.0, 130.0, -3.0]
     assert call(package)[0] == [10.0, 280.0, -3.0]
+
+
+TEAM = """
+import os, sys, time
+from pinimpact._numeric import company, jit
+jit.WORTH_HELP = -1.0
+company.possible_helpers = lambda: 1
+share = company.Company.share
+
+def wait_for(condition):
+    def waiting(self, jobs):
+        end = time.monotonic() + 60.0
+        while not all(condition(self, job) for job in jobs):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    return waiting
+"""
+HELPER_DOES_ALL = """
+company.Company.share = wait_for(lambda team, job: team._is_claimed(job) and team._is_over(job))
+"""
+HELPER_DIES = """
+company._HELP = '''
+import os, pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from {} import Company
+_, folder = pickle.load(sys.stdin.buffer)
+for job in pickle.load(sys.stdin.buffer):
+    Company(folder).claim(job)
+os._exit(3)
+'''
+claimed = wait_for(lambda team, job: team._is_claimed(job))
+company.Company.share = lambda self, jobs: (claimed(self, jobs), share(self, jobs))
+"""
+NOBODY_IS_LEFT = """
+try:
+    sys.exit(f"a child is left: {os.waitpid(-1, os.WNOHANG)}")
+except ChildProcessError:
+    pass
+"""
+
+
+@pytest.fixture
+def team(package: Path) -> Path:
+    """The package, with types of arguments told ahead, and a folder for what is temporary."""
+    told = "from ..._numeric.ahead import ahead\n\n\n@ahead(float)\n"
+    edit(package / "scene" / "_kernels" / "entry.py", "@jit\ndef first", f"{told}@jit\ndef first")
+    edit(package / "scene" / "_kernels" / "leaf.py", "@separate", f"{told}@separate")
+    (package.parent / "temporary").mkdir()
+    return package
+
+
+def of_team(team: Path, code: str) -> tuple[list[float], list[str]]:
+    done = python(team, TEAM + code, TMPDIR=str(team.parent / "temporary"))
+    assert done.stderr == ""
+    assert list((team.parent / "temporary").iterdir()) == []
+    answers, made = json.loads(done.stdout)
+    return answers, made
+
+
+needs_waitpid = pytest.mark.skipif(sys.platform == "win32", reason="asks for children")
+
+
+@needs_waitpid
+def test_helpers_compile_what_is_known_ahead(team: Path) -> None:
+    assert of_team(team, HELPER_DOES_ALL + CALL + NOBODY_IS_LEFT) == ([7.0, 130.0, -3.0], [])
+    assert call(team) == ([7.0, 130.0, -3.0], [])
+
+
+@needs_waitpid
+def test_whoever_waits_and_the_helpers_share_the_work(team: Path) -> None:
+    answers, made = of_team(team, CALL + NOBODY_IS_LEFT)
+    assert answers == [7.0, 130.0, -3.0]
+    assert len(made) == len(set(made))
+    assert call(team) == ([7.0, 130.0, -3.0], [])
+
+
+@needs_waitpid
+def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> None:
+    answers, made = of_team(team, HELPER_DIES + CALL + NOBODY_IS_LEFT)
+    assert answers == [7.0, 130.0, -3.0]
+    assert sorted(made) == ["first", "scaled", "second", "shifted", "third"]
+    shutil.rmtree(team.parent / "cache")
+    fails = "company._HELP = 'raise SystemExit(1)'\n"
+    assert of_team(team, fails + CALL + NOBODY_IS_LEFT)[0] == [7.0, 130.0, -3.0]
+
+
+@needs_waitpid
+def test_an_interrupt_ends_the_helpers(team: Path) -> None:
+    interrupted = (
+        "def interrupt(self, jobs):\n    assert len(self._helpers) == 1\n    raise KeyboardInterrupt\n"
+        "company.Company.share = interrupt\n"
+        "from pinimpact.scene._kernels import entry\n"
+        "try:\n    entry.first(3.0)\nexcept KeyboardInterrupt:\n    print('stopped')\n"
+    )
+    assert python(team, TEAM + interrupted + NOBODY_IS_LEFT).stdout == "stopped\n"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
+def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
+    killed = (
+        "company._HELP += '; import time; time.sleep(300)'\n"
+        "def die(self, jobs):\n    [pid] = self._helpers\n    print(pid, flush=True)\n    os._exit(0)\n"
+        "company.Company.share = die\n"
+        "from pinimpact.scene._kernels import entry\n"
+        "entry.first(3.0)\n"
+    )
+    state = Path("/proc", python(team, TEAM + killed).stdout.strip(), "cmdline")
+    end = time.monotonic() + 60.0
+    while state.exists() and state.read_bytes():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_script_needs_no_main_guard_for_helpers(team: Path) -> None:
+    script = team.parent / "script.py"
+    script.write_text(TEAM + HELPER_DOES_ALL + CALL)
+    environment = dict(os.environ, PYTHONPATH=str(team.parent), NUMBA_CACHE_DIR=str(team.parent / "cache"))
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=True, env=environment
+    )
+    assert (done.stdout.count("\n"), done.stderr) == (1, "")
+    assert json.loads(done.stdout) == [[7.0, 130.0, -3.0], []]
+
+
+def test_two_first_runs_at_once_with_helpers(team: Path) -> None:
+    environment = dict(os.environ, PYTHONPATH=str(team.parent), NUMBA_CACHE_DIR=str(team.parent / "cache"))
+    command = [sys.executable, "-c", TEAM + CALL]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) for _ in range(2)]
+    answers = [json.loads(one.communicate()[0])[0] for one in both]
+    assert answers == 2 * [[7.0, 130.0, -3.0]]
+
+
+def test_types_told_wrongly_do_no_harm(team: Path) -> None:
+    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, float)")
+    edit(team / "scene" / "_kernels" / "entry.py", "@ahead(float)", "@ahead(bool)")
+    assert of_team(team, CALL)[0] == [7.0, 130.0, -3.0]
+
+
+def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
+    forbidden = TEAM + "def _helper(*_): raise AssertionError\ncompany._helper = _helper\n"
+    plain = python(team, forbidden + CALL, NUMBA_DISABLE_JIT="1")
+    assert json.loads(plain.stdout)[0] == [7.0, 130.0, -3.0]
+    (team.parent / "cache").write_text("a file where a folder is wanted")
+    closed = "import tempfile\ndef fail(*_, **__): raise OSError\ntempfile.TemporaryFile = fail\n"
+    assert json.loads(python(team, forbidden + closed + CALL).stdout)[0] == [7.0, 130.0, -3.0]
+
+
+def test_helpers_are_as_many_as_further_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    def possible(processors: int, executable: str | None) -> int:
+        with monkeypatch.context() as here:
+            here.setattr(os, "sched_getaffinity", lambda _: set(range(processors)), raising=False)
+            here.setattr(sys, "executable", executable)
+            return company.possible_helpers()
+
+    assert [possible(k, "/usr/bin/python3.11") for k in (1, 2, 3, 64)] == [0, 1, 2, company.MOST - 1]
+    assert [possible(4, other) for other in (None, "", "/opt/blender/blender")] == [0, 0, 0]
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    assert possible(4, "/usr/bin/python3.11") == 0
+
+
+def test_a_part_is_kept_and_taken_in_by_whoever_needs_it(package: Path) -> None:
+    leaf = package / "scene" / "_kernels" / "leaf.py"
+    edit(leaf, "inner, separate", "part, separate")
+    edit(leaf, "@inner", "@separate\ndef half(x):\n    return 0.5 * x\n\n\n@part")
+    edit(leaf, "FACTOR * x", "2.0 * FACTOR * half(x)")
+    assert call(package)[0] == [7.0, 130.0, -3.0]
+    for file in (package.parent / "cache").rglob("entry.*"):
+        file.unlink()
+    assert call(package) == ([7.0, 130.0, -3.0], ["first", "second"])
+    edit(leaf, "FACTOR = 2.0", "FACTOR = 3.0")
+    assert call(package)[0] == [10.0, 280.0, -3.0]
+
+
+class Pair(NamedTuple):
+    kept: np.ndarray
+    factor: float
+
+
+@inner
+def pair(n, factor):
+    return Pair(np.full(n, 1.0), factor)
+
+
+@jit
+def with_references(n):
+    total = Pair(np.zeros(n), 0.0)
+    for k in range(n):
+        one = pair(n, float(k))
+        if k % 3 == 2:
+            continue
+        last, spare = one, total
+        total = Pair(spare.kept + last.factor * last.kept, last.factor)
+    return total.kept, total.factor
+
+
+def test_memory_is_released_once() -> None:
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for _ in range(3):
+        kept, factor = with_references(5)
+        np.testing.assert_array_equal(kept, np.full(5, 0.0 + 1.0 + 3.0 + 4.0))
+        assert factor == 4.0
+    del kept
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.mi_alloc > before.mi_alloc
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
 
 
 def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:

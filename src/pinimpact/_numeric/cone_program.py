@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from .ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from .jit import inner, separate
 from .loops import assign
 
@@ -209,6 +210,7 @@ def outside(lines, sizes, x):
     return worst
 
 
+@ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
 @separate
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     """Fill x, s and z with the solution, starting from x = 0.

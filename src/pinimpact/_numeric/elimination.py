@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from .ahead import FLOAT_ROWS, FLOATS, ahead
 from .jit import separate
 
 RANK = 1e-10
 """Pivots and singular values below this part of the largest count as zero."""
 
 
+@ahead(FLOAT_ROWS, FLOATS, FLOATS, float)
 @separate
 def solve(system, target, solution, rank):
     """Solve by elimination with complete pivoting.

@@ -6,6 +6,9 @@
     second less to compile. (A kernel that calls a `jit` does the same.)
 `inner`: what is small, or has one caller: its code goes into each caller and is optimized there.
 `inlined`: an `inner` that must not stay a call.
+`part`, `inlined_part`: such a one that takes a second to compile; it is kept on disk like the others.
+
+Whoever waits has helpers, see `company`: what tells its types `ahead` is compiled by several at once.
 
 The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
 writable, every process compiles for itself.
@@ -18,16 +21,23 @@ With NUMBA_DISABLE_JIT=1 all kernels are plain Python.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numba
 from numba.core import caching, compiler, dispatcher
+from numba.core.compiler_lock import global_compiler_lock
 
-from .linking import InnerCompiler, KernelCompiler, KernelLibrary, compiling, symbol_stamp
+from . import company
+from .ahead import Job, jobs, types_ahead
+from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp
 from .sources import PACKAGE, memory, stamp
-from .waiting import LOG, tell
+from .waiting import COUNT, LOG, expected, tell
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+WORTH_HELP = 3.0
+"""A wait [s] in which helpers make up for the time that they take to start."""
 
 _OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -46,6 +56,16 @@ def inlined(function: F) -> F:
     return compiled
 
 
+def part(function: F) -> F:
+    """Like `inner`, for what takes long: its code is kept, so that another process can compile it ahead."""
+    return _cached(function, PartCompiler, no_cpython_wrapper=True)
+
+
+def inlined_part(function: F) -> F:
+    """Like `part`, for what is `inlined`."""
+    return _cached(function, PartCompiler, no_cpython_wrapper=True, forceinline=True)
+
+
 def separate(function: F) -> F:
     """Compile a kernel that only other kernels call on its own, once for all of them."""
     return _cached(function, no_cpython_wrapper=True)
@@ -53,41 +73,75 @@ def separate(function: F) -> F:
 
 def jit(function: F) -> F:
     """Compile a kernel that Python calls, when it is first called."""
-    return _cached(function)
+    compiled = _cached(function)
+    if isinstance(compiled, dispatcher.Dispatcher):
+        compiled.compile = _Compile(compiled)  # type: ignore[method-assign, assignment]
+    return compiled
 
 
 def compile_all(*calls: tuple[Any, ...]) -> None:
     """Make sure that nothing is compiled later: compile or load kernels, in the order given.
 
     Args:
-        calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come.
+        calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come; none where
+            it tells its types `ahead`.
     """
-    global _together
-    missing = [
-        (kernel, types)
-        for kernel, *arguments in calls
-        if isinstance(kernel, dispatcher.Dispatcher)  # else it is plain Python
-        and (types := tuple(map(kernel.typeof_pyval, arguments))) not in kernel.overloads
-    ]
-    _together = [kernel for kernel, _ in missing]
-    try:
-        for done, (kernel, types) in enumerate(missing, start=1):
-            kernel.compile(types)
-            if kernel.stats.cache_misses:
-                LOG.info("compiling, once: %d of %d", done, len(missing))
-    finally:
-        _together = []
+    if all(isinstance(kernel, dispatcher.Dispatcher) for kernel, *_ in calls):  # else it is plain Python
+        _compile([(kernel, _types(kernel, arguments)) for kernel, *arguments in calls])
+
+
+def _types(kernel: Any, arguments: Sequence[Any]) -> tuple[Any, ...]:
+    return tuple(map(kernel.typeof_pyval, arguments)) if arguments else types_ahead(kernel)
+
+
+class _Compile:
+    """What compiles a kernel that Python calls, when it is first called: with helpers, if it takes long.
+
+    Attributes:
+        alone: What numba has in its place.
+    """
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
+        self.alone = kernel.compile
+
+    def __call__(self, types: Any) -> Any:
+        if not (compiling() or company.present or _together):
+            _compile([(self._kernel, tuple(types))])
+        return self.alone(types)
 
 
 _together: Sequence[Any] = []
 
 
-def _cached(function: F, **options: Any) -> F:
+@global_compiler_lock  # other threads wait
+def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
+    """Compile or load kernels for some types of arguments."""
+    global _together
+    wanted = [(kernel, types) for kernel, types in wanted if types not in kernel.overloads]
+    missing = [(kernel, types) for kernel, types in wanted if not kernel._cache.knows(types)]
+    _together = [kernel for kernel, _ in missing]
+    kept = all(kernel._cache.on_disk for kernel in _together)
+    long = expected(_together) > WORTH_HELP
+    helpers = company.possible_helpers() if kept and long else 0
+    try:
+        if missing:
+            tell(_together, kept, 1 + helpers)
+        with company.company(jobs(missing) if helpers else [], helpers):
+            for done, (kernel, types) in enumerate(wanted, start=1):
+                kernel.compile.alone(types)
+                if kernel.stats.cache_misses:
+                    LOG.info(COUNT, done, len(wanted))
+    finally:
+        _together = []
+
+
+def _cached(function: F, pipeline: type[KernelCompiler] = KernelCompiler, **options: Any) -> F:
     if function.__closure__:
         raise ValueError(
             f"{function.__qualname__}: made by a function, so its symbol is not its own; see inner"
         )
-    compiled = numba.njit(pipeline_class=KernelCompiler, **_OPTIONS, **options)(function)
+    compiled = numba.njit(pipeline_class=pipeline, **_OPTIONS, **options)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
         compiled._cache = _Cache(compiled)
     result: F = compiled
@@ -122,15 +176,17 @@ class _CacheImpl(caching.CompileResultCacheImpl):
 
     def reduce(self, result: Any) -> Any:
         library, fndesc, env, signature, *_, envs = result._reduce()
-        return library, fndesc, env, signature, tuple(one for one in envs if one.consts)
+        return type(result.library), library, fndesc, env, signature, tuple(one for one in envs if one.consts)
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        state, fndesc, env, signature, envs = payload
-        if fndesc.uid != symbol_stamp(fndesc.modname):  # written late, by a process that ran on other code
+        made, state, fndesc, env, signature, envs = payload
+        if not fndesc.uid.startswith(
+            symbol_stamp(fndesc.modname)
+        ):  # written late, by a process that ran on other code
             return None
         codegen = target_context.codegen()
-        library = KernelLibrary.load(codegen, state)
-        entry = target_context.get_executable(library, fndesc, env)
+        library = made.load(codegen, state)
+        entry = library.entry(target_context, fndesc, env)
         for one in envs:
             codegen.set_env(one.env_name, one)
         return compiler.compile_result(
@@ -153,6 +209,9 @@ class _DiskCache(caching.FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple()  # the stamp covers the code
 
+    def knows(self, types: Any, codegen: Any) -> bool:
+        return self._index_key(types, codegen) in self._cache_file._load_index()
+
 
 class _Cache(caching.NullCache):
     """The cache of a kernel, looked for on first use, for that takes time and most kernels are not used."""
@@ -165,17 +224,38 @@ class _Cache(caching.NullCache):
     def cache_path(self) -> str | None:
         return self._find().cache_path
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    @property
+    def on_disk(self) -> bool:
+        """Whether what is compiled is kept."""
+        return isinstance(self._find(), _DiskCache)
+
+    def knows(self, types: Any) -> bool:
+        """Whether the kernel is kept for some types of arguments."""
         disk = self._find()
-        found = disk.load_overload(sig, target_context)
-        if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
-            found = None
-        if found is None and not compiling():
-            tell(_together or [self._kernel], isinstance(disk, _DiskCache))
+        return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = self._load(sig, target_context)
+        if found is None and company.present is not None:
+            found = company.present.of_others(self._job(sig), partial(self._load, sig, target_context))
+        elif found is None and not (compiling() or _together):
+            tell([self._kernel], self.on_disk)
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
         self._find().save_overload(sig, cres)
+        if company.present is not None:
+            company.present.release(self._job(sig))
+
+    def _job(self, sig: Any) -> Any:
+        function = self._kernel.py_func
+        return Job(function.__module__, function.__qualname__, tuple(sig))
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        found = self._find().load_overload(sig, target_context)
+        if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
+            found = None
+        return found
 
     def _find(self) -> Any:
         if self._disk is None:

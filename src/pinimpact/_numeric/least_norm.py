@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from .jit import inner
+from .ahead import FLOAT_ROWS, FLOATS, ahead
+from .jit import inner, separate
 
 
 @inner
@@ -106,7 +107,8 @@ def rotate_back(matrix, rank, order, factor, y, x):
         x[order[k]] = y[k]
 
 
-@inner
+@ahead(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
+@separate
 def least_norm(matrix, right, rank_tolerance, x, null):
     """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
 

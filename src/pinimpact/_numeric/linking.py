@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +21,7 @@ from numba.core import compiler, typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_machinery import PassManager, register_pass
 
+from .shortcuts import Canonical, Lifetimes, Lowering, Passes, Rewrites, shortcuts
 from .sources import stamp
 
 Kernel = tuple[str, str, tuple[Any, ...]]
@@ -49,6 +51,40 @@ class InnerLibrary(JITCodeLibrary):
         for library in _needed(self):
             module.link_in(_code(library), preserve=True)
         return module
+
+
+class PartLibrary(InnerLibrary):
+    """The intermediate code of an inner kernel, and of those that it reaches, fit for a cache.
+
+    Attributes:
+        kernel: What the code is of.
+    """
+
+    kernel: Kernel
+
+    def serialize_using_object_code(self) -> Any:
+        """Return what `load` takes."""
+        module, callees = self.own_code().clone(), []
+        for library in _needed(self):
+            if isinstance(library, KernelLibrary):
+                callees.append(library.kernel)
+            else:
+                module.link_in(_code(library), preserve=True)
+        return self.name, module.as_bitcode(), self.kernel, tuple(callees)
+
+    @classmethod
+    def load(cls, codegen: Any, state: Any) -> PartLibrary:
+        """Return the library that another process has made, with all that it calls in place."""
+        name, code, kernel, callees = state
+        self = cls(codegen, name)
+        self.kernel = kernel
+        self._final_module = llvm.parse_bitcode(code)
+        self._linking_libraries = [_loaded(callee) for callee in callees]
+        self._finalized = True
+        return self
+
+    def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
+        return _no_entry(self, fndesc, env)
 
 
 class KernelLibrary(JITCodeLibrary):
@@ -92,8 +128,8 @@ class KernelLibrary(JITCodeLibrary):
     def load(cls, codegen: Any, state: Any) -> KernelLibrary:
         """Return the library that another process has made, with all that it calls in place."""
         name, machine_code, symbols, kernel, callees = state
-        for module, function, types in callees:
-            getattr(importlib.import_module(module), function).compile(types)
+        for callee in callees:
+            _loaded(callee)
         self = cls(codegen, name)
         self.kernel, self.callees = kernel, callees
         self.enable_object_caching()
@@ -101,6 +137,23 @@ class KernelLibrary(JITCodeLibrary):
         self._finalize_final_module()
         codegen._engine._defined_symbols.update(symbols)
         return self
+
+    def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
+        """Return what Python calls."""
+        return context.get_executable(self, fndesc, env)
+
+
+def _loaded(kernel: Kernel) -> Any:
+    """Return the library of a kernel, from the cache or anew."""
+    module, name, types = kernel
+    function = getattr(importlib.import_module(module), name)
+    function.compile(types)
+    return function.overloads[types].library
+
+
+def _no_entry(library: Any, fndesc: Any, env: Any) -> Any:
+    """Return what stands for a function that Python cannot call."""
+    return _dynfunc.make_function(fndesc.lookup_module(), fndesc.qualname, "", 0, env, (library,))
 
 
 def _code(library: Any) -> Any:
@@ -121,7 +174,16 @@ def _needed(library: Any) -> list[Any]:
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class InnerLowering(typed_passes.NativeLowering):
+class KernelLowering(typed_passes.NativeLowering):
+    _name = "kernel_lowering"
+
+    @property
+    def lowering_class(self) -> type[Lowering]:
+        return Lowering
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class InnerLowering(KernelLowering):
     """Lowering to intermediate code, with nothing that Python could call."""
 
     _name = "inner_lowering"
@@ -132,9 +194,7 @@ class InnerLowering(typed_passes.NativeLowering):
         super().run_pass(state)
         lowered, library = state["cr"], state.library
         fndesc = lowered.fndesc
-        entry = _dynfunc.make_function(
-            fndesc.lookup_module(), fndesc.qualname, "", 0, lowered.env, (library,)
-        )
+        entry = _no_entry(library, fndesc, lowered.env)
         state.targetctx.insert_user_function(entry, fndesc, [library])
         state["cr"] = lowered._replace(cfunc=entry)
         return True
@@ -156,7 +216,11 @@ def _deep() -> Iterator[None]:
     gc.disable()
     _depth += 1
     try:
-        yield
+        if _depth > 1:
+            yield
+        else:
+            with shortcuts():
+                yield
     finally:
         _depth -= 1
         if collects:
@@ -187,12 +251,6 @@ class _Flags(compiler.Flags):
     common: _Flags | None = None
 
 
-class _Passes(PassManager):
-    """Passes between which nothing is checked or analysed that no pass after them asks for."""
-
-    _ENFORCING = False
-
-
 class KernelCompiler(compiler.CompilerBase):
     """The passes of numba that kernels need.
 
@@ -201,7 +259,7 @@ class KernelCompiler(compiler.CompilerBase):
     """
 
     library: type[JITCodeLibrary] = KernelLibrary
-    lowering = typed_passes.NativeLowering
+    lowering: type[typed_passes.NativeLowering] = KernelLowering
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
@@ -213,24 +271,24 @@ class KernelCompiler(compiler.CompilerBase):
         """Return the one list of passes."""
         state = self.state
         function = state.func_id
-        if self.library is KernelLibrary:  # the symbol has to be the same in every process
-            function.unique_id = symbol_stamp(function.modname)
+        function.unique_id = symbol_stamp(function.modname)
+        if self.library is not KernelLibrary:  # whose symbols have to be the same in every process
+            function.unique_id += secrets.token_hex(6)
         if state.library is None:
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
             state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
-        passes = _Passes("kernel")
+        passes = Passes("kernel")
         for one in (
             untyped_passes.TranslateByteCode,
             untyped_passes.FixupArgs,
-            untyped_passes.IRProcessing,
+            Canonical,
             untyped_passes.RewriteSemanticConstants,
             untyped_passes.DeadBranchPrune,
-            untyped_passes.GenericRewrites,
+            Rewrites,
             typed_passes.NopythonTypeInference,
-            typed_passes.PreLowerStripPhis,
             typed_passes.InlineOverloads,
-            typed_passes.IRLegalization,
+            Lifetimes,
             typed_passes.AnnotateTypes,
             self.lowering,
             typed_passes.NoPythonBackend,
@@ -243,5 +301,11 @@ class KernelCompiler(compiler.CompilerBase):
 class InnerCompiler(KernelCompiler):
     """The passes for an inner kernel."""
 
-    library = InnerLibrary
+    library: type[JITCodeLibrary] = InnerLibrary
     lowering = InnerLowering
+
+
+class PartCompiler(InnerCompiler):
+    """The passes for an inner kernel that is kept."""
+
+    library = PartLibrary

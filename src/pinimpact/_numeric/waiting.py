@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any
 
+from .ahead import callees
 from .sources import PACKAGE
 
 LOG = logging.getLogger(f"{PACKAGE}.compiling")
@@ -19,7 +20,10 @@ LOG = logging.getLogger(f"{PACKAGE}.compiling")
 PURPOSES = {"scene": "scenes", "robot": "impacts of robots", "contact_space": "impacts"}
 """What the kernels of each package are for."""
 
-BYTES_PER_SECOND = 4000
+COUNT = "compiling, once: %d of %d"
+"""What is said at the level INFO."""
+
+BYTES_PER_SECOND = 5000
 """Of Python's own code of kernels, compiled on one core of a present machine, about."""
 
 SHORT = 1.0
@@ -28,15 +32,22 @@ SHORT = 1.0
 _told: set[str] = set()
 
 
-def tell(kernels: Sequence[Any], kept: bool) -> None:
+def expected(kernels: Iterable[Any], processes: int = 1) -> float:
+    """Return about how long some kernels take to compile, with all that they call [s]."""
+    code = sum(len(function.__code__.co_code) for function in reached(kernels))
+    return code / BYTES_PER_SECOND / processes**0.5
+
+
+def tell(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     """Say that kernels are being compiled.
 
     Args:
         kernels: All of them that are to be compiled now; the first one names the purpose.
         kept: Whether they stay on disk.
+        processes: How many compile them.
     """
     package = kernels[0].py_func.__module__.removeprefix(f"{PACKAGE}.").split(".")[0]
-    seconds = sum(len(function.__code__.co_code) for function in reached(kernels)) / BYTES_PER_SECOND
+    seconds = expected(kernels, processes)
     if package in _told or seconds < SHORT:
         return
     _told.add(package)
@@ -58,9 +69,5 @@ def reached(kernels: Iterable[Any]) -> set[FunctionType]:
         if function in found:
             continue
         found.add(function)
-        names = function.__code__.co_names
-        seen = [function.__globals__.get(name) for name in names]
-        seen += [cell.cell_contents for cell in function.__closure__ or ()]
-        seen += [getattr(one, name, None) for one in seen if isinstance(one, ModuleType) for name in names]
-        waiting += [one.py_func for one in seen if hasattr(one, "py_func")]
+        waiting += [one.py_func for one in callees(function)]
     return found

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
 from ..errors import SimulationError
+from ..robot._kernels import contact_kinematics, robot_impact
 from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact, contact_constants
@@ -291,4 +292,6 @@ def _compile(work: SceneWorkspace) -> None:
         (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
         (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
+        (robot_impact.reset,),
+        (contact_kinematics.locate,),
     )

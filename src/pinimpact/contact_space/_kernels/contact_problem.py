@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inlined, inner
+from ..._numeric.ahead import ahead
+from ..._numeric.jit import inlined_part, inner
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
     IMPULSE,
@@ -157,7 +158,8 @@ def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
     return along, -beta * n3, gamma * n3 * n3, beta * norm, -gamma * n3 * norm, gamma * norm * norm
 
 
-@inlined
+@ahead(*11 * [float], int, float)
+@inlined_part
 def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale):
     """Check, scale, mirror and classify a problem, and decide whether there is an impact.
 

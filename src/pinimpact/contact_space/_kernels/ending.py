@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._numeric.ahead import FLOAT_ROWS, THREE, ahead
+from ..._numeric.jit import inner, part
 from .codes import (
     ENDED_AT_REST,
     ENERGY_CREATED,
@@ -17,7 +18,7 @@ from .codes import (
     NO_IMPACT,
     OUT_OF_RANGE,
 )
-from .contact_problem import halves
+from .contact_problem import Problem, View, halves
 from .delassus import EPS
 
 
@@ -84,7 +85,11 @@ def turn_back(view, x1, x2):
     return view.lean2 * x1 + view.lean1 * x2, view.lean2 * x2 - view.lean1 * x1
 
 
-@inner
+@ahead(
+    *(View, Problem, int, int, int, THREE, THREE, float),
+    *(FLOAT_ROWS, int, FLOAT_ROWS, int),
+)
+@part
 def finish(
     view, problem, status, flags, iterations, velocity, impulse, compressed, trace, rows, path, points
 ):

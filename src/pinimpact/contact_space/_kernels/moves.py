@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inlined, inner
+from ..._numeric.ahead import ahead
+from ..._numeric.jit import inlined, inlined_part, inner, part
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,
@@ -31,6 +32,7 @@ from .codes import (
     SLIP_RESUMED,
     STICKS,
 )
+from .contact_problem import Problem
 from .laws import first_event
 from .resumed_slip import resumed_direction
 from .slip_equations import Polynomials, along_slip, in_frame, polynomials
@@ -162,7 +164,8 @@ def frictionless_course(problem):
     return Course(IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
 
 
-@inlined
+@ahead(Problem, Units, State, bool)
+@inlined_part
 def slip_course(problem, units, state, fresh):
     """Say how slip changes from here.
 
@@ -210,7 +213,8 @@ def slip_course(problem, units, state, fresh):
     return course, straight, state, Polynomials(t1, t2, t3, t4, m0, m1, m2, m3), bl, bp
 
 
-@inner
+@ahead(Problem, State)
+@part
 def leave_zero_slip(problem, state):
     """Say what follows v_t = 0: stick, or slip that resumes along the diverging invariant direction. (5)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.jit import jit
 from .codes import (
     LAW_MET,
@@ -49,6 +50,7 @@ VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 
+@ahead(*11 * [float], int, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, scratch, trace, path):
     """Solve one impact.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inlined
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._numeric.jit import inlined_part
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,
@@ -16,15 +17,20 @@ from .codes import (
     VELOCITY,
     WORK,
 )
+from .contact_problem import Problem
 from .invariant_direction import expand_around_root, nearby_root
 from .ledger import CLOSE_TO_JUMP
-from .moves import NO_FORCE, Move, State
+from .moves import NO_FORCE, Move, State, Units
 from .recording import record_series
-from .slip_equations import Shape, expand, reach
+from .slip_equations import Polynomials, Shape, expand, reach
 from .slip_series import SlipSeries, first_root, halley, point, seek, seek_near, works
 
 
-@inlined
+@ahead(
+    *(FLOATS, FLOATS, Problem, Units, State, Polynomials, float, float, float, int, float, float),
+    *(bool, FLOAT_ROWS, int),
+)
+@inlined_part
 def turning_move(
     coefficients, reciprocals, problem, units, state, polynomials, bl, bp, rate, phase, goal, left,
     works_wanted, path, points,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
 from ..._numeric.jit import inner, jit
 from . import surfaces
 from .constants import AXES, POINT, RADIUS, SPIN, TIP, VELOCITY
@@ -138,6 +139,7 @@ def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
         out[2, j] = f * (n1 * u1 + n2 * u2 + n3 * u3)
 
 
+@ahead(FLOAT_ROWS, FLOAT_ROWS, READONLY)
 @jit
 def locate(frame, carrier, constants):
     """Return the gap, n (3) and the contact point (3), in world axes.
@@ -150,6 +152,7 @@ def locate(frame, carrier, constants):
     return at_contact(pose(frame), pose(carrier), constants)
 
 
+@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, FLOAT_ROWS)
 @jit
 def jacobian(frame, carrier, columns, signs, constants, out):
     """Fill the contact Jacobian J.

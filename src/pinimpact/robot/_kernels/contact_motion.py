@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.jit import inner, separate
 from . import surfaces
 from .constants import POINT, RADIUS, TIP
@@ -19,6 +20,7 @@ from .contact_kinematics import carried_axes, carried_spin, column, fill_jacobia
 from .placement import cross, place, rotate, rotate_back
 
 
+@ahead(*5 * [FLOATS])
 @separate
 def gap_and_rate(R, V, S, U, k):
     """Return the gap [m] and its rate [m/s].
@@ -106,6 +108,7 @@ def bounds(J, signs, group, R, k, peak, h):
     return straight + bent, change, speed, surfaces.least_radius(k) + k[RADIUS]
 
 
+@ahead(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
 @separate
 def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, surface):
     """Fill what a closed contact needs, in axes t₁, t₂, n that the surface carries, see `carried_axes`.

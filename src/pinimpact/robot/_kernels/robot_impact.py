@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, READONLY, ahead
 from ..._numeric.jit import inner, jit
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.path import SCRATCH, solve_into
@@ -40,6 +41,21 @@ def dot(x, y):
     return total
 
 
+@ahead(
+    FLOAT_ROWS,
+    INTEGERS,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOAT_COLUMNS,
+    FLOATS,
+    READONLY,
+    FLOATS,
+    FLOATS,
+    float,
+    float,
+    int,
+    FLOATS,
+)
 @jit
 def reset(
     mass,

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply, products
 from ..._numeric.semidefinite import impulses
 from .contact_forces import FREE, HELD, SLIP
+from .workspace import SceneWorkspace
 
 NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
 """Which rows of a contact that slips: those whose velocity vanishes, or the tangential ones too."""
@@ -27,6 +29,7 @@ def scalar_row(work, j):
     return work.limit_v[j], -math.inf if sign < 0.0 else 0.0, math.inf if sign > 0.0 else 0.0
 
 
+@ahead(SceneWorkspace, FLOAT_ROWS)
 @separate
 def close(work, reference):
     """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
@@ -62,6 +65,7 @@ def close_held(work):
     close(work, np.zeros((len(bilateral), 2)))
 
 
+@ahead(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
 @separate
 def closed_rows(work, v, which, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
@@ -95,6 +99,7 @@ def delassus_of_rows(rows, minverse, response, delassus):
     products(rows, response, delassus)
 
 
+@ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
 @separate
 def stop_along(rows, velocity, minverse, v):
     """Change v by impulses along the rows so that their velocities vanish; return the energy gained."""

@@ -10,10 +10,12 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, products
+from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
 """Modes of a contact: open, sliding, at rest against its surface, held by the scene."""
@@ -121,6 +123,7 @@ def set_up_equations(work, acceleration):
     return least
 
 
+@ahead(SceneWorkspace)
 @separate
 def solve_least_norm(work):
     """Fill the solution of least norm, without contacts that pull where the others can do without them."""

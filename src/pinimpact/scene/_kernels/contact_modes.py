@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.semidefinite import factor
@@ -23,6 +24,7 @@ from .dynamics import (
 )
 from .force_cones import forces_by_cones
 from .force_sweeps import forces_by_sweeps
+from .workspace import SceneWorkspace
 
 STANDARD_GRAVITY = 9.80665
 
@@ -74,6 +76,7 @@ def set_modes(work, t, q, v, slow):
     return jamming, converged, energy
 
 
+@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS)
 @separate
 def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     """Find what stays closed of the contacts, limits and joints that are at rest against each other.

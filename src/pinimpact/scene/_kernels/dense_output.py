@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGER_ROWS, ahead
 from ..._numeric.jit import inner, jit, separate
 from .lie_charts import advance
+from .workspace import SceneWorkspace
 
 
 @jit
@@ -22,6 +24,7 @@ def interpolate(coefficients, theta, out):
         out[m] = value
 
 
+@ahead(FLOAT_ROWS, float, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def state(coefficients, theta, joints, q0, v0, q, v):
     """Fill q and v at a fraction θ of the step."""
@@ -34,6 +37,7 @@ def state(coefficients, theta, joints, q0, v0, q, v):
     advance(joints, q0, xi, q)
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def set_state_within(work, fraction):
     """Set the state at a fraction of the step last completed, where Pinocchio reads it."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
+from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
 """Where `calls` has the function; its arguments follow."""
@@ -52,6 +54,7 @@ def contact_gap(work, i):
     )
 
 
+@ahead(SceneWorkspace, FLOAT_ROWS)
 @separate
 def contact_gaps(work, found):
     """Fill gap and gap rate (n, 2) of all contacts at the state that is set."""
@@ -67,6 +70,7 @@ def limit_gap(work, k, q, v):
     return sign * (q[work.limit_q[k]] - work.limit_bound[k]), sign * v[work.limit_v[k]]
 
 
+@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @separate
 def all_gaps(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
@@ -81,6 +85,7 @@ def all_gaps(work, q, v, found):
 # ---- contact motion
 
 
+@ahead(SceneWorkspace, int, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
 @separate
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
@@ -124,6 +129,7 @@ def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, g
 # ---- accelerations
 
 
+@ahead(SceneWorkspace, float, FLOATS)
 @separate
 def evaluate_without_contacts(work, t, powers):
     """Leave v̇ without contact forces, and the kinematics; fill the powers of control and joints."""
@@ -142,6 +148,7 @@ def invert_mass_matrix(work):
     return call_python(work, INVERT)
 
 
+@ahead(SceneWorkspace, float, FLOATS)
 @separate
 def evaluate(work, t, out):
     """Fill `out` (nv + 4) with v̇ and the powers of control, joints, sliding friction and surfaces."""

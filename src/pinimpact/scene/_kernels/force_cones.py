@@ -13,10 +13,14 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.products import apply
+
+SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
+"""Types: W, accelerations, velocities of slip, friction, held, bounds, and the forces."""
 
 OUTER = 60
 """Convex programs that are solved at most."""
@@ -34,6 +38,7 @@ exist they are small and many, so each is taken twice as far as the one before."
 LONGEST = 1e12
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @separate
 def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations, scale_a, scale_f):
     """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
@@ -74,6 +79,7 @@ def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations,
     return worst
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS)
 @separate
 def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f):
     """Fill x with forces by Newton's method from each choice of which contacts that slip are closed.
@@ -111,6 +117,7 @@ def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a
     return worst
 
 
+@ahead(*SYSTEM)
 @separate
 def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     """Fill x with forces from a sequence of convex programs, then Newton's method on what they say is active.
@@ -250,6 +257,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     return worst
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
 @separate
 def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed):
     """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.

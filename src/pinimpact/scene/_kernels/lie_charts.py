@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOATS, INTEGER_ROWS, ahead
 from ..._numeric.jit import inner, jit
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
@@ -36,6 +37,7 @@ def rotate(x, y, z, w, a, b, c):
     return a + w * u + y * t - z * v, b + w * v + z * u - x * t, c + w * t + x * v - y * u
 
 
+@ahead(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def advance(joints, q0, xi, q):
     """Fill q = q₀ ⊕ ξ, normalised."""
@@ -75,6 +77,7 @@ def advance(joints, q0, xi, q):
             q[i2], q[i2 + 1], q[i2 + 2], q[i2 + 3] = x / r, y / r, z / r, w / r
 
 
+@ahead(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def chart_rate(joints, xi, v, rate):
     """Fill ξ̇ for the velocity v at ξ; valid while no rotation of the chart reaches a full turn."""
@@ -103,6 +106,7 @@ def chart_rate(joints, xi, v, rate):
             rate[j2 + 2] = w3 + 0.5 * x3 + e * (f1 * x2 - f2 * x1)
 
 
+@ahead(INTEGER_ROWS, FLOATS)
 @jit
 def turned_too_far(joints, xi):
     """Whether some rotation of the chart exceeds 3 rad, so that the chart must be moved first."""
@@ -114,6 +118,7 @@ def turned_too_far(joints, xi):
     return False
 
 
+@ahead(INTEGER_ROWS, FLOATS, FLOATS)
 @jit
 def magnitudes(joints, q, out):
     """Fill the size that a relative tolerance refers to: |q| of a plain coordinate, 1 for a rotation."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+from ..._numeric.ahead import FLOAT_ROWS, ahead
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from .contact_forces import SLIP
+from .workspace import SceneWorkspace
 
 
+@ahead(SceneWorkspace, FLOAT_ROWS)
 @separate
 def turn_references(work, velocity):
     """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
@@ -43,6 +46,7 @@ def restore_directions(work):
         assign(work.end_directions[k], work.start_directions[k])
 
 
+@ahead(SceneWorkspace)
 @separate
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""

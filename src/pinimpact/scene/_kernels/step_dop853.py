@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from .dense_output import rate_bounds
@@ -13,6 +14,7 @@ from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
 from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
 from .samples import record_sample
+from .workspace import SceneWorkspace
 
 SAMPLES = np.array([0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5])
 """Which sample of the step a stage is, see `samples`."""
@@ -70,6 +72,7 @@ def reaction_error(h, reactions, v0, v1, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
 
 
+@ahead(SceneWorkspace, int, float)
 @separate
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""

@@ -13,16 +13,19 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from .contact_forces import SINGULAR_STILL, SLIP, STICK
+from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
 LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
+@ahead(SceneWorkspace)
 @separate
 def widest_margin(work):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N]."""

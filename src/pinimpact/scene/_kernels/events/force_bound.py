@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
 from ..widest_margin import widest_margin
+from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
@@ -29,6 +31,7 @@ def value(work, _, t):
 first_fall = search_for_fall(value)
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..event_location import search_for_fall
+from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 from .gap import SAFETY
 
@@ -24,6 +26,7 @@ def value(work, j, t):
 first_fall = search_for_fall(value)
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ....robot._kernels import contact_motion
 from ..contact_forces import FREE
 from ..dynamics import compute_kinematics, contact_gap
 from ..event_location import search_for_closing
+from ..workspace import SceneWorkspace
 from .consequences import ARRIVAL
 
 CONSEQUENCE = ARRIVAL
@@ -48,6 +50,7 @@ def bound(work, i):
     )
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time until `end` at which a gap closes, infinite if none does; and whose."""

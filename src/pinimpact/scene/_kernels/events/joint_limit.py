@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..dynamics import limit_gap
 from ..event_location import search_for_closing
+from ..workspace import SceneWorkspace
 from .consequences import ARRIVAL
 from .gap import SAFETY
 
@@ -34,6 +36,7 @@ def bound(work, k):
     )
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time until `end` at which a limit is reached, infinite if none is; and which."""

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
+from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
 from ..samples import along, clear_of_zero
+from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
@@ -29,6 +31,7 @@ def value(work, k, t):
 value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_root(value)
 
 
+@ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time before `end` at which a slip ends, infinite if none; and which.

@@ -1,0 +1,131 @@
+"""Kernels whose argument types are known before a caller is compiled, so that all can be compiled at once.
+
+The types are told above the decorator of a kernel::
+
+    @ahead(FLOAT_ROWS, FLOATS, float, int)
+    @separate
+    def kernel(matrix, vector, x, k): ...
+
+They are a hint and nothing else: for other types the kernel is compiled when a caller asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+import numpy as np
+from numba import types
+
+K = TypeVar("K")
+
+FLOATS, FLOAT_ROWS = types.float64[::1], types.float64[:, ::1]
+INTEGERS, INTEGER_ROWS = types.int64[::1], types.int64[:, ::1]
+FLOAT_COLUMNS = types.float64[::1, :]
+FLAGS = types.boolean[::1]
+THREE = types.UniTuple(types.float64, 3)
+READONLY = types.Array(types.float64, 1, "C", readonly=True)
+
+_NUMBERS = {float: types.float64, int: types.int64, np.int64: types.int64, bool: types.boolean}
+
+
+class Job(NamedTuple):
+    """A kernel to be compiled.
+
+    Attributes:
+        module, name, types: Which, and the types of its arguments.
+        needs: Places of the jobs that have to be done before.
+    """
+
+    module: str
+    name: str
+    types: tuple[Any, ...]
+    needs: Sequence[int] = ()
+
+
+def ahead(*kinds: Any) -> Callable[[K], K]:
+    """Tell the types of a kernel's arguments.
+
+    Args:
+        *kinds: Of each, in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
+            class of `Workspace`, or a type of numba.
+    """
+
+    def tell(kernel: K) -> K:
+        if hasattr(kernel, "py_func"):  # else it is plain Python
+            kernel.ahead = kinds  # type: ignore[attr-defined]
+        return kernel
+
+    return tell
+
+
+def numba_type(kind: Any) -> Any:
+    """Return the type of numba that a kind is short for."""
+    if isinstance(kind, types.Type):
+        return kind
+    if kind in _NUMBERS:
+        return _NUMBERS[kind]
+    if hasattr(kind, "numba_type"):
+        return kind.numba_type
+    fields = [numba_type(one) for one in get_type_hints(kind).values()]
+    if all(one == fields[0] for one in fields):
+        return types.NamedUniTuple(fields[0], len(fields), kind)
+    return types.NamedTuple(fields, kind)
+
+
+def types_ahead(kernel: Any) -> tuple[Any, ...]:
+    """Return the types of arguments that a kernel tells."""
+    return tuple(map(numba_type, kernel.ahead))
+
+
+def callees(function: FunctionType) -> list[Any]:
+    """Return the kernels that a kernel's Python function calls itself."""
+    names = function.__code__.co_names
+    seen = [function.__globals__.get(name) for name in names]
+    seen += [cell.cell_contents for cell in function.__closure__ or ()]
+    seen += [getattr(one, name, None) for one in seen if isinstance(one, ModuleType) for name in names]
+    return [one for one in seen if hasattr(one, "py_func")]
+
+
+def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
+    """Return what is to be compiled for some kernels: callees first, and what most has to follow on.
+
+    Args:
+        wanted: Kernels and their types.
+    """
+    given = dict(wanted)
+    inside: dict[Any, set[Any]] = {}  # what goes into the code of each kernel
+    order: list[Any] = []
+
+    def visit(kernel: Any) -> None:
+        if kernel not in inside:
+            inside[kernel] = {kernel}  # at first: what seems to call itself has an attribute of that name
+            for one in callees(kernel.py_func):
+                visit(one)
+                inside[kernel] |= {one} if is_job(one) else inside[one]
+            order.append(kernel)
+
+    def is_job(kernel: Any) -> bool:
+        return kernel in given or hasattr(kernel, "ahead")
+
+    for kernel in given:
+        visit(kernel)
+    made = [one for one in order if is_job(one)]
+    needs = {one: [other for other in made[:k] if other in inside[one]] for k, one in enumerate(made)}
+    to_go: dict[Any, int] = {}  # the code on the longest way from each through its callers
+    for one in reversed(made):
+        code = sum(
+            len(part.py_func.__code__.co_code) for part in inside[one] if not is_job(part) or part is one
+        )
+        to_go[one] = code + max((to_go[caller] for caller in to_go if one in needs[caller]), default=0)
+    made.sort(key=lambda one: -to_go[one])
+    return [
+        Job(
+            one.py_func.__module__,
+            one.py_func.__qualname__,
+            given[one] if one in given else types_ahead(one),
+            [made.index(other) for other in needs[one]],
+        )
+        for one in made
+    ]

@@ -1,0 +1,192 @@
+"""Several processes that compile kernels at once.
+
+Whoever waits for kernels has helpers, one for each further processor, as long as it takes. All go
+through one list of kernels whose argument types are known ahead, callees first. Whoever comes to a kernel
+that nobody has begun claims it, by a file, compiles it, and leaves it in the cache; whoever needs what
+another has claimed waits for it. Nothing depends on a helper: what it does not leave in the cache, for
+whatever reason, the process that waits compiles itself, and it ends its helpers when it is done or stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+from .ahead import Job
+from .sources import PACKAGE, ROOT
+from .waiting import COUNT, LOG
+
+T = TypeVar("T")
+
+MOST = 4
+"""Processes, at most: from there on, each would wait for the others; and each takes 0.4 GB."""
+
+PAUSE = 0.005
+"""Time between looks at what others have done [s]."""
+
+_HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {} import help_out; help_out()"
+
+
+class Company:
+    """The claims of the processes that compile together.
+
+    Args:
+        folder: Where the claims are.
+        helpers: The other processes, where this is the one that waits for the kernels.
+    """
+
+    def __init__(self, folder: Path, helpers: Sequence[subprocess.Popen[bytes]] = ()) -> None:
+        self._folder = folder
+        self._helpers = {helper.pid: helper for helper in helpers}
+
+    def _file(self, job: Job) -> Path:
+        return self._folder / hashlib.sha256(str(job[:3]).encode()).hexdigest()[:32]
+
+    def claim(self, job: Job) -> bool:
+        """Claim a kernel; return False if another has been faster."""
+        try:
+            with open(self._file(job), "x") as file:
+                file.write(str(os.getpid()))
+        except FileExistsError:
+            return False
+        except OSError:  # the folder is gone; so is whoever would wait
+            return True
+        return True
+
+    def release(self, job: Job) -> None:
+        """Tell whoever waits for a kernel that it is in the cache."""
+        with suppress(OSError):
+            self._file(job).with_suffix(".done").touch()
+
+    def of_others(self, job: Job, load: Callable[[], T | None]) -> T | None:
+        """Return what others leave of a kernel in the cache; None if there is nothing, or this one claims it.
+
+        Args:
+            job: The kernel.
+            load: Looks for it in the cache.
+        """
+        if self.claim(job):
+            return None
+        while not self._is_over(job):
+            time.sleep(PAUSE)
+        return load()
+
+    def _is_over(self, job: Job) -> bool:
+        """Whether what has been claimed is in the cache, or will never be."""
+        claimed = self._file(job)
+        with suppress(OSError, ValueError):
+            owner = self._helpers.get(int(claimed.read_text()))
+            if owner is not None and owner.poll() is not None:
+                return True
+        return claimed.with_suffix(".done").exists()
+
+    def share(self, jobs: Sequence[Job]) -> None:
+        """Compile what nobody else has begun, as soon as all that it needs is there."""
+        left = list(jobs)
+        while left := [job for job in left if not self._is_claimed(job)]:
+            over = [self._is_claimed(job) and self._is_over(job) for job in jobs]
+            job = next((job for job in left if all(over[k] for k in job.needs)), None)
+            if job is None:
+                time.sleep(PAUSE)
+                continue
+            LOG.info(COUNT, sum(over), len(jobs))
+            with suppress(Exception):  # types that it cannot be called with; or else whoever calls it tells
+                getattr(importlib.import_module(job.module), job.name).compile(job.types)
+            self.claim(job)  # where it was in the cache, or compiled before, nobody has
+            self.release(job)
+
+    def _is_claimed(self, job: Job) -> bool:
+        return self._file(job).exists()
+
+
+present: Company | None = None
+"""The company that this process compiles in."""
+
+
+def possible_helpers() -> int:
+    """Return how many helpers there can be: none on one processor, or where Python cannot be started anew."""
+    if getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("python"):
+        return 0
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(processors, MOST) - 1
+
+
+@contextmanager
+def company(jobs: Sequence[Job], helpers: int) -> Iterator[None]:
+    """Compile kernels with helpers, who go on with what is left of them until the context ends.
+
+    Args:
+        jobs: See `ahead.jobs`.
+        helpers: How many.
+    """
+    global present
+    started: list[subprocess.Popen[bytes]] = []
+    with ExitStack() as stack:
+        with suppress(OSError):  # no place for claims, or no process to be had: alone, then
+            if helpers:
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=PACKAGE)))
+                stack.callback(_end, started)
+                for _ in range(helpers):
+                    started.append(_helper(folder, jobs))
+        if started:
+            present = Company(folder, started)
+            present.share(jobs)
+        yield
+
+
+def _end(helpers: Sequence[subprocess.Popen[bytes]]) -> None:
+    global present
+    present = None
+    for helper in helpers:
+        helper.kill()
+    for helper in helpers:
+        with suppress(OSError):  # what it has not read
+            helper.communicate()
+
+
+def _helper(folder: Path, jobs: Sequence[Job]) -> subprocess.Popen[bytes]:
+    """Start a helper."""
+    helper = subprocess.Popen(
+        [sys.executable, "-I", "-c", _HELP.format(__name__)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+    )
+    assert helper.stdin is not None
+    paths = [str(ROOT.parent), *(path for path in sys.path if path)]
+    with suppress(OSError):  # it has died already
+        for one in (paths, (numba.config.CACHE_DIR, folder), list(jobs)):
+            pickle.dump(one, helper.stdin)
+        helper.stdin.flush()
+    return helper
+
+
+def help_out() -> None:
+    """Be a helper: compile what nobody has claimed, until all is claimed or nobody waits any more."""
+    global present
+    source = sys.stdin.buffer
+    numba.config.CACHE_DIR, folder = pickle.load(source)
+    jobs = pickle.load(source)
+    threading.Thread(target=_end_with, args=(source,), daemon=True).start()
+    present = Company(folder)
+    present.share(jobs)
+
+
+def _end_with(source: Any) -> None:
+    """End this process when the one that waits is gone."""
+    source.read()
+    os._exit(0)

@@ -1,0 +1,168 @@
+"""Shortcuts through numba: what it works out over and over with the same outcome, worked out once.
+
+Most of the time that a kernel takes to compile, numba spends in Python: it looks for the type of each sum of
+two floats anew, and takes care of references where there are none. While kernels are compiled (numba's own
+lock keeps other threads from compiling then), these shortcuts hold. None changes what comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from functools import cache
+from types import BuiltinFunctionType
+from typing import Any
+from unittest.mock import patch
+
+from llvmlite.ir import Type
+from numba.core import base, event, ir, lowering, postproc, transforms
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
+from numba.core.rewrites import rewrite_registry
+from numba.core.types.functions import BaseFunction
+
+
+def _remembering_types(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `BaseFunction.get_call_type` with a memory."""
+    known: dict[Any, Any] = {}
+
+    def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws:
+            return original(self, context, args, kws)
+        key = id(self), tuple(args)
+        found = known.get(key)
+        if found is None:
+            known[key] = found = (
+                original(self, context, args, kws),
+                self,
+                context,
+            )  # they stay: ids are unique
+        return found[0]
+
+    return get_call_type
+
+
+def _remembering_sizes(original: Callable[..., int]) -> Callable[..., int]:
+    """Return `Type.get_abi_size` with a memory; without, each call has LLVM parse a module."""
+    known: dict[str, int] = {}
+
+    def get_abi_size(self: Any, target_data: Any, context: Any = None) -> int:
+        name = str(self)
+        size = known.get(name)
+        if size is None:
+            known[name] = size = original(self, target_data, context)
+        return size
+
+    return get_abi_size
+
+
+_LEAVES = frozenset({str, int, float, bool, type(None), ir.Loc, BuiltinFunctionType})
+
+
+def _variables(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `Inst._rec_list_vars` with the frequent first."""
+
+    def rec_list_vars(self: Any, value: Any) -> Any:
+        if type(value) is not dict:
+            return original(self, value)
+        found = []
+        for one in value.values():
+            kind = type(one)
+            if kind is ir.Var:
+                found.append(one)
+            elif kind not in _LEAVES:
+                found += rec_list_vars(self, one._kws if kind is ir.Expr else one)
+        return found
+
+    return rec_list_vars
+
+
+_SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
+    (BaseFunction, "get_call_type", _remembering_types(BaseFunction.get_call_type)),
+    (Type, "get_abi_size", _remembering_sizes(Type.get_abi_size)),
+    (base, "_has_loc", cache(base._has_loc)),
+    (ir.Inst, "_rec_list_vars", _variables(ir.Inst._rec_list_vars)),
+    (event, "install_timer", lambda *_: nullcontext()),
+)
+
+
+@contextmanager
+def shortcuts() -> Iterator[None]:
+    """Let numba take the shortcuts."""
+    with ExitStack() as stack:
+        for owner, name, shortcut in _SHORTCUTS:
+            stack.enter_context(patch.object(owner, name, shortcut))
+        yield
+
+
+@cache
+def counted(models: Any, kind: Any) -> bool:
+    found: bool = models[kind].contains_nrt_meminfo()
+    return found
+
+
+class Lowering(lowering.Lower):
+    """Lowering without a thought of the references of what has none: numbers, and tuples of them."""
+
+    def _counted(self, kind: Any) -> bool:
+        return counted(self.context.data_model_manager, kind)
+
+    def incref(self, typ: Any, val: Any) -> None:
+        if self._counted(typ):
+            super().incref(typ, val)
+
+    def decref(self, typ: Any, val: Any) -> None:
+        if self._counted(typ):
+            super().decref(typ, val)
+
+    def delvar(self, name: str) -> None:
+        if self._counted(self.typeof(name)):
+            super().delvar(name)
+
+
+class Passes(PassManager):
+    """Passes that are not timed, and between which nothing is checked or analysed that no pass asks for."""
+
+    def _runPass(self, index: int, one: Any, state: Any) -> None:
+        one.analysis = self._analysis
+        one.run_initialization(state)
+        one.run_pass(state)
+        one.run_finalizer(state)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class Canonical(FunctionPass):
+    _name = "kernel_canonical"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        state.func_ir.blocks = transforms.canonicalize_cfg(state.func_ir.blocks)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class Lifetimes(FunctionPass):
+    _name = "kernel_lifetimes"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        models = state.targetctx.data_model_manager
+        if any(counted(models, kind) for kind in set(state.typemap.values())):
+            postproc.PostProcessor(state.func_ir).run(emit_dels=True)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class Rewrites(FunctionPass):
+    _name = "kernel_rewrites"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        with patch.object(postproc.PostProcessor, "run", lambda self: None):
+            rewrite_registry.apply("before-inference", state)
+        return True
