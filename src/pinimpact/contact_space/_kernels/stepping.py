@@ -315,7 +315,7 @@ def solve_stepping(
         flags |= mode_flag(mode, h, p3)
         rows = record_move(trace, rows, mode, ledger.phase, p3 - h, p3, work, friction_work)
         points = record_point(path, points, p3, v1, v2, v3, p1, p2)
-        ledger, event, new_flags = close_move(ledger, problem, event, h, work, left, p3)
+        ledger, event, new_flags = close_move(ledger, problem, event, h, work, rate, left, p3)
         flags |= new_flags
         if event == LAW_MET:
             break
