@@ -384,6 +384,16 @@ def test_11_newtons_law_creates_energy_and_says_so():
         assert Flag.ENERGY_CREATED not in agrees(rod, [0.0, 0.4, -1.0], 0.7, 1.0, law).flags
 
 
+@pytest.mark.parametrize("below", [1e-2, 1e-4, 1e-6])
+def test_11_newtons_law_may_ask_creep_for_any_impulse(below):
+    """A wedge just below its angle of friction creeps, and has to get away as fast as it came."""
+    factor = np.array([[2.0, 1.0], [1.0, 3.0], [-1.0, 2.0]])
+    threshold = np.sqrt(2.0)
+    creeps = agrees(factor @ factor.T, factor @ [0.5, -1.0], threshold * (1 - below), 1.0, "newton")
+    assert creeps.impulse[2] > 0.5 / below
+    assert Flag.ENERGY_CREATED | Flag.SLIP_RESUMED in creeps.flags
+
+
 def test_11_a_locked_mechanism():
     """Poisson's law spends its impulse, the others end where v₃ is held at zero."""
     locked = np.array([[1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
