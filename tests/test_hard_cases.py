@@ -186,6 +186,90 @@ def test_6_the_map_jumps_where_the_reference_does():
         assert ("SECOND_COMPRESSION" in answer.flags) == second
 
 
+def beside_a_jump(solution, delassus, velocity, restitution, law):
+    """What holds on either side, whatever the side: the flag, v⁺ = v⁻ + W P, and the law."""
+    assert Flag.NEAR_JUMP in solution.flags
+    balance = velocity + delassus @ solution.impulse
+    assert solution.velocity == pytest.approx(balance, abs=1e-11 * np.abs(delassus @ solution.impulse).max())
+    work, pc = solution.work, solution.compression_impulse
+    met = {
+        "poisson": (solution.impulse[2], (1 + restitution) * pc),
+        "energetic": (work.restitution, -(restitution**2) * work.compression),
+        "newton": (solution.velocity[2], -restitution * velocity[2]),
+    }
+    assert met[law][0] == pytest.approx(met[law][1], rel=1e-11)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_6_both_sides_of_a_jump(law):
+    """Closing in on the jump as the approach grows, until the sides are neighbouring doubles."""
+    W, velocities, mu = random_impacts.second_compression(np.random.default_rng(3), 30)
+    faster = np.linspace(0.1, 2.0, 150)
+    jumps = 0
+    for delassus, v, friction in zip(W, velocities, mu, strict=True):
+        lines = v * np.array([[1.0, 1.0, x] for x in faster])
+        impulse = solve_impacts(np.tile(delassus, (150, 1, 1)), lines, friction, 0.8, law).impulse[:, 2]
+        k = int(np.argmax(np.abs(np.diff(impulse)) / (impulse[1:] + impulse[:-1])))
+        low, high = lines[k, 2], lines[k + 1, 2]
+
+        def at(v3, W=delassus, v=v, mu=friction):
+            return solve(W, np.array([v[0], v[1], v3]), mu, 0.8, law)
+
+        below, above = at(low), at(high)
+        while low > (middle := (low + high) / 2) > high:
+            here = at(middle)
+            if abs(here.impulse[2] - below.impulse[2]) > abs(here.impulse[2] - above.impulse[2]):
+                high, above = middle, here
+            else:
+                low, below = middle, here
+        if abs(above.impulse[2] - below.impulse[2]) > 0.01 * above.impulse[2]:
+            jumps += 1
+            for v3, solution in ((low, below), (high, above)):
+                beside_a_jump(solution, delassus, np.array([v[0], v[1], v3]), 0.8, law)
+    assert jumps > 5
+
+
+BESIDE_JUMPS = [  # neighbouring doubles: v₃ just falls to zero as the goal is met, or rounding says so
+    (
+        "poisson",
+        *([-1.8556255341920525, -0.4958853697676567, -0.004492934700920266], 1.9962170188494073),
+        *(9.683806924217667, 0.0020946061566318175),
+        (0.0015397632263608064, 0.005071699963100801, -0.004387454101028964, 0.32478753489093587),
+        (0.02263982250335419, 0.022053489076454786),
+    ),
+    (
+        "energetic",
+        *([-0.2657185734870309, 12.007472408450665, -0.5291769401676418], 0.9184699985387019),
+        *(1.5, 0.7697165601765514),
+        (1.227614121490518, -0.4324505595207712, 0.9979674843304296, 7.972385878509482),
+        (0.06372519297102047, 1.0),
+    ),
+    (
+        "energetic",
+        *([-1.844049998728917, 0.6893444539867436, -0.2652019343552274], 0.7992290224284958),
+        *(5.4570415752958965, 0.15247818780961686),
+        (0.09836109455844762, -0.025949393967519607, 0.01127262420734979, 0.008241370289324668),
+        (-0.0026201272942709126, 0.002226197710039291),
+    ),
+    (
+        "newton",
+        *([11.9958133751167, -0.5919978626407755, -0.5293627393199531], 0.6282056502504902),
+        *(1.5, 0.9667681620229845),
+        (7.9996002019597965, -0.052138918620438915, -0.007667713442848905, 1.2003997980402032),
+        (-0.9999706026531772, 1.0),
+    ),
+]
+
+
+@pytest.mark.parametrize(("law", "v", "faster", "mu", "e", "rows", "last"), BESIDE_JUMPS)
+def test_6_neighbours_across_a_jump(law, v, faster, mu, e, rows, last):
+    (w11, w12, w13, w22), (w23, w33) = rows, last
+    delassus = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
+    for factor in (faster, np.nextafter(faster, 3)):
+        velocity = np.array([v[0], v[1], v[2] * factor])
+        beside_a_jump(solve(delassus, velocity, mu, e, law), delassus, velocity, e, law)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_6_never_a_third(law):
     p = random_impacts.draw(np.random.default_rng(6), "second compression", 150)
@@ -298,6 +382,16 @@ def test_11_newtons_law_creates_energy_and_says_so():
     assert Flag.ENERGY_CREATED in created.flags
     for law in ("poisson", "energetic"):
         assert Flag.ENERGY_CREATED not in agrees(rod, [0.0, 0.4, -1.0], 0.7, 1.0, law).flags
+
+
+@pytest.mark.parametrize("below", [1e-2, 1e-4, 1e-6])
+def test_11_newtons_law_may_ask_creep_for_any_impulse(below):
+    """A wedge just below its angle of friction creeps, and has to get away as fast as it came."""
+    factor = np.array([[2.0, 1.0], [1.0, 3.0], [-1.0, 2.0]])
+    threshold = np.sqrt(2.0)
+    creeps = agrees(factor @ factor.T, factor @ [0.5, -1.0], threshold * (1 - below), 1.0, "newton")
+    assert creeps.impulse[2] > 0.5 / below
+    assert Flag.ENERGY_CREATED | Flag.SLIP_RESUMED in creeps.flags
 
 
 def test_11_a_locked_mechanism():

@@ -21,7 +21,7 @@ from pinimpact.robot import pinocchio_bridge as bridge
 from pinimpact.robot._kernels.python_calls import call, raise_kept_error
 
 from . import robot_cases as cases
-from . import test_contacts_matrices, test_reset_physics, test_simulation
+from . import test_contacts_matrices, test_impact_physics, test_simulation
 from .scene_models import UP, ball, pendulum
 
 FLOOR = Plane()
@@ -167,10 +167,10 @@ def test_a_scene_is_the_same_either_way(way):
             test_contacts_matrices.test_mass_and_delassus_by_inverse_dynamics_and_dense_algebra, name="solo12"
         ),
         test_contacts_matrices.test_mimic_joints_move_as_they_are_told,
-        partial(test_reset_physics.test_energy_by_pinocchio_is_the_ledger, "panda", "poisson"),
-        partial(test_reset_physics.test_momentum_changes_by_the_impulse, "kinova"),
-        test_reset_physics.test_two_bodies_may_change_roles,
-        test_reset_physics.test_many_states_at_once,
+        partial(test_impact_physics.test_energy_by_pinocchio_is_the_ledger, "panda", "poisson"),
+        partial(test_impact_physics.test_momentum_changes_by_the_impulse, "kinova"),
+        test_impact_physics.test_two_bodies_may_change_roles,
+        test_impact_physics.test_many_states_at_once,
     ],
     ids=lambda test: getattr(test, "func", test).__name__,
 )

@@ -99,13 +99,14 @@ def same(a: Trajectory, b: Trajectory) -> None:
         assert np.array_equal(x.v_after, y.v_after)
         assert np.array_equal(x.impulse_world, y.impulse_world)
         assert np.array_equal(x.problem.delassus, y.problem.delassus)
+        assert x.problem.velocity_scale == y.problem.velocity_scale
         assert np.array_equal(x.solution.velocity, y.solution.velocity)
         assert x.solution.segments == y.solution.segments
         assert (x.solution.path is None) == (y.solution.path is None)
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_trajectories_can_be_pickled(asked: bool) -> None:
+def test_trajectories_can_be_pickled_and_saved(asked: bool, tmp_path) -> None:
     model = pendulum()
     model.lowerPositionLimit = np.array([-0.5])
     wall = Contact("tip", Plane(point=(-0.5, 0, 0), normal=(1, 0, 0)), friction=0.2, restitution=0.9)
@@ -115,6 +116,11 @@ def test_trajectories_can_be_pickled(asked: bool) -> None:
     if asked:  # solutions that have been made are not in the way
         assert all(impact.solution.flags is not None for impact in trajectory.impacts)
     same(trajectory, pickle.loads(pickle.dumps(trajectory)))
+    trajectory.save(tmp_path / "pendulum.npz")
+    same(trajectory, Trajectory.load(tmp_path / "pendulum.npz"))
+    scales = {impact.source: impact.problem.velocity_scale for impact in trajectory.impacts}
+    assert scales["tip on plane"] > 0.0
+    assert scales["hinge lower"] is None
 
 
 def test_what_a_failed_run_leaves_can_be_pickled() -> None:

@@ -37,7 +37,7 @@ _WORLD = pin.Convention.WORLD
 _is_normalized = pin.isNormalized
 _contiguous = np.ascontiguousarray
 _empty = np.empty
-_reset = kernel.reset
+_robot_impact = kernel.robot_impact
 SIZE = kernel.SIZE
 _NONE_HELD = np.zeros((0, 3))
 _NONE_HELD.setflags(write=False)
@@ -193,7 +193,7 @@ def impact(
         restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
     nv = cache.nv
     answer = _empty(nv + SIZE)
-    outcome = _reset(
+    outcome = _robot_impact(
         cache.mass_matrix(model, data, q_now, _WORLD),
         cache.parents,
         *kinematics(model, data, q_now, cache, contact),
@@ -286,7 +286,7 @@ def impacts(
     parts = MassAndFrames(model, data, frame, carrier)
     codes = np.empty((count, 2), dtype=np.int64)
     codes[:] = int(Status.INVALID_NUMBERS), 0
-    stopped = kernel.reset_rows(
+    stopped = kernel.robot_impacts(
         *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
         *(parts.frame, parts.carrier, parts.columns, signs, contact.constants),
         *(q, v, usable, mu, e, contact.law_code, after, impulses, codes),

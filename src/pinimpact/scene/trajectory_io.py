@@ -92,14 +92,15 @@ def write_trajectory(
             impact_vectors=stack(
                 [(i.problem.velocity, i.problem.surface_velocity, i.impulse_world) for i in impacts], 3, 3
             ),
+            impact_scale=stack([i.problem.velocity_scale for i in impacts]),  # None becomes NaN
         )
 
 
 def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
-    A file that was written before the names of sources were stored has None for them, and one before events
-    were has none.
+    A file that was written before the names of sources or the scales of impacts' velocities were stored has
+    None for them, and one before events were has none.
 
     Raises:
         InputError: A file that is missing, or is no trajectory.
@@ -130,6 +131,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         segment.end = end
         segments.append(segment)
+    scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
     impacts = [
         ImpactRecord(
             time,
@@ -140,7 +142,13 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
             resting,
             simultaneous,
             record,
-            partial(_contact_space, arrays["impact_delassus"][i], arrays["impact_vectors"][i], (mu, e, law)),
+            partial(
+                _contact_space,
+                arrays["impact_delassus"][i],
+                arrays["impact_vectors"][i],
+                (mu, e, law),
+                None if np.isnan(scales[i]) else float(scales[i]),
+            ),
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]
@@ -166,7 +174,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
 
 
 def _contact_space(
-    delassus: Array, vectors: Array, law: tuple[float, float, str]
+    delassus: Array, vectors: Array, law: tuple[float, float, str], scale: float | None
 ) -> tuple[ImpactProblem, Array]:
     velocity, surface, impulse = vectors
-    return ImpactProblem(delassus, velocity, *law, surface), impulse
+    return ImpactProblem(delassus, velocity, *law, surface, scale), impulse

@@ -17,6 +17,7 @@ class Tableau(NamedTuple):
         b: (m,) weights of the step.
         area: (m,) weights of ∫ P_t dP₃ over the step, b(1 − c): they make the ledger of work.
         error: (m,) weights of the error estimate; zeros where the method has none.
+        grading: How steps of given length are shortened near v_t = 0; 0 where they are not.
     """
 
     a: NDArray[np.float64]
@@ -24,6 +25,7 @@ class Tableau(NamedTuple):
     b: NDArray[np.float64]
     area: NDArray[np.float64]
     error: NDArray[np.float64]
+    grading: float
 
 
 def _tableau(rows: list[list[float]], b: list[float], lower: list[float] | None = None) -> Tableau:
@@ -33,13 +35,13 @@ def _tableau(rows: list[list[float]], b: list[float], lower: list[float] | None 
         a[i + 1, : len(row)] = row
     c, weights = a.sum(axis=1), np.array(b)
     error = weights - np.array(lower) if lower else np.zeros(m)
-    return Tableau(a, c, weights, weights * (1.0 - c), error)
+    return Tableau(a, c, weights, weights * (1.0 - c), error, 0.0)
 
 
 # the Euler step is a straight line, so the area below it is known: a half
 EULER = _tableau([], [1.0])._replace(area=np.array([0.5]))
 
-RK4 = _tableau([[1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6])
+RK4 = _tableau([[1 / 2], [0, 1 / 2], [0, 0, 1]], [1 / 6, 1 / 3, 1 / 3, 1 / 6])._replace(grading=5.0)
 
 # Dormand and Prince, J. Comput. Appl. Math. 6 (1980) 19–26
 DORMAND_PRINCE = _tableau(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -58,12 +59,12 @@ def still_to_gain(ledger, counts, v3):
 
 
 @inner
-def close_move(ledger, problem, event, span, work, left, p3):
+def close_move(ledger, problem, event, span, work, rate, left, p3):
     """Enter a move into the ledger and do what its event brings.
 
     Args:
         event: What ended the move.
-        span, work: Its normal impulse and normal work.
+        span, work, rate: Its normal impulse, its normal work, and dv₃/dP₃ at its end.
         left: What was left of the goal at its start.
         p3: Normal impulse at its end.
 
@@ -88,8 +89,14 @@ def close_move(ledger, problem, event, span, work, left, p3):
         flags |= SECOND_COMPRESSION
         phase = COMPRESSION
         phase_start = p3
-        gained = span if problem.counts == IMPULSE else work
-        if problem.counts != VELOCITY and left - gained < CLOSE_TO_JUMP * goal:
-            flags |= NEAR_JUMP
+        if problem.counts != VELOCITY:
+            # v₃ rose to `peak` and came back; had the approach been a little slower the rise had been higher,
+            # lasted longer in the proportion of the root, and perhaps long enough
+            peak = -0.25 * rate * restored
+            higher = 1.0 - CLOSE_TO_JUMP * problem.v3 / peak if peak > 0.0 else math.inf
+            longer = math.sqrt(higher)
+            gained, more = (span, longer) if problem.counts == IMPULSE else (work, longer * higher)
+            if left - gained < CLOSE_TO_JUMP * goal or goal < more * (goal - (left - gained)):
+                flags |= NEAR_JUMP
     ledger = Ledger(phase, phase_start, compressed, restored, compression_work, restitution_work, goal)
     return ledger, event, flags

@@ -131,7 +131,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
                 move.friction_work,
             )  # fmt: skip
         ledger, event, new_flags = close_move(
-            ledger, problem, move.event, move.span, move.work, left, state.p3
+            ledger, problem, move.event, move.span, move.work, move.rate, left, state.p3
         )
         flags |= new_flags
         if path.shape[0] > 0:

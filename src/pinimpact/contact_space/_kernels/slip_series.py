@@ -219,11 +219,13 @@ def seek(series, counts, aim, f_low, f_high, high):
     Halley's iteration inside a bracket.
 
     Args:
-        f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs.
+        f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs, or the second is zero.
 
     Returns:
         x.
     """
+    if f_high == 0.0:
+        return high
     low, top = 0.0, high
     x = 0.5
     if counts == WORK:

@@ -34,7 +34,7 @@ from .codes import (
     WORK,
 )
 from .contact_problem import PROCEEDS, prepare
-from .delassus import EPS, ZERO
+from .delassus import EPS
 from .ending import finish, no_answer, plain, without_impact
 from .ledger import CLOSE_TO_JUMP, close_move, new_ledger, still_to_gain
 from .moves import (
@@ -47,6 +47,7 @@ from .moves import (
     tangential_velocity,
 )
 from .recording import record_move, record_point
+from .stiff_step import STAGES, settling, stiff_step
 
 MAX_SCALES = 1000
 """An impact that slips for more than this many times the scale of its steps is given up."""
@@ -59,6 +60,13 @@ ROOM = 1.0 + 1e-9
 
 TURNED = 64.0 * EPS
 """Angle between two steps that is more than rounding."""
+
+STIFF = 2.0
+"""A step of chosen length is stiff if the direction of slip settles within it more often than this; explicit
+steps bear little more than three times."""
+
+ROUNDED = 1e-14
+"""Part of the impulse of friction that counts as none, for the end of slip by steps of given length."""
 
 SLIP_ENDS, V3_ZERO, GOAL = 0, 1, 2
 """What a step is bisected for."""
@@ -82,7 +90,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
         v1: Tangential velocity at the start,
         v2: its second component.
         h: Increment of P₃.
-        k: (m, 2) scratch for the stages.
+        k: (m, 4) scratch for the stages.
 
     Returns:
         ΔP_t, ∫ΔP_t dP₃ over the step, the new v_t, the estimate of the error of ΔP_t, and the least
@@ -118,11 +126,35 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
 
 
 @inner
-def before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k):
+def take(stiff, table, tangent, mu, v1, v2, h, k):
+    """Take one step by `stiff_step` or by the table; arguments and values are those of `slip_step`."""
+    if stiff:
+        return stiff_step(tangent, mu, v1, v2, h, k)
+    return slip_step(table, tangent, mu, v1, v2, h, k)
+
+
+@inner
+def shorter(table, tangent, mu, v1, v2, scale, stride):
+    """Return the step near v_t = 0 of a method that shortens them there.
+
+    With ρ about the impulse that is left to v_t = 0, steps like ρ^{1 − 1/m} are not many more than before,
+    and their errors (h/ρ)⁵ρ sum up to N⁻⁴ for m = 5. None is longer than 2ρ, so that the direction settles
+    and does not swing.
+    """
+    a11, a12, a22, b1, b2 = tangent
+    speed = norm(v1, v2)
+    pull = mu / speed
+    push = norm(b1 - pull * (a11 * v1 + a12 * v2), b2 - pull * (a12 * v1 + a22 * v2))
+    rest = speed / (push + speed * settling(tangent, mu, v1, v2))
+    return min(stride, table.grading * stride * (rest / scale) ** (1.0 - 1.0 / table.grading), 2.0 * rest)
+
+
+@inner
+def before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k):
     """Measure how far the end of a step over h lies before an event: positive before it."""
     if sought == GOAL and counts == IMPULSE:
         return left - h
-    d1, d2, q1, q2, _, _, _, least = slip_step(table, tangent, mu, v1, v2, h, k)
+    d1, d2, q1, q2, _, _, _, least = take(stiff, table, tangent, mu, v1, v2, h, k)
     if sought == SLIP_ENDS:
         return least
     b1, b2 = tangent[3], tangent[4]
@@ -135,11 +167,11 @@ def before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3,
 
 
 @inner
-def locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k):
+def locate(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k):
     """Bisect a step that crosses an event, with secants in between, and return its length to the event."""
     low, high = 0.0, h
-    at_low = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, low, k)
-    at_high = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, high, k)
+    at_low = before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, low, k)
+    at_high = before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, high, k)
     for i in range(200):
         if at_high == 0.0 or high - low <= EPS * high:
             break
@@ -148,7 +180,7 @@ def locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
             middle = low + (high - low) * at_low / (at_low - at_high)
             # a secant that ends beside the bracket's end steps in by a rounding, so that both ends move
             middle = min(max(middle, low + EPS * high), high - EPS * high)
-        value = before_event(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, middle, k)
+        value = before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, middle, k)
         if value > 0.0:
             low, at_low = middle, value
         else:
@@ -157,10 +189,10 @@ def locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
 
 
 @inner
-def stop_impulse(a11, a12, a22, v1, v2):
-    """Return −A⁺v_t, the tangential impulse that ends slip."""
+def stop_impulse(flat, a11, a12, a22, v1, v2):
+    """Return −A⁺v_t, the tangential impulse that ends slip; `flat` says that A is singular."""
     det, trace = a11 * a22 - a12 * a12, a11 + a22
-    if det > ZERO * trace * trace:
+    if det > 0.0 and not flat:
         return (a12 * v2 - a22 * v1) / det, (a12 * v1 - a11 * v2) / det
     if trace == 0.0:
         return 0.0, 0.0
@@ -199,13 +231,13 @@ def solve_stepping(
     if v3 == 0.0:
         braking = mu * (a11 * v1 * v1 + 2.0 * a12 * v1 * v2 + a22 * v2 * v2) / (speed * speed) - along
         scale = speed / braking
-    # where A is singular, slip across its range never ends
-    x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
-    lasting = math.hypot(v1 + a11 * x1 + a12 * x2, v2 + a12 * x1 + a22 * x2) > ZERO * speed
+    lasting = problem.flat and not problem.planar  # slip across the range of A never ends
 
     tangent = (a11, a12, a22, b1, b2)
-    k = np.empty((len(table.b), 2))
+    k = np.empty((max(len(table.b), STAGES), 4))
     stride = scale / steps
+    # an impulse that ends slip, over that of friction, so small that slip is at its end
+    negligible = rtol if rtol > 0.0 else ROUNDED if table.grading > 0.0 else 0.0
     most = MAX_CHOSEN if rtol > 0.0 else MAX_SCALES * steps
     ledger = new_ledger()
     course = frictionless_course(problem)
@@ -243,27 +275,28 @@ def solve_stepping(
         else:
             phase = ledger.phase
             h = stride
-            vanishes = False
-            d1, d2, q1, q2, u1, u2, error, least = slip_step(table, tangent, mu, v1, v2, h, k)
-            ends = least <= 0.0 and not lasting
-            if rtol > 0.0:
+            if table.grading > 0.0:
+                h = shorter(table, tangent, mu, v1, v2, scale, stride)
+            stiff = rtol > 0.0 and h * settling(tangent, mu, v1, v2) > STIFF
+            x1, x2 = stop_impulse(problem.flat, a11, a12, a22, v1, v2)
+            vanishes = not lasting and math.hypot(x1, x2) <= negligible * mu * max(p3, scale)
+            if vanishes:
+                stiff, h = False, 0.0
+            d1, d2, q1, q2, u1, u2, error, least = take(stiff, table, tangent, mu, v1, v2, h, k)
+            ends = least <= 0.0 and not lasting and not vanishes
+            if rtol > 0.0 and not vanishes:
                 tolerance = rtol * mu * max(p3 + h, scale)
-                if ends:
-                    x1, x2 = stop_impulse(a11, a12, a22, v1, v2)
-                    if math.hypot(x1, x2) > tolerance:
-                        stride *= 0.5
-                        continue
-                    vanishes = True
-                    h = 0.0
-                else:
-                    stride *= min(5.0, max(0.2, 0.9 * (tolerance / error) ** 0.2)) if error > 0.0 else 5.0
-                    if error > tolerance:
-                        continue
+                # a stiff step takes the direction as settled around that of its start
+                if ends or (stiff and norm(u1 - v1, u2 - v2) > norm(v1, v2)):
+                    stride *= 0.5
+                    continue
+                stride *= min(5.0, max(0.2, 0.9 * (tolerance / error) ** 0.2)) if error > 0.0 else 5.0
+                if error > tolerance:
+                    continue
             elif ends:
                 vanishes = True
-                h = locate(SLIP_ENDS, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
-            if vanishes:
-                d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
+                h = locate(SLIP_ENDS, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k)
+                d1, d2, q1, q2, u1, u2, _, _ = take(stiff, table, tangent, mu, v1, v2, h, k)
             v3_end = v3 + c * h + b1 * d1 + b2 * d2
             work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             # of the events on this step the first: each search starts from the event found before
@@ -275,12 +308,12 @@ def solve_stepping(
                 else:
                     crossed = left <= (h if counts == IMPULSE else work if counts == WORK else v3_end - v3)
                 if crossed and h > 0.0:
-                    h = locate(sought, phase, counts, left, table, tangent, c, mu, v1, v2, v3, h, k)
+                    h = locate(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k)
                     vanishes = False
                     event = COMPRESSION_ENDS if phase == COMPRESSION else COMPRESSION_RESUMES
                     if sought == GOAL:
                         event = LAW_MET
-                    d1, d2, q1, q2, u1, u2, _, _ = slip_step(table, tangent, mu, v1, v2, h, k)
+                    d1, d2, q1, q2, u1, u2, _, _ = take(stiff, table, tangent, mu, v1, v2, h, k)
                     v3_end = v3 + c * h + b1 * d1 + b2 * d2
                     work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
@@ -290,9 +323,9 @@ def solve_stepping(
             if vanishes:
                 # what is left of v_t takes an impulse too, so that v = v⁻ + W P holds on; if that is more
                 # than the cone of friction has room for, slip is not at its end
-                x1, x2 = stop_impulse(a11, a12, a22, u1, u2)
+                x1, x2 = stop_impulse(problem.flat, a11, a12, a22, u1, u2)
                 room = mu * (p3 + h) * ROOM
-                vanishes = rtol > 0.0 or math.hypot(p1 + d1 + x1, p2 + d2 + x2) <= room
+                vanishes = h == 0.0 or math.hypot(p1 + d1 + x1, p2 + d2 + x2) <= room
             if vanishes:
                 friction_work += 0.5 * (x1 * u1 + x2 * u2)
                 d1, d2 = d1 + x1, d2 + x2
@@ -315,7 +348,7 @@ def solve_stepping(
         flags |= mode_flag(mode, h, p3)
         rows = record_move(trace, rows, mode, ledger.phase, p3 - h, p3, work, friction_work)
         points = record_point(path, points, p3, v1, v2, v3, p1, p2)
-        ledger, event, new_flags = close_move(ledger, problem, event, h, work, left, p3)
+        ledger, event, new_flags = close_move(ledger, problem, event, h, work, rate, left, p3)
         flags |= new_flags
         if event == LAW_MET:
             break

@@ -13,14 +13,14 @@ from .python_calls import call
 from .tree import factor, solve, solve_transposed
 
 DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SIZE = 0, 6, 9, 12, 21, 28, 29
-"""Where `reset` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
+"""Where `robot_impact` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
 velocity, the contact axes, v⁺, P and the compression impulse, and the scale of v."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
 
 CALL_RAISED, ALL_DONE = -2, -1
-"""Where `reset_rows` came to no velocity at which M is singular."""
+"""Where `robot_impacts` came to no velocity at which M is singular."""
 
 
 @inner
@@ -57,7 +57,7 @@ def dot(x, y):
     FLOATS,
 )
 @jit
-def reset(
+def robot_impact(
     mass,
     parents,
     frame,
@@ -138,7 +138,7 @@ def homogeneous(placement, matrix):
 
 
 @jit
-def reset_rows(
+def robot_impacts(
     calls,
     buffer,
     mass,
@@ -164,11 +164,11 @@ def reset_rows(
         calls: (2 k,) addresses of functions and their arguments, see `python_calls`; after them mass, frame,
             carrier and columns are those of the buffer.
         buffer: (nq,) where the calls find the configuration.
-        mass: As in `reset`, as all that is not told here.
+        mass: As in `robot_impact`, as all that is not told here.
         parents: See there.
         frame: (12,) placement of the contact's frame.
         carrier: (12,) placement of the frame that carries the surface.
-        columns: See `reset`.
+        columns: See `robot_impact`.
         signs: See there.
         constants: See there.
         q: (N, nq).
@@ -196,7 +196,7 @@ def reset_rows(
                 return CALL_RAISED
         homogeneous(frame, placed)
         homogeneous(carrier, carried)
-        status, flags, _ = reset(
+        status, flags, _ = robot_impact(
             *(mass, parents, placed, carried, columns, signs, constants),
             *(q[row], v[row], mu[row], e[row], law, out),
         )
