@@ -21,7 +21,8 @@ from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
-from .scene import JointLimit, Scene
+from .layout import JointLimit
+from .scene import Scene
 
 Array = NDArray[np.float64]
 

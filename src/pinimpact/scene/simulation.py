@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -117,7 +118,10 @@ class _Run:
             if "rotor inertia" in without:
                 model.armature = np.zeros(model.nv)
         self.model = model
-        self.data = model.createData()
+        layout = scene.layout()
+        spare = layout.spare_data if model is scene.model else []
+        self.data = spare.pop() if spare else model.createData()
+        weakref.finalize(self, spare.append, self.data).atexit = False
         try:
             q = checked_configuration(data_cache(model, self.data), model, q0).copy()
         except InputError as error:
@@ -130,7 +134,7 @@ class _Run:
         self.rtol, self.atol = rtol, atol
         self.largest_drift = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
-        self.sources = scene.sources()
+        self.sources = layout.sources
         self.duration = duration
         self.max_step = max_step
         self.max_impacts = max_impacts

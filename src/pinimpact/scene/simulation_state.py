@@ -17,7 +17,7 @@ from ._kernels.contact_forces import SLIP
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
-from .scene import STANDARD_GRAVITY, Scene, default_resting_speed
+from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import Impact, SceneImpacts
 
 Array = NDArray[np.float64]
@@ -55,15 +55,14 @@ class SimulationState:
     def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
         without = scene.without
         self.t, self.q, self.v = 0.0, q, v
-        unreachable = scene.unreachable()
+        layout = scene.layout()
+        unreachable = layout.unreachable
         watched = () if "contact guards" in without else scene.contacts
         contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
-        limits = scene.limits() if "joint limits" not in without else ()
+        limits = layout.limits if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
-        extent, resting_speed = scene.extent, scene.resting_speed
-        if resting_speed is None:
-            resting_speed = default_resting_speed(scene.model, extent)
+        extent, resting_speed = layout.extent, scene.rest
         self._resting_speed = resting_speed
 
         check_inertia(model, data, q)

@@ -6,6 +6,9 @@ from ..._numeric.workspace import Workspace, count, flag, integer, integers, rea
 from ...robot._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
 
+CALLS = 8
+"""Addresses of functions and of their arguments, of what kernels call in Python."""
+
 DENSE_TERMS = 7
 """Coefficients of the dense output of a step, see `dense_output.interpolate`."""
 
@@ -34,7 +37,7 @@ class SceneWorkspace(Workspace):
     closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
     # the robot, where Pinocchio reads and writes it
-    calls = integers(8, meaning="addresses of functions and their arguments, see `dynamics`")
+    calls = integers(CALLS, meaning="addresses of functions and their arguments, see `dynamics`")
     q = reals("nq", given=True, meaning="configuration that is evaluated")
     v = reals("nv", given=True, meaning="velocity that is evaluated")
     tau = reals("nv", given=True, meaning="generalized forces without those of contacts")
