@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from .scene.events import Event
     from .scene.scene import Scene
     from .scene.simulation import simulate
+    from .scene.stepper import Stepper
     from .scene.trajectory import Trajectory
     from .status import EFFECTS, Flag, Status
     from .visual.html_replay import replay
@@ -68,6 +69,7 @@ __all__ = [
     "Solution",
     "Sphere",
     "Status",
+    "Stepper",
     "Trajectory",
     "UnknownNameError",
     "UnstoppableApproachError",
@@ -110,6 +112,7 @@ _HOMES = {
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
     "contact_space.solve": ("solve_impact",),
+    "scene.stepper": ("Stepper",),
     "scene.trajectory": ("Trajectory",),
     "visual.html_replay": ("replay",),
 }

@@ -23,7 +23,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar, overload
 
 import numpy as np
@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from .sources import stamp
 
 T = TypeVar("T")
-Self = TypeVar("Self", bound="_Field[Any]")
+Declared = TypeVar("Declared", bound="_Field[Any]")
 
 _WIDTH = 8  # bytes of a slot, and of every number
 
@@ -70,7 +70,7 @@ class _Field(Generic[T]):
         self.name = name
 
     @overload
-    def __get__(self: Self, work: None, owner: type) -> Self: ...
+    def __get__(self: Declared, work: None, owner: type) -> Declared: ...
     @overload
     def __get__(self, work: Workspace, owner: type) -> T: ...
     def __get__(self, work: Workspace | None, owner: type) -> Any:
@@ -136,9 +136,14 @@ class _Array(_Field[NDArray[Any]]):
         self.dims = dims
         self.order = order
         self.given = given
+        self.fixed = False
 
     def read(self, work: Workspace) -> NDArray[Any]:
-        array = work.whole(self)
+        array = work.arrays.get(self.name)
+        if array is None:
+            array = work.whole(self)
+        if self.fixed:
+            return array
         shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
         if array.shape == shape:
             return array
@@ -221,6 +226,8 @@ class Workspace(bytearray):
             for field in cls.fields.values()
             if isinstance(field, _Array)
         ]
+        for array, dims in cls._declared:
+            array.fixed = array.dims == dims  # no count among them
         cls.numba_type = WorkspaceType(tuple(field.layout() for field in cls.fields.values()))
 
     def __init__(self, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -248,6 +255,16 @@ class Workspace(bytearray):
             part = self._made[place : place + math.prod(shape)].view(field.dtype)
             array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
         return array
+
+    def copy_values(self, other: Workspace, but: Collection[str] = ()) -> None:
+        """Copy the values of another workspace of the same sizes, all but those of some fields by name."""
+        for name, field in self.fields.items():
+            if name in but:
+                continue
+            if isinstance(field, _Array):
+                self.whole(field)[...] = other.whole(field)
+            elif type(field) is not _Size:
+                self.integers[field.slot] = other.integers[field.slot]
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")

@@ -82,7 +82,7 @@ class SceneDynamics:
         # by address from the kernels, so these must live as long as this
         self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
         control = None
-        if scene.control is not None and "control" not in without:
+        if scene.control is not None and scene.period is None and "control" not in without:
             control = ContinuousControl(scene.control)
             self._calls.append(Call(control, ()))
         calls = np.zeros(CALLS, dtype=np.int64)
@@ -278,6 +278,7 @@ def _compile(work: SceneWorkspace) -> None:
         (approach.fastest_approach, work, q, v, True, numbers, numbers),
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
+        (smooth_motion.modes_go_on, work),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import at_least_zero, coefficient
+from ..checks import above_zero, at_least_zero, coefficient
 from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
@@ -40,7 +40,12 @@ class Scene:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
         contacts: The points that may meet their surfaces.
-        control: control(t, q, v) -> (nv,) generalized forces; None for none.
+        control: control(t, q, v) -> (nv,) generalized forces; None for none. Without a `period` it is a
+            function of its arguments that is called as often as the steps need.
+        period: Where the control is sampled: it is called once at each of the times 0, T, 2T, … of this
+            period T [s], in their order, after what happens then, and its force is held until the next one
+            acts. It may keep a state of its own.
+        delay: Time [s] from when a sampled control is asked to when its force acts; no force acts before.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
         locked: Joints, by name or id, whose velocity an impact does not change (stiff position control).
@@ -68,6 +73,8 @@ class Scene:
     record: bool = False
     without: Sequence[str] = ()
     events: Sequence[Event | Guard] = ()
+    period: float | None = None
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
@@ -87,12 +94,33 @@ class Scene:
             raise InputError(
                 f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
             )
+        self._check_sampling()
         assign(self, "limit_restitution", coefficient("limit_restitution", self.limit_restitution))
         if self.resting_speed is not None and not at_least_zero("resting_speed", self.resting_speed) > 0.0:
             raise InputError(
                 f"resting_speed: {self.resting_speed!r} given, a speed > 0 [m/s] expected",
                 field="resting_speed",
                 value=self.resting_speed,
+            )
+
+    def _check_sampling(self) -> None:
+        """Refuse a period or delay that nothing is to be sampled with."""
+        assign = object.__setattr__
+        assign(self, "delay", at_least_zero("delay", self.delay))
+        if self.period is not None:
+            assign(self, "period", above_zero("period", self.period))
+            if self.control is None:
+                raise InputError(
+                    f"period: {self.period!r} given, but no control= to sample",
+                    field="period",
+                    value=self.period,
+                )
+        elif self.delay > 0.0:
+            raise InputError(
+                f"delay: {self.delay!r} given without a period; a control is delayed where it is sampled, "
+                "period=",
+                field="delay",
+                value=self.delay,
             )
 
     def _check_names(self, labels: list[str]) -> None:
@@ -140,13 +168,22 @@ class Scene:
             unreachable=layout.unreachable,
             limits=len(layout.limits),
             limit_restitution=self.limit_restitution,
-            controlled=self.control is not None,
+            control=self._told_of_control(),
             locked=self.locked,
             resting_speed=self.rest,
             record=self.record,
             events=[event.label for event in as_events(self.events)],
             without=self.without,
         )
+
+    def _told_of_control(self) -> str:
+        """Return a clause on the control, empty where there is none."""
+        if self.control is None:
+            return ""
+        if self.period is None:
+            return "a control callback is given"
+        late = f", {self.delay:g} s late" if self.delay > 0.0 else ""
+        return f"a control is sampled every {self.period:g} s and held{late}"
 
     @property
     def rest(self) -> float:

@@ -91,6 +91,13 @@ class SimulationState:
         self._check_start(len(held), extent)
         self.modes.update(self.t, work.modes)
 
+    def take_over(self, other: SimulationState) -> None:
+        """Become what another state of the same scene is, all but the dynamics."""
+        self.t, self.q, self.v = other.t, other.q, other.v
+        self.impact_energy = other.impact_energy
+        self.impacts, self.notes = other.impacts.copy(), other.notes.copy()
+        self.modes.ended, self.modes.present = other.modes.ended.copy(), other.modes.present.copy()
+
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""
         self.notes.append(Note(self.t, text))

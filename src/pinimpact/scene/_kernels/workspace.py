@@ -21,6 +21,10 @@ class SceneWorkspace(Workspace):
     closed is laid out anew whenever modes change, by `closed_set.close`.
     """
 
+    def take_over(self, other: SceneWorkspace) -> None:
+        """Take over all values of another workspace of the same sizes, but what it calls."""
+        self.copy_values(other, but=("calls",))
+
     nq = size("numbers of a configuration")
     nv = size("velocities")
     bodies = size("joints of the model, with the world")
