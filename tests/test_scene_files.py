@@ -73,6 +73,12 @@ def test_control_leaves_a_free_base_alone() -> None:
     np.testing.assert_allclose(force, [0.0] * 6 + [-6.0 * 0.1 - 0.15] * 12, rtol=1e-9)
 
 
+def test_friction_of_sustained_contact_is_what_the_file_says(tmp_path: Path) -> None:
+    text = BALL.replace("[[contact]]", "[[contact]]\nsliding_friction = 0.35")
+    (contact,) = scene_of(tmp_path, text).scene.contacts
+    assert (contact.friction, contact.sliding_friction) == (0.1, 0.35)
+
+
 def test_a_control_is_sampled_as_the_file_says(tmp_path: Path) -> None:
     text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
     sampled = text.replace("[control]", '[control]\nperiod = "2 ms"\ndelay = 3e-3')

@@ -93,6 +93,7 @@ class ContactTable(_Table):
     frame: FrameKey
     plane: str
     friction: float = 0.0
+    sliding_friction: float | None = None
     restitution: float = 0.0
     law: str = "poisson"
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)

@@ -124,7 +124,7 @@ class SceneDynamics:
                 "contact_joints": np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
                 "velocity_signs": np.array([signs for _, _, _, signs in parts]).reshape(count, nv),
                 "velocity_joint": layout.velocity_joint,
-                "friction": np.array([contact.friction for contact in self.contacts], dtype=float),
+                "friction": np.array([c.sustained_friction for c in self.contacts], dtype=float),
                 "bilateral": np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
                 "limit_q": np.array([limit.index_q for limit in limits], dtype=np.int64),
                 "limit_v": np.array([limit.index_v for limit in limits], dtype=np.int64),

@@ -144,7 +144,7 @@ def make_plan(
     """
     watched = len(contacts) - len(unreachable)
     damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
-    rubbing = [c.label for c in contacts if c.friction > 0.0]
+    rubbing = [c.label for c in contacts if max(c.friction, c.sustained_friction) > 0.0]
     bouncing = [c.label for c in contacts if callable(c.restitution) or c.restitution > 0.0]
     moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
     g = float(np.linalg.norm(model.gravity.linear))

@@ -182,7 +182,8 @@ class SceneImpacts:
         velocity[2] = 0.0
         e = contact.restitution_at(0.0)
         problem = ImpactProblem(
-            *(matrices.delassus, velocity, contact.friction, e, contact.law, matrices.surface_velocity),
+            *(matrices.delassus, velocity, contact.sustained_friction, e, contact.law),
+            surface_velocity=matrices.surface_velocity,
             velocity_scale=matrices.velocity_scale(v),
         )
         if stop:

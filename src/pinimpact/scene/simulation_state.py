@@ -275,7 +275,7 @@ class SimulationState:
 def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
     """Return a contact without the effects that are switched off."""
     if "contact friction" in without:
-        contact = replace(contact, friction=0.0)
+        contact = replace(contact, friction=0.0, sliding_friction=None)
     if "restitution" in without:
         contact = replace(contact, restitution=0.0)
     if "moving surfaces" in without:
