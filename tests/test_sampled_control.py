@@ -172,7 +172,9 @@ def test_sampling_that_makes_no_sense_is_refused():
 
 def test_the_plan_tells_of_the_sampling_and_it_can_be_switched_off():
     scene = mass(lambda t, q, v: np.ones(3), period=1e-3, delay=2e-3)
-    assert scene.plan()["control"].reason == "a control is sampled every 0.001 s and held, 0.002 s late"
+    assert (
+        scene.plan()["control"].reason == "a control callback, sampled every 0.001 s and held, 0.002 s late"
+    )
     still = Scene(scene.model, control=scene.control, period=1e-3, without=["control", "gravity"])
     assert pinimpact.simulate(still, np.zeros(3), np.zeros(3), 0.1).q[-1] == pytest.approx(np.zeros(3))
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, InputError, Plane, Scene, simulate
+from pinimpact import Contact, Flag, InputError, Plane, Scene, simulate
 
-from .scene_models import G, run, slider
+from .scene_models import G, free_body, run, slider
 
 ANGLE = 0.4
 DOWN = np.array([np.cos(ANGLE), 0.0, -np.sin(ANGLE)])
@@ -54,6 +55,22 @@ def test_an_impact_has_the_one_coefficient_and_the_slip_after_it_the_other(mu, s
     assert trajectory.q[-1, 0] == pytest.approx(
         speed * fall + after * left - 0.5 * sliding * G * left**2, abs=1e-8
     )
+
+
+def test_an_impact_without_collision_has_the_coefficient_of_the_slip_that_drives_it():
+    # Painlevé's rod, pushed ahead of its tip: c − μ b < 0 with the one coefficient, not with the other
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12, 1 / 12]))
+    rotation = pin.utils.rotate("y", -np.radians(60.0))
+    q0 = [*(rotation @ [0.5, 0, 0]), *pin.Quaternion(rotation).coeffs()]
+    v0 = np.concatenate([rotation.T @ [-1.0, 0, 0], np.zeros(3)])
+    found = []
+    for options in ({"friction": 2.5}, {"friction": 0.1, "sliding_friction": 2.5}):
+        contact = Contact("tip0", Plane(), **options)
+        trajectory = run(Scene(free_body(inertia, [(-0.5, 0, 0)]), [contact]), q0, v0, 1e-3)
+        found.append(trajectory.impacts[0])
+        assert Flag.IMPACT_WITHOUT_COLLISION in found[-1].solution.flags
+    assert found[1].problem.friction == 2.5
+    assert found[1].v_after == pytest.approx(found[0].v_after, rel=1e-12)
 
 
 def test_it_is_the_friction_unless_it_is_given():

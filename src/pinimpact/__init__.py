@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
     from .robot.sphere import Sphere
+    from .scene.controls import JointPD
     from .scene.events import Event
     from .scene.scene import Scene
     from .scene.simulation import simulate
@@ -56,6 +57,7 @@ __all__ = [
     "Hits",
     "ImpactProblem",
     "InputError",
+    "JointPD",
     "LawError",
     "Method",
     "ModelError",
@@ -107,6 +109,7 @@ _HOMES = {
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),
+    "scene.controls": ("JointPD",),
     "scene.events": ("Event",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),

@@ -21,6 +21,7 @@ from ._kernels import (
     closed_set,
     contact_modes,
     dense_output,
+    drives,
     jamming,
     smooth_motion,
     step_dop853,
@@ -29,7 +30,7 @@ from ._kernels import (
 from ._kernels import drift as drifting
 from ._kernels import end_of_modes as ending
 from ._kernels.workspace import CALLS, SceneWorkspace
-from .controls import ContinuousControl
+from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
 from .layout import JointLimit, SceneLayout
 from .scene import Scene
@@ -82,9 +83,13 @@ class SceneDynamics:
         # by address from the kernels, so these must live as long as this
         self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
         control = None
+        motors = no_drives(nv)
         if scene.control is not None and scene.period is None and "control" not in without:
-            control = ContinuousControl(scene.control)
-            self._calls.append(Call(control, ()))
+            if isinstance(scene.control, JointPD):
+                motors = scene.control.drives(model)
+            else:
+                control = ContinuousControl(scene.control)
+                self._calls.append(Call(control, ()))
         calls = np.zeros(CALLS, dtype=np.int64)
         calls[: 2 * len(self._calls)] = call_addresses(self._calls)
         dry = scene.joint_friction * ("joint friction" not in without)
@@ -103,6 +108,7 @@ class SceneDynamics:
                 "limits": len(limits),
                 "sources": count + len(limits) + nv,
                 "scalars": len(limits) + int(np.count_nonzero(dry)),
+                "driven": len(motors.velocity),
                 "rows": 3 * count + len(limits) + int(np.count_nonzero(dry)),
             },
             {
@@ -117,6 +123,12 @@ class SceneDynamics:
                 "spatial_velocities": robot.velocities,
                 "spatial_accelerations": robot.accelerations,
                 "joint_jacobian": robot.joint_jacobian,
+                "drive_velocity": motors.velocity,
+                "drive_coordinate": motors.coordinate,
+                "drive_stiffness": motors.stiffness,
+                "drive_damping": motors.damping,
+                "drive_reference": motors.reference,
+                "drive_limit": motors.limit,
                 "damping": scene.joint_damping * ("joint damping" not in without),
                 "dry_friction": dry,
                 "joint_charts": charts,
@@ -204,6 +216,17 @@ class SceneDynamics:
         """Whether anything is closed."""
         return self.work.closed_contacts + self.work.closed_scalars > 0
 
+    def choose_sides(self, q: Array, v: Array) -> None:
+        """Tell which drives are at the bounds of their efforts at a state."""
+        if self.work.driven:
+            drives.choose_sides(self.work, q, v)
+
+    def change_side(self, index: int) -> None:
+        """Let a drive come to the bound of its effort, or leave it; see `events.saturation.value`."""
+        nv, sides = self.work.nv, self.work.drive_side
+        upper, j = index < nv, index % nv
+        sides[j] = 0 if sides[j] else (1 if upper else -1)
+
     # ---- steps
 
     def begin(self, t: float, q: Array, v: Array) -> float:
@@ -279,6 +302,7 @@ def _compile(work: SceneWorkspace) -> None:
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
         (smooth_motion.modes_go_on, work),
+        (drives.choose_sides, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),

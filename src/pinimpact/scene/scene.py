@@ -16,7 +16,7 @@ from ..checks import above_zero, at_least_zero, coefficient
 from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
-from .controls import Control
+from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
 from .layout import JointLimit, SceneLayout
@@ -40,8 +40,8 @@ class Scene:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
         contacts: The points that may meet their surfaces.
-        control: control(t, q, v) -> (nv,) generalized forces; None for none. Without a `period` it is a
-            function of its arguments that is called as often as the steps need.
+        control: control(t, q, v) -> (nv,) generalized forces, or a `JointPD`; None for none. Without a
+            `period` it is a function of its arguments that is called as often as the steps need.
         period: Where the control is sampled: it is called once at each of the times 0, T, 2T, … of this
             period T [s], in their order, after what happens then, and its force is held until the next one
             acts. It may keep a state of its own.
@@ -65,7 +65,7 @@ class Scene:
 
     model: pin.Model
     contacts: Sequence[Contact] = ()
-    control: Control | None = None
+    control: Control | JointPD | None = None
     held: Sequence[Contact] = ()
     locked: Sequence[str | int] = ()
     limit_restitution: float = 0.0
@@ -90,9 +90,13 @@ class Scene:
         free_velocities(self.model, self.locked)
         assign(self, "without", check_names(self.without))
         assign(self, "events", as_events(self.events))
-        if self.control is not None and not callable(self.control):
+        if isinstance(self.control, JointPD):
+            self.control.drives(self.model)
+        elif self.control is not None and not callable(self.control):
             raise InputError(
-                f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
+                f"control: {self.control!r} is neither a function of (t, q, v) nor a JointPD",
+                field="control",
+                value=self.control,
             )
         self._check_sampling()
         assign(self, "limit_restitution", coefficient("limit_restitution", self.limit_restitution))
@@ -180,10 +184,14 @@ class Scene:
         """Return a clause on the control, empty where there is none."""
         if self.control is None:
             return ""
+        what = "a control callback is given"
+        if isinstance(self.control, JointPD):
+            count = len(self.control.drives(self.model).velocity)
+            what = f"PD control of {count} joint{'' if count == 1 else 's'}"
         if self.period is None:
-            return "a control callback is given"
+            return what
         late = f", {self.delay:g} s late" if self.delay > 0.0 else ""
-        return f"a control is sampled every {self.period:g} s and held{late}"
+        return f"{what.removesuffix(' is given')}, sampled every {self.period:g} s and held{late}"
 
     @property
     def rest(self) -> float:

@@ -16,10 +16,11 @@ from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import smooth_motion, step_dop853, step_radau
 from ._kernels.events.consequences import ARRIVAL
-from ._kernels.events.registry import EVENTS, gap
-from .controls import SampledControl
+from ._kernels.events.registry import EVENTS, gap, saturation
+from .controls import JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .events import EventWatch, Interruption, as_events
+from .mode_intervals import drive_name
 from .records import Energy, ModeInterval
 from .scene import Scene
 from .simulation_state import SimulationState
@@ -166,7 +167,8 @@ class Motion:
         self.rtol, self.atol = rtol, atol
         self.largest_drift = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
-        self.sources = layout.sources
+        names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
+        self.sources = (*layout.sources, *names)
         self.max_step = max_step
         self.max_impacts = max_impacts
         self.w = np.zeros(WORKS)
@@ -181,7 +183,8 @@ class Motion:
         self.ended_by: str | None = None
         self._sampled = None
         if scene.control is not None and scene.period is not None and "control" not in without:
-            self._sampled = SampledControl(scene.control, scene.period, scene.delay)
+            control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
+            self._sampled = SampledControl(control, scene.period, scene.delay)
         self._length = 0.0
         self._counted = 0
         self._sample()
@@ -324,6 +327,7 @@ class Motion:
         state, work = self.state, self.work
         error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
         work.direction_speed = min(CERTAIN * error, work.stick_speed)
+        self.dynamics.choose_sides(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored &= self.dynamics.forces_doubtful
@@ -469,6 +473,8 @@ class Motion:
         self._sample()
         if self.work.end_drift > self.largest_drift:
             state.correct_drift()
+        if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
+            self.dynamics.change_side(self.work.event_index)
         if arriving is None:
             state.stop_jammed_slip(certain=False)
         self._settle(arriving)

@@ -89,7 +89,11 @@ class SimulationState:
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
         self._check_start(len(held), extent)
-        self.modes.update(self.t, work.modes)
+        self._tell_modes()
+
+    def _tell_modes(self) -> None:
+        work = self.dynamics.work
+        self.modes.update(self.t, work.modes, work.drive_side)
 
     def take_over(self, other: SimulationState) -> None:
         """Become what another state of the same scene is, all but the dynamics."""
@@ -203,6 +207,7 @@ class SimulationState:
         """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
+        self.dynamics.choose_sides(self.q, self.v)
         self.v = self.v.copy()
         jammed, converged, energy = self.dynamics.set_modes(self.t, self.q, self.v, slow)
         self.impact_energy += energy
@@ -212,8 +217,8 @@ class SimulationState:
             self.note("The forces of the closed contacts were not found to the usual accuracy.")
         same = bool((work.modes == before).all())
         work.force_bound_ignored = constrained and same
-        if not same:
-            self.modes.update(self.t, work.modes)
+        if not same or work.driven:
+            self._tell_modes()
         return -1
 
     def correct_drift(self) -> None:
