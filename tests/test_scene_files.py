@@ -73,6 +73,28 @@ def test_control_leaves_a_free_base_alone() -> None:
     np.testing.assert_allclose(force, [0.0] * 6 + [-6.0 * 0.1 - 0.15] * 12, rtol=1e-9)
 
 
+def test_friction_of_sustained_contact_is_what_the_file_says(tmp_path: Path) -> None:
+    text = BALL.replace("[[contact]]", "[[contact]]\nsliding_friction = 0.35")
+    (contact,) = scene_of(tmp_path, text).scene.contacts
+    assert (contact.friction, contact.sliding_friction) == (0.1, 0.35)
+
+
+def test_a_control_is_sampled_as_the_file_says(tmp_path: Path) -> None:
+    text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
+    sampled = text.replace("[control]", '[control]\nperiod = "2 ms"\ndelay = 3e-3')
+    loaded = scene_of(tmp_path, sampled)
+    assert (loaded.scene.period, loaded.scene.delay) == (2e-3, 3e-3)
+    assert load_scene(SCENES / "solo12_landing.toml").scene.period is None
+    for wrong, key in (
+        ('period = "0 ms"', r"control\.period"),
+        ('period = "2 N"', r"control\.period"),
+        ('period = "2 ms"\ndelay = -1', r"control\.delay"),
+        ('delay = "1 ms"', r"control\.delay.* set control\.period"),
+    ):
+        with pytest.raises(pinimpact.InputError, match=key):
+            scene_of(tmp_path, text.replace("[control]", f"[control]\n{wrong}"))
+
+
 def test_two_arms_are_two_arms() -> None:
     loaded = load_scene(SCENES / "two_arms.toml")
     model, one = loaded.robot.model, pinimpact.load_robot("ur5").model

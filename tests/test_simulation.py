@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 import pinimpact
@@ -299,3 +300,22 @@ def test_flight_agrees_with_mujoco():
     trajectory = run(Scene(model), [1.0, 0.5], [0.3, -2.0], 1.0)
     assert trajectory.q[-1] == pytest.approx(state.qpos, abs=1e-7)
     assert trajectory.v[-1] == pytest.approx(state.qvel, abs=1e-6)
+
+
+def test_a_step_that_leads_out_of_the_finite_is_taken_anew_and_asks_the_control_nothing():
+    # a long flight lets the steps grow; the impact at its end sets a fast smooth oscillation free
+    model, stiffness = slider(), 1e8
+    model.lowerPositionLimit = np.array([0.0, -np.inf, -np.inf])
+
+    def control(t, q, v):
+        assert np.isfinite(q).all()
+        assert np.isfinite(v).all()
+        return [0.0, -stiffness * q[1] ** 3 * (1.0 - v[0] ** 2), 0.0]
+
+    scene = Scene(model, control=control, limit_restitution=0.5, without=["gravity"])
+    trajectory = pinimpact.simulate(scene, [1000.0, 1.0, 0.0], [-1.0, 0.0, 0.0], 1000.01)
+    assert trajectory.statistics["rejected"] > 0
+    reference = solve_ivp(
+        lambda t, y: [y[1], -0.75 * stiffness * y[0] ** 3], (0, 0.01), [1, 0], rtol=1e-12, atol=1e-12
+    )
+    assert trajectory.q[-1, :2] == pytest.approx([0.005, reference.y[0, -1]], abs=1e-6)

@@ -32,9 +32,11 @@ if TYPE_CHECKING:
     from .robot.plane import Plane
     from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
     from .robot.sphere import Sphere
+    from .scene.controls import JointPD
     from .scene.events import Event
     from .scene.scene import Scene
     from .scene.simulation import simulate
+    from .scene.stepper import Stepper
     from .scene.trajectory import Trajectory
     from .status import EFFECTS, Flag, Status
     from .visual.html_replay import replay
@@ -55,6 +57,7 @@ __all__ = [
     "Hits",
     "ImpactProblem",
     "InputError",
+    "JointPD",
     "LawError",
     "Method",
     "ModelError",
@@ -68,6 +71,7 @@ __all__ = [
     "Solution",
     "Sphere",
     "Status",
+    "Stepper",
     "Trajectory",
     "UnknownNameError",
     "UnstoppableApproachError",
@@ -105,11 +109,13 @@ _HOMES = {
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),
+    "scene.controls": ("JointPD",),
     "scene.events": ("Event",),
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
     "contact_space.solve": ("solve_impact",),
+    "scene.stepper": ("Stepper",),
     "scene.trajectory": ("Trajectory",),
     "visual.html_replay": ("replay",),
 }

@@ -20,10 +20,11 @@ numba's own `structref` 0.5 µs, with code that counts references.)
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Generic, NoReturn, TypeVar, overload
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar, overload
 
 import numpy as np
 from llvmlite import ir
@@ -45,7 +46,7 @@ from numpy.typing import NDArray
 from .sources import stamp
 
 T = TypeVar("T")
-Self = TypeVar("Self", bound="_Field[Any]")
+Declared = TypeVar("Declared", bound="_Field[Any]")
 
 _WIDTH = 8  # bytes of a slot, and of every number
 
@@ -69,7 +70,7 @@ class _Field(Generic[T]):
         self.name = name
 
     @overload
-    def __get__(self: Self, work: None, owner: type) -> Self: ...
+    def __get__(self: Declared, work: None, owner: type) -> Declared: ...
     @overload
     def __get__(self, work: Workspace, owner: type) -> T: ...
     def __get__(self, work: Workspace | None, owner: type) -> Any:
@@ -135,9 +136,14 @@ class _Array(_Field[NDArray[Any]]):
         self.dims = dims
         self.order = order
         self.given = given
+        self.fixed = False
 
     def read(self, work: Workspace) -> NDArray[Any]:
-        array = work.whole(self)
+        array = work.arrays.get(self.name)
+        if array is None:
+            array = work.whole(self)
+        if self.fixed:
+            return array
         shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
         if array.shape == shape:
             return array
@@ -220,6 +226,8 @@ class Workspace(bytearray):
             for field in cls.fields.values()
             if isinstance(field, _Array)
         ]
+        for array, dims in cls._declared:
+            array.fixed = array.dims == dims  # no count among them
         cls.numba_type = WorkspaceType(tuple(field.layout() for field in cls.fields.values()))
 
     def __init__(self, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -227,33 +235,17 @@ class Workspace(bytearray):
         # these also keep the memory from being moved
         self.integers = np.frombuffer(self, dtype=np.int64)
         self.numbers = np.frombuffer(self, dtype=np.float64)
-        self.arrays: dict[str, NDArray[Any]] = {}
-        self._places: dict[str, tuple[int, tuple[int, ...]]] = {}
-        declared = [name for name, field in self.fields.items() if type(field) is _Size]
-        if set(sizes) != set(declared):
-            raise ValueError(f"sizes: {sorted(sizes)} given, {sorted(declared)} expected")
-        for name, value in sizes.items():
-            self.integers[self.fields[name].slot] = value
-        unknown = [name for name in arrays if not isinstance(self.fields.get(name), _Array)]
-        if unknown:
-            raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
-        room = 0  # of the arrays that are made, one after the other
-        for field, dims in self._declared:
-            shape = tuple([sizes[dim] if isinstance(dim, str) else dim for dim in dims])
-            array = arrays.get(field.name)
-            if array is not None:
-                _check(field, array, shape)
-                self.arrays[field.name] = array
-                self.integers[field.slot] = array.__array_interface__["data"][0]
-            elif field.given:
-                raise ValueError(f"{field.name}: missing ({field.meaning})")
-            else:
-                self._places[field.name] = room, shape
-                room += math.prod(shape)
-        self._made = np.zeros(room)
-        start = self._made.__array_interface__["data"][0]
-        for name, (place, _) in self._places.items():
-            self.integers[self.fields[name].slot] = start + _WIDTH * place
+        self.arrays: dict[str, NDArray[Any]] = dict(arrays)
+        plan = _plan(type(self), tuple(sizes.items()), tuple(arrays))
+        for slot, value in plan.sizes:
+            self.integers[slot] = value
+        for field, shape in plan.handed:
+            array = arrays[field.name]
+            _check(field, array, shape)
+            self.integers[field.slot] = array.__array_interface__["data"][0]
+        self._places = plan.places
+        self._made = np.zeros(plan.room)
+        self.integers[plan.slots] = self._made.__array_interface__["data"][0] + plan.offsets
 
     def whole(self, field: _Array) -> NDArray[Any]:
         """Return an array with all its room."""
@@ -263,6 +255,16 @@ class Workspace(bytearray):
             part = self._made[place : place + math.prod(shape)].view(field.dtype)
             array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
         return array
+
+    def copy_values(self, other: Workspace, but: Collection[str] = ()) -> None:
+        """Copy the values of another workspace of the same sizes, all but those of some fields by name."""
+        for name, field in self.fields.items():
+            if name in but:
+                continue
+            if isinstance(field, _Array):
+                self.whole(field)[...] = other.whole(field)
+            elif type(field) is not _Size:
+                self.integers[field.slot] = other.integers[field.slot]
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")
@@ -275,6 +277,55 @@ class Workspace(bytearray):
         return "\n".join(rows)
 
     __str__ = __repr__
+
+
+class _Plan(NamedTuple):
+    """Where the arrays of a workspace stand.
+
+    Attributes:
+        sizes: Slot and value of each size.
+        handed: The arrays that are handed over, and their shapes.
+        places: Of the arrays that are made: where in the room for all of them, and shape.
+        room: How many numbers they take in all.
+        slots, offsets: Where the addresses of these go, and bytes from the start of the room.
+    """
+
+    sizes: list[tuple[int, int]]
+    handed: list[tuple[_Array, tuple[int, ...]]]
+    places: dict[str, tuple[int, tuple[int, ...]]]
+    room: int
+    slots: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+@functools.lru_cache(maxsize=128)
+def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], handed: tuple[str, ...]) -> _Plan:
+    """Return where arrays stand for these sizes, with the arrays that are handed over by name."""
+    fields, values = kind.fields, dict(sizes)
+    declared = [name for name, field in fields.items() if type(field) is _Size]
+    if set(values) != set(declared):
+        raise ValueError(f"sizes: {sorted(values)} given, {sorted(declared)} expected")
+    unknown = [name for name in handed if not isinstance(fields.get(name), _Array)]
+    if unknown:
+        raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
+    given, places, room = [], {}, 0  # what is made stands one after the other
+    for field, dims in kind._declared:
+        shape = tuple(values[dim] if isinstance(dim, str) else dim for dim in dims)
+        if field.name in handed:
+            given.append((field, shape))
+        elif field.given:
+            raise ValueError(f"{field.name}: missing ({field.meaning})")
+        else:
+            places[field.name] = room, shape
+            room += math.prod(shape)
+    return _Plan(
+        [(fields[name].slot, value) for name, value in sizes],
+        given,
+        places,
+        room,
+        np.array([fields[name].slot for name in places], dtype=np.int64),
+        np.array([_WIDTH * place for place, _ in places.values()], dtype=np.int64),
+    )
 
 
 def _check(field: _Array, array: NDArray[Any], shape: tuple[int, ...]) -> None:

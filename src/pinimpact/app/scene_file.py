@@ -93,6 +93,7 @@ class ContactTable(_Table):
     frame: FrameKey
     plane: str
     friction: float = 0.0
+    sliding_friction: float | None = None
     restitution: float = 0.0
     law: str = "poisson"
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
@@ -114,12 +115,14 @@ class ControlTable(_Table):
     """``[control]``: what the motors do; those of a free base are never driven.
 
     Stiffness [N m/rad or N/m] is towards the start, damping [N m s/rad or N s/m] against motion; both act
-    on every joint alike.
+    on every joint alike. With a period they are sampled and held, and act late by the delay.
     """
 
     cancel_gravity: bool = False
     stiffness: Annotated[float, Field(ge=0.0)] = 0.0
     damping: Annotated[float, Field(ge=0.0)] = 0.0
+    period: Time | None = None
+    delay: Annotated[float, _of("time"), Field(ge=0.0)] = 0.0
 
 
 class OutputTable(_Table):

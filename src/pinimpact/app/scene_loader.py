@@ -127,7 +127,7 @@ def load_scene(path: str | Path) -> LoadedScene:
     scene = Scene(
         model,
         [contact for held, contact in contacts if not held],
-        control=None if file.control is None else JointControl(file.control, model, q),
+        **_control(file.control, model, q),
         held=[contact for held, contact in contacts if held],
         locked=file.locked,
         limit_restitution=file.limit_restitution,
@@ -136,6 +136,19 @@ def load_scene(path: str | Path) -> LoadedScene:
         without=file.without,
     )
     return LoadedScene(file, robot, scene, q, v)
+
+
+def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict[str, Any]:
+    """Return what a scene is told of its control."""
+    if table is None:
+        return {}
+    if table.delay > 0.0 and table.period is None:
+        raise InputError(
+            "control.delay: a control is late where it is sampled; set control.period too, or leave this out",
+            field="control.delay",
+            value=table.delay,
+        )
+    return {"control": JointControl(table, model, start), "period": table.period, "delay": table.delay}
 
 
 def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:

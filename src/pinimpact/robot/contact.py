@@ -36,13 +36,15 @@ class Contact:
     Attributes:
         frame: Frame that carries the point, by name or id.
         plane: The surface it meets: a `Plane` or a `Sphere`.
-        friction: Coulomb coefficient μ ≥ 0.
+        friction: Coulomb coefficient μ ≥ 0, of impacts and, without `sliding_friction`, of all.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
         offset: From the frame's origin, in the frame's axes [m].
         radius: Of a spherical tip [m], 0 for a point.
         name: How reports call the contact; None for "frame on plane" or "frame on sphere",
             with the name of the body that carries the surface where one does.
+        sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact, slip and stick between impacts; None
+            for `friction`.
 
     Raises:
         InputError: A number out of its range or not finite.
@@ -57,6 +59,7 @@ class Contact:
     offset: Vector = (0.0, 0.0, 0.0)
     radius: float = 0.0
     name: str | None = None
+    sliding_friction: float | None = None
     constants: Array = field(init=False, repr=False, compare=False)
     law_code: int = field(init=False, repr=False, compare=False)
 
@@ -68,6 +71,8 @@ class Contact:
             )
         keep = object.__setattr__
         keep(self, "friction", at_least_zero("friction", self.friction))
+        if self.sliding_friction is not None:
+            keep(self, "sliding_friction", at_least_zero("sliding_friction", self.sliding_friction))
         if not callable(self.restitution):
             keep(self, "restitution", coefficient("restitution", self.restitution))
         keep(self, "law_code", law_code(self.law))
@@ -83,6 +88,11 @@ class Contact:
         if self.name is not None:
             return self.name
         return f"{self.frame} on {self.plane.kind if self.plane.body is None else self.plane.body}"
+
+    @property
+    def sustained_friction(self) -> float:
+        """The coefficient of friction of sustained contact."""
+        return self.friction if self.sliding_friction is None else self.sliding_friction
 
     def restitution_at(self, speed: float) -> float:
         """Return e for an approach speed [m/s].

@@ -98,6 +98,13 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     return free
 
 
+def joint_of_velocity(model: pin.Model, velocity: int) -> str:
+    """Return the name of the joint that a velocity index belongs to."""
+    return str(
+        model.names[max(j for j in range(1, model.njoints) if model.idx_vs[j] <= velocity and model.nvs[j])]
+    )
+
+
 def model_of(robot: Any) -> pin.Model:
     """Return the model of a RobotWrapper, or the model itself.
 

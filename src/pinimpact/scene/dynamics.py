@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,28 +12,28 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
-from ..errors import SimulationError
 from ..robot._kernels import contact_kinematics, robot_impact
 from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
-from ..robot.contact import Contact, contact_constants
-from ..robot.pinocchio_bridge import Call, call_addresses, robot_dynamics
+from ..robot.contact import Contact
+from ..robot.pinocchio_bridge import Call, RobotDynamics, call_addresses, robot_dynamics
 from ._kernels import (
     approach,
     closed_set,
     contact_modes,
     dense_output,
-    dynamics,
+    drives,
     jamming,
     smooth_motion,
     step_dop853,
     step_radau,
 )
 from ._kernels import drift as drifting
-from ._kernels.workspace import SceneWorkspace
+from ._kernels.workspace import CALLS, SceneWorkspace
+from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
-from .joint_charts import joint_table
-from .scene import JointLimit, Scene
+from .layout import JointLimit, SceneLayout
+from .scene import Scene
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -77,20 +78,24 @@ class SceneDynamics:
         nv = model.nv
         self.contacts = (*contacts, *held)
         self.limits = tuple(limits)
-        self.control = None if "control" in without else scene.control
-        robot = self._robot = robot_dynamics(model)
+        layout = scene.layout()
+        robot = _robot_for(self, layout, scene, model)
         # by address from the kernels, so these must live as long as this
-        self._calls = (
-            *(robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics),
-            Call(self._ask_control, ()),
-        )
-        calls = call_addresses(self._calls)
-        if self.control is None:
-            calls[dynamics.CONTROL] = 0
+        self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
+        control = None
+        motors = no_drives(nv)
+        if scene.control is not None and scene.period is None and "control" not in without:
+            if isinstance(scene.control, JointPD):
+                motors = scene.control.drives(model)
+            else:
+                control = ContinuousControl(scene.control)
+                self._calls.append(Call(control, ()))
+        calls = np.zeros(CALLS, dtype=np.int64)
+        calls[: 2 * len(self._calls)] = call_addresses(self._calls)
         dry = scene.joint_friction * ("joint friction" not in without)
-        charts = joint_table(model)
+        charts = layout.joint_charts
         count = len(self.contacts)
-        parts = [contact_constants(model, contact) for contact in self.contacts]
+        parts = [layout.constants(contact) for contact in self.contacts]
         constants = np.array([part[2] for part in parts]).reshape(count, CONSTANTS)
         self.work = SceneWorkspace(
             {
@@ -103,6 +108,7 @@ class SceneDynamics:
                 "limits": len(limits),
                 "sources": count + len(limits) + nv,
                 "scalars": len(limits) + int(np.count_nonzero(dry)),
+                "driven": len(motors.velocity),
                 "rows": 3 * count + len(limits) + int(np.count_nonzero(dry)),
             },
             {
@@ -117,14 +123,20 @@ class SceneDynamics:
                 "spatial_velocities": robot.velocities,
                 "spatial_accelerations": robot.accelerations,
                 "joint_jacobian": robot.joint_jacobian,
+                "drive_velocity": motors.velocity,
+                "drive_coordinate": motors.coordinate,
+                "drive_stiffness": motors.stiffness,
+                "drive_damping": motors.damping,
+                "drive_reference": motors.reference,
+                "drive_limit": motors.limit,
                 "damping": scene.joint_damping * ("joint damping" not in without),
                 "dry_friction": dry,
                 "joint_charts": charts,
                 "contact_constants": constants,
                 "contact_joints": np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
                 "velocity_signs": np.array([signs for _, _, _, signs in parts]).reshape(count, nv),
-                "velocity_joint": np.repeat(np.arange(model.njoints), np.array(model.nvs)),
-                "friction": np.array([contact.friction for contact in self.contacts], dtype=float),
+                "velocity_joint": layout.velocity_joint,
+                "friction": np.array([c.sustained_friction for c in self.contacts], dtype=float),
                 "bilateral": np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
                 "limit_q": np.array([limit.index_q for limit in limits], dtype=np.int64),
                 "limit_v": np.array([limit.index_v for limit in limits], dtype=np.int64),
@@ -132,35 +144,13 @@ class SceneDynamics:
                 "limit_bound": np.array([limit.bound for limit in limits], dtype=float),
             },
         )
+        if control is not None:
+            control.work = self.work
         self.work.force_margin = math.inf
         _compile(self.work)
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
-
-    def _ask_control(self) -> None:
-        """Take the control's forces."""
-        work = self.work
-        t = work.control_time
-        try:
-            tau = np.asarray(self.control(t, work.q.copy(), work.v.copy()), dtype=float)  # type: ignore[misc]
-        except Exception as error:
-            raise SimulationError(
-                f"control: {type(error).__name__} at t = {t:.6g} s: {error}", field="control"
-            ) from error
-        if tau.shape != (work.nv,):
-            raise SimulationError(
-                f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; ({work.nv},) expected",
-                field="control",
-                value=tau,
-            )
-        if not math.isfinite(tau.dot(tau)):
-            raise SimulationError(
-                f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
-                field="control",
-                value=tau,
-            )
-        work.control_force[:] = tau
 
     def check(self) -> None:
         """Raise what went wrong in a call from a kernel, if anything did."""
@@ -220,6 +210,17 @@ class SceneDynamics:
         """Whether anything is closed."""
         return self.work.closed_contacts + self.work.closed_scalars > 0
 
+    def choose_sides(self, q: Array, v: Array) -> None:
+        """Tell which drives are at the bounds of their efforts at a state."""
+        if self.work.driven:
+            drives.choose_sides(self.work, q, v)
+
+    def change_side(self, index: int) -> None:
+        """Let a drive come to the bound of its effort, or leave it; see `events.saturation.value`."""
+        nv, sides = self.work.nv, self.work.drive_side
+        upper, j = index < nv, index % nv
+        sides[j] = 0 if sides[j] else (1 if upper else -1)
+
     # ---- steps
 
     def begin(self, t: float, q: Array, v: Array) -> float:
@@ -264,6 +265,15 @@ class SceneDynamics:
         return found
 
 
+def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model: pin.Model) -> RobotDynamics:
+    """Return the dynamics of the robot, for the scene's own model those that an earlier run has left."""
+    if model is not scene.model:
+        return robot_dynamics(model)
+    robot = layout.spare_dynamics.pop() if layout.spare_dynamics else robot_dynamics(model)
+    weakref.finalize(dynamics, layout.spare_dynamics.append, robot).atexit = False
+    return robot
+
+
 _compiled = False
 
 
@@ -285,6 +295,8 @@ def _compile(work: SceneWorkspace) -> None:
         (approach.fastest_approach, work, q, v, True, numbers, numbers),
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
+        (smooth_motion.modes_go_on, work),
+        (drives.choose_sides, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
@@ -292,6 +304,6 @@ def _compile(work: SceneWorkspace) -> None:
         (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
         (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
-        (robot_impact.reset,),
+        (robot_impact.robot_impact,),
         (contact_kinematics.locate,),
     )

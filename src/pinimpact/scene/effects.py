@@ -119,7 +119,7 @@ def make_plan(
     unreachable: tuple[str, ...],
     limits: int,
     limit_restitution: float,
-    controlled: bool,
+    control: str,
     locked: Sequence[str | int],
     resting_speed: float,
     record: bool,
@@ -135,7 +135,7 @@ def make_plan(
         unreachable: Names of the contacts that can never reach their surface.
         limits: How many joint limits there are.
         limit_restitution: Restitution of the joint limits.
-        controlled: Whether there is a control.
+        control: A clause on the control, empty where there is none.
         locked: Joints that are locked during impacts.
         resting_speed: Bounce speed below which a contact is taken as resting [m/s].
         record: Whether paths of impacts are recorded.
@@ -144,7 +144,7 @@ def make_plan(
     """
     watched = len(contacts) - len(unreachable)
     damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
-    rubbing = [c.label for c in contacts if c.friction > 0.0]
+    rubbing = [c.label for c in contacts if max(c.friction, c.sustained_friction) > 0.0]
     bouncing = [c.label for c in contacts if callable(c.restitution) or c.restitution > 0.0]
     moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
     g = float(np.linalg.norm(model.gravity.linear))
@@ -154,7 +154,7 @@ def make_plan(
 
     called_for: dict[str, tuple[bool, str, str]] = {
         "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
-        "control": (controlled, "a control callback is given", "no control callback is given"),
+        "control": (bool(control), control, "no control callback is given"),
         "joint damping": (
             bool(damping.any()),
             f"{count(int((damping != 0).sum()), 'velocity')} damped".replace("velocitys", "velocities"),

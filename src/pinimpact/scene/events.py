@@ -145,6 +145,13 @@ class EventWatch:
         self._instant = -math.inf
         self._happened: set[int] = set()
 
+    def copy(self) -> EventWatch:
+        """Return a watch that goes on from here on its own."""
+        twin = EventWatch(self._events)
+        twin.records, twin._signs, twin._times = self.records.copy(), self._signs.copy(), self._times.copy()
+        twin._instant, twin._happened = self._instant, self._happened.copy()
+        return twin
+
     def __bool__(self) -> bool:
         return bool(self._events)
 

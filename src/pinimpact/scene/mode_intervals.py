@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..robot.names import joint_of_velocity
 from ._kernels.contact_forces import HELD, SLIP, STICK
 from .records import ModeInterval
 
@@ -35,9 +36,17 @@ class ModeIntervals:
         self._contacts = len(contacts)
         self._names = [*contacts, *limits]
 
-    def update(self, t: float, modes: NDArray[np.int64]) -> None:
-        """Take the modes (n + nl + nv,) that hold from t on: some intervals end, others begin."""
+    def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
+        """Take what holds from t on: some intervals end, others begin.
+
+        Args:
+            t: Time [s].
+            modes: (n + nl + nv,) the modes.
+            sides: (nv,) not zero for the drives that are at the bounds of their efforts.
+        """
         now = dict(self._names_of(i, int(modes[i])) for i in np.flatnonzero(modes).tolist())
+        for j in np.flatnonzero(sides).tolist():
+            now[drive_name(self._model, j)] = "saturated"
         for source, (mode, start) in list(self.present.items()):
             if now.get(source) != mode:
                 if t > start:
@@ -55,8 +64,6 @@ class ModeIntervals:
         return joint_of_velocity(self._model, i - len(self._names)), "stuck"
 
 
-def joint_of_velocity(model: pin.Model, velocity: int) -> str:
-    """Return the name of the joint that a velocity index belongs to."""
-    return str(
-        model.names[max(j for j in range(1, model.njoints) if model.idx_vs[j] <= velocity and model.nvs[j])]
-    )
+def drive_name(model: pin.Model, velocity: int) -> str:
+    """Return what the drive of a joint is called."""
+    return f"{joint_of_velocity(model, velocity)} drive"

@@ -90,8 +90,9 @@ class ModeInterval:
     """A time over which a contact, limit or joint stayed in one mode.
 
     Attributes:
-        source: Name of the contact, joint limit or joint with dry friction.
-        mode: "slip", "stick" or "held" for a contact, "closed" for a limit, "stuck" for a joint.
+        source: Name of the contact, joint limit or joint with dry friction, or "JOINT drive".
+        mode: "slip", "stick" or "held" for a contact, "closed" for a limit, "stuck" for a joint, "saturated"
+            for a drive.
         start, end: Times [s].
     """
 

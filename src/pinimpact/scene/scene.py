@@ -4,48 +4,29 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..checks import at_least_zero, coefficient
+from ..checks import above_zero, at_least_zero, coefficient
 from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.names import frame_id, free_velocities, model_of
+from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
-from .reach import chain_length, link_lengths, out_of_reach
+from .layout import JointLimit, SceneLayout
 
 Array = NDArray[np.float64]
-Control = Callable[[float, Array, Array], ArrayLike]
-"""control(t, q, v) -> (nv,) generalized forces [N, N m]."""
 
 RESTING_FRACTION = 1e-4
 """The default resting speed, in parts of √(g L): such a bounce rises 5·10⁻⁹ of the robot's size L."""
 
 STANDARD_GRAVITY = 9.80665
-
-
-@dataclass(frozen=True, slots=True)
-class JointLimit:
-    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0.
-
-    Attributes:
-        name: "joint_name lower" or "joint_name upper".
-        index_q, index_v: Where the coordinate stands in q and in v.
-        sign: 1 for a lower bound, −1 for an upper one.
-        bound: Its value [rad or m].
-    """
-
-    name: str
-    index_q: int
-    index_v: int
-    sign: float
-    bound: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +40,12 @@ class Scene:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
         contacts: The points that may meet their surfaces.
-        control: control(t, q, v) -> (nv,) generalized forces; None for none.
+        control: control(t, q, v) -> (nv,) generalized forces, or a `JointPD`; None for none. Without a
+            `period` it is a function of its arguments that is called as often as the steps need.
+        period: Where the control is sampled: it is called once at each of the times 0, T, 2T, … of this
+            period T [s], in their order, after what happens then, and its force is held until the next one
+            acts. It may keep a state of its own.
+        delay: Time [s] from when a sampled control is asked to when its force acts; no force acts before.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
         locked: Joints, by name or id, whose velocity an impact does not change (stiff position control).
@@ -79,7 +65,7 @@ class Scene:
 
     model: pin.Model
     contacts: Sequence[Contact] = ()
-    control: Control | None = None
+    control: Control | JointPD | None = None
     held: Sequence[Contact] = ()
     locked: Sequence[str | int] = ()
     limit_restitution: float = 0.0
@@ -87,6 +73,8 @@ class Scene:
     record: bool = False
     without: Sequence[str] = ()
     events: Sequence[Event | Guard] = ()
+    period: float | None = None
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
@@ -102,10 +90,15 @@ class Scene:
         free_velocities(self.model, self.locked)
         assign(self, "without", check_names(self.without))
         assign(self, "events", as_events(self.events))
-        if self.control is not None and not callable(self.control):
+        if isinstance(self.control, JointPD):
+            self.control.drives(self.model)
+        elif self.control is not None and not callable(self.control):
             raise InputError(
-                f"control: {self.control!r} is no function of (t, q, v)", field="control", value=self.control
+                f"control: {self.control!r} is neither a function of (t, q, v) nor a JointPD",
+                field="control",
+                value=self.control,
             )
+        self._check_sampling()
         assign(self, "limit_restitution", coefficient("limit_restitution", self.limit_restitution))
         if self.resting_speed is not None and not at_least_zero("resting_speed", self.resting_speed) > 0.0:
             raise InputError(
@@ -114,9 +107,29 @@ class Scene:
                 value=self.resting_speed,
             )
 
+    def _check_sampling(self) -> None:
+        """Refuse a period or delay that nothing is to be sampled with."""
+        assign = object.__setattr__
+        assign(self, "delay", at_least_zero("delay", self.delay))
+        if self.period is not None:
+            assign(self, "period", above_zero("period", self.period))
+            if self.control is None:
+                raise InputError(
+                    f"period: {self.period!r} given, but no control= to sample",
+                    field="period",
+                    value=self.period,
+                )
+        elif self.delay > 0.0:
+            raise InputError(
+                f"delay: {self.delay!r} given without a period; a control is delayed where it is sampled, "
+                "period=",
+                field="delay",
+                value=self.delay,
+            )
+
     def _check_names(self, labels: list[str]) -> None:
         """Refuse names that stand for two things in what is told of a run."""
-        limits = {limit.name for limit in self.limits()}
+        limits = {limit.name for limit in self.layout().limits}
         rubbing = {
             name
             for name, start, count in zip(self.model.names, self.model.idx_vs, self.model.nvs, strict=True)
@@ -137,16 +150,29 @@ class Scene:
                     value=label,
                 )
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_layout"}
+
+    def layout(self) -> SceneLayout:
+        """Return what a run needs of the scene, made anew if the model has changed since it was."""
+        known: SceneLayout | None = vars(self).get("_layout")
+        if known is None or not known.holds_for(self.model):
+            limited = "joint limits" not in self.without
+            known = SceneLayout(self.model, self.contacts, self.held, limited)
+            object.__setattr__(self, "_layout", known)
+        return known
+
     def plan(self) -> Plan:
         """Return the effects that this scene calls for, and why each other one is left out."""
+        layout = self.layout()
         return make_plan(
             self.model,
             self.contacts,
             self.held,
-            unreachable=self.unreachable(),
-            limits=len(self.limits()),
+            unreachable=layout.unreachable,
+            limits=len(layout.limits),
             limit_restitution=self.limit_restitution,
-            controlled=self.control is not None,
+            control=self._told_of_control(),
             locked=self.locked,
             resting_speed=self.rest,
             record=self.record,
@@ -154,14 +180,26 @@ class Scene:
             without=self.without,
         )
 
+    def _told_of_control(self) -> str:
+        """Return a clause on the control, empty where there is none."""
+        if self.control is None:
+            return ""
+        what = "a control callback is given"
+        if isinstance(self.control, JointPD):
+            count = len(self.control.drives(self.model).velocity)
+            what = f"PD control of {count} joint{'' if count == 1 else 's'}"
+        if self.period is None:
+            return what
+        late = f", {self.delay:g} s late" if self.delay > 0.0 else ""
+        return f"{what.removesuffix(' is given')}, sampled every {self.period:g} s and held{late}"
+
     @property
     def rest(self) -> float:
         """The resting speed that is used [m/s]."""
-        return (
-            default_resting_speed(self.model, self.extent)
-            if self.resting_speed is None
-            else self.resting_speed
-        )
+        if self.resting_speed is not None:
+            return self.resting_speed
+        gravity = float(np.linalg.norm(self.model.gravity.linear)) or STANDARD_GRAVITY
+        return RESTING_FRACTION * math.sqrt(gravity * self.extent)
 
     @property
     def joint_damping(self) -> Array:
@@ -176,47 +214,19 @@ class Scene:
     @property
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
-        links = link_lengths(self.model)
-        chains = [chain_length(self.model, links, contact) for contact in (*self.contacts, *self.held)]
-        return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
+        return self.layout().extent
 
     def limits(self) -> tuple[JointLimit, ...]:
         """Return the finite bounds of the coordinates that are plain numbers."""
-        model = self.model
-        joints = zip(model.names, model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True)
-        lowest, highest = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
-        found = []
-        for label, nq, nv, first_q, first_v in list(joints)[1:]:
-            if nq != nv:
-                continue
-            for k in range(nq):
-                i, j = first_q + k, first_v + k
-                name = label + (f"[{k}]" if nq > 1 else "")
-                lower, upper = lowest[i], highest[i]
-                if lower == upper == 0.0:
-                    continue  # as Pinocchio fills in where a description gives none
-                if abs(lower) < 1e300:
-                    found.append(JointLimit(f"{name} lower", i, j, 1.0, lower))
-                if abs(upper) < 1e300:
-                    found.append(JointLimit(f"{name} upper", i, j, -1.0, upper))
-        return tuple(found)
+        return self.layout().limits
 
     def unreachable(self) -> tuple[str, ...]:
         """Return the names of the contacts that can never reach their surface, whatever the joints do."""
-        limited = "joint limits" not in self.without
-        return tuple(c.label for c in self.contacts if out_of_reach(self.model, c, limited))
+        return self.layout().unreachable
 
     def sources(self) -> tuple[str, ...]:
         """Return the names of what impacts and modes can be of: contacts, joint limits and joints."""
-        contacts = (contact.label for contact in (*self.contacts, *self.held))
-        limits = (limit.name for limit in self.limits())
-        return tuple(dict.fromkeys((*contacts, *limits, *list(self.model.names)[1:])))
-
-
-def default_resting_speed(model: pin.Model, extent: float) -> float:
-    """Return 10⁻⁴ √(g L) [m/s] for a robot of this size L [m]."""
-    gravity = float(np.linalg.norm(model.gravity.linear))
-    return RESTING_FRACTION * math.sqrt((gravity or STANDARD_GRAVITY) * extent)
+        return self.layout().sources
 
 
 def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:

@@ -21,7 +21,8 @@ from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
-from .scene import JointLimit, Scene
+from .layout import JointLimit
+from .scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -181,7 +182,8 @@ class SceneImpacts:
         velocity[2] = 0.0
         e = contact.restitution_at(0.0)
         problem = ImpactProblem(
-            *(matrices.delassus, velocity, contact.friction, e, contact.law, matrices.surface_velocity),
+            *(matrices.delassus, velocity, contact.sustained_friction, e, contact.law),
+            surface_velocity=matrices.surface_velocity,
             velocity_scale=matrices.velocity_scale(v),
         )
         if stop:

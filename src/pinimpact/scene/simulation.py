@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pinocchio as pin
@@ -13,11 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
-from ._kernels import step_dop853, step_radau
+from ._kernels import smooth_motion, step_dop853, step_radau
 from ._kernels.events.consequences import ARRIVAL
-from ._kernels.events.registry import EVENTS, force_bound, gap
+from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
+from .controls import JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .events import EventWatch, Interruption, as_events
+from .mode_intervals import drive_name
 from .records import Energy, ModeInterval
 from .scene import Scene
 from .simulation_state import SimulationState
@@ -44,6 +47,10 @@ NEARLY_SINGULAR = 1e-3
 
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
+
+
+ROUNDING = 1e-15
+"""A sample of a control closer to the end of a run than this part of its time is at the end."""
 
 
 def simulate(
@@ -83,37 +90,64 @@ def simulate(
             the guard or callback of an event, that fails or returns nonsense, impacts beyond `max_impacts`,
             an impact without an answer.
     """
-    if not isinstance(scene, Scene):
-        raise InputError(f"scene: {scene!r} is not a Scene", field="scene", value=scene)
-    for name, value in (
-        ("duration", duration),
-        ("rtol", rtol),
-        ("atol", atol),
-        ("max_step", max_step),
-        ("max_impacts", max_impacts),
-    ):
-        if not value > 0.0 or (name == "duration" and not math.isfinite(value)):
+    check_numbers(duration=duration)
+    motion = Motion(scene, q0, v0, rtol, atol, max_step, max_impacts)
+    return _run(motion, float(duration), progress)
+
+
+def check_numbers(**numbers: float) -> None:
+    """Refuse what is not above zero, or not finite where it is a time to cover.
+
+    Raises:
+        InputError: A number out of its range, or none.
+    """
+    for name, value in numbers.items():
+        try:
+            good = value > 0.0 and (math.isfinite(value) or name not in ("duration", "dt"))
+        except (TypeError, ValueError):
+            good = False
+        if not good:
             raise InputError(f"{name}: {value!r} given, a number > 0 expected", field=name, value=value)
-    run = _Run(
-        scene, q0, v0, float(duration), float(rtol), float(atol), float(max_step), max_impacts
-    )  # one type of each number, for kernels are compiled by type
-    return run.go(progress)
 
 
-class _Run:
-    """One simulation under way."""
+def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajectory:
+    """Run to the end; return the trajectory, or raise with what there is of it."""
+    try:
+        motion.begin()
+        motion.advance(duration, progress)
+    except KeyboardInterrupt:
+        return motion.trajectory("Interrupted from the keyboard.", False)
+    except PinimpactError as error:
+        motion.stop(error)
+    if motion.ended_by is not None:
+        return motion.trajectory(f"The event {motion.ended_by!r} ended the run.", False)
+    return motion.trajectory("The duration is covered.", True)
+
+
+class Motion:
+    """A motion under way, and what there is to tell of it; arguments as in `simulate`.
+
+    Attributes:
+        state: The present state.
+        ended_by: Name of the event that has ended it, or None.
+    """
 
     def __init__(
         self,
         scene: Scene,
         q0: ArrayLike,
         v0: ArrayLike,
-        duration: float,
         rtol: float,
         atol: float,
         max_step: float,
         max_impacts: int,
     ) -> None:
+        if not isinstance(scene, Scene):
+            raise InputError(f"scene: {scene!r} is not a Scene", field="scene", value=scene)
+        self._made_of = scene, q0, v0, rtol, atol, max_step, max_impacts
+        check_numbers(rtol=rtol, atol=atol, max_step=max_step, max_impacts=max_impacts)
+        # one type of each number, for kernels are compiled by type
+        rtol, atol, max_step = float(rtol), float(atol), float(max_step)
         without = scene.without
         model = scene.model
         if "gravity" in without or "rotor inertia" in without:
@@ -123,7 +157,10 @@ class _Run:
             if "rotor inertia" in without:
                 model.armature = np.zeros(model.nv)
         self.model = model
-        self.data = model.createData()
+        layout = scene.layout()
+        spare = layout.spare_data if model is scene.model else []
+        self.data = spare.pop() if spare else model.createData()
+        weakref.finalize(self, spare.append, self.data).atexit = False
         try:
             q = checked_configuration(data_cache(model, self.data), model, q0).copy()
         except InputError as error:
@@ -136,8 +173,8 @@ class _Run:
         self.rtol, self.atol = rtol, atol
         self.largest_drift = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
-        self.sources = scene.sources()
-        self.duration = duration
+        names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
+        self.sources = (*layout.sources, *names)
         self.max_step = max_step
         self.max_impacts = max_impacts
         self.w = np.zeros(WORKS)
@@ -150,37 +187,88 @@ class _Run:
         self.bounce = math.inf
         self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
         self.ended_by: str | None = None
+        self._sampled = None
+        if scene.control is not None and scene.period is not None and "control" not in without:
+            control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
+            self._sampled = SampledControl(control, scene.period, scene.delay)
+        self._length = 0.0
+        self._counted = 0
+        self._sample()
+        self._consistent = self._lengths()
 
-    def go(self, progress: Progress | None) -> Trajectory:
-        """Run to the end; return the trajectory, or raise with what there is of it."""
-        state = self.state
-        consistent = self._lengths()
-        try:
-            self._sample()
-            consistent = self._lengths()
-            state.settle(starting=True)
-            self._let_events_happen()
-            self._begin_motion()
-            h = self.dynamics.first_length(self.rtol, self.atol)
-            while state.t < self.duration and self.ended_by is None:
-                h = self._step(h)
-                consistent = self._lengths()
+    def begin(self, tau: Array | None = None) -> None:
+        """Let what happens at the start happen, and begin to move, under a constant force (nv,) if given."""
+        if self._sampled is not None:
+            tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
+        if tau is not None:
+            self.work.control_force[:] = tau
+        self.state.settle(starting=True)
+        self._let_events_happen()
+        self._begin_motion()
+        self._length = self.dynamics.first_length(self.rtol, self.atol)
+
+    def advance(self, until: float, progress: Progress | None = None) -> None:
+        """Move on to a time, or until an event ends the motion.
+
+        Args:
+            until: The time [s].
+            progress: Called with the time reached and `until`, after every step.
+        """
+        state, sampled = self.state, self._sampled
+        while state.t < until and self.ended_by is None:
+            stop = until
+            if sampled is not None and sampled.next < until - ROUNDING * until:
+                stop = sampled.next
+            self.last_progress = self.steps, state.t
+            while state.t < stop and self.ended_by is None:
+                self._length = self._step(self._length, stop, min(1.0, until))
+                self._consistent = self._lengths()
                 if progress is not None:
-                    progress(state.t, self.duration)
-        except KeyboardInterrupt:
-            return self._trajectory("Interrupted from the keyboard.", False, consistent)
-        except PinimpactError as error:
-            self._stop(error, consistent)
-        if self.ended_by is not None:
-            return self._trajectory(f"The event {self.ended_by!r} ended the run.", False, self._lengths())
-        return self._trajectory("The duration is covered.", True, self._lengths())
+                    progress(state.t, until)
+            if sampled is not None and stop < until and self.ended_by is None:
+                tau = sampled.at(state.t, state.q, state.v)
+                if tau is not None:
+                    self.hold_force(tau)
 
-    def _stop(self, error: PinimpactError, consistent: tuple[Any, ...]) -> None:
-        partial = self._trajectory(f"Stopped: {error}", False, consistent)
-        reached = partial.t[-1]
+    def hold_force(self, tau: Array) -> None:
+        """Let a constant force (nv,) act from now on in place of the one that did."""
+        if np.array_equal(tau, self.work.control_force):
+            return
+        self.work.control_force[:] = tau
+        self._begin_motion()
+        if not smooth_motion.modes_go_on(self.work):
+            self._settle()
+            self._begin_motion()
+
+    def resume(self) -> None:
+        """Go on where an event may have ended the motion; `max_impacts` counts from here."""
+        self._counted = len(self.state.impacts) + self.jams
+        if self.ended_by is not None:
+            self.ended_by = None
+            self._settle()
+            self._begin_motion()
+
+    def copy(self) -> Motion:
+        """Return a motion that goes on from here on its own."""
+        twin = Motion(*self._made_of)
+        twin.state.take_over(self.state)
+        twin.work.take_over(self.work)
+        twin.events = self.events.copy()
+        for name in (
+            *("w", "steps", "rejected", "jams", "last_progress", "forces_were_unique", "bounce", "ended_by"),
+            *("_length", "_counted", "_consistent"),
+        ):
+            setattr(twin, name, getattr(self, name))
+        twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
+        return twin
+
+    def stop(self, error: PinimpactError) -> NoReturn:
+        """Raise what stops the motion, with what there is of it until then."""
+        partial = self.trajectory(f"Stopped: {error}", False)
         if isinstance(error, SimulationError):
             error.partial = partial
             raise error
+        reached = partial.t[-1]
         raise SimulationError(
             f"{error.field}: the simulation stops at t = {reached:.6g} s: {type(error).__name__}: {error}",
             partial=partial,
@@ -201,9 +289,10 @@ class _Run:
             len(state.notes),
         )
 
-    def _trajectory(self, termination: str, complete: bool, consistent: tuple[Any, ...]) -> Trajectory:
-        dense_steps, samples, impacts, events, intervals, present, notes = consistent
-        rows = self.samples[: max(samples, 1)]
+    def trajectory(self, termination: str, complete: bool) -> Trajectory:
+        """Return the motion until now, as far as it is consistent."""
+        dense_steps, samples, impacts, events, intervals, present, notes = self._consistent
+        rows = self.samples[:samples]
         t = np.array([row[0] for row in rows])
         q = np.array([row[1] for row in rows])
         v = np.array([row[2] for row in rows])
@@ -245,6 +334,7 @@ class _Run:
         error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
+        self.dynamics.choose_sides(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored &= self.dynamics.forces_doubtful
@@ -253,11 +343,17 @@ class _Run:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.forces_were_unique = unique
 
-    def _step(self, h: float) -> float:
-        """Take one accepted step, or a part of it up to an event; return the length to try next."""
+    def _step(self, h: float, stop: float, scale: float) -> float:
+        """Take one accepted step, or a part of it up to an event; return the length to try next.
+
+        Args:
+            h: The length to try.
+            stop: The time at which it ends at the latest.
+            scale: The time of which `STALLED` is a part [s].
+        """
         state, work, t = self.state, self.work, self.state.t
         if self.steps - self.last_progress[0] > MAX_STALLED:
-            if t - self.last_progress[1] > STALLED * min(1.0, self.duration):
+            if t - self.last_progress[1] > STALLED * scale:
                 self.last_progress = self.steps, t
             elif self._stop_jam():
                 return self.dynamics.first_length(self.rtol, self.atol)
@@ -267,7 +363,7 @@ class _Run:
                     "not settle there; a larger resting_speed may help",
                     field="scene",
                 )
-        left = self.duration - t
+        left = stop - t
         natural = h
         h = min(h, self.max_step, self.bounce)
         while True:
@@ -307,7 +403,7 @@ class _Run:
             self._end_at_event(step, time, arriving)
             return natural
         self.w = self.w + step.coefficients[0, -WORKS:]
-        state.t = step.end = self.duration if trial == left else step.end
+        state.t = step.end = stop if trial == left else step.end
         state.q, state.v = work.q0.copy(), work.v0.copy()
         if work.force_bound_ignored and work.end_margin >= 0.0:
             work.force_bound_ignored = False
@@ -320,7 +416,8 @@ class _Run:
         else:
             self.bounce = math.inf
         self._sample()
-        return trial * work.growth
+        longer = trial * work.growth
+        return max(longer, natural) if trial == left else longer
 
     def _arriving(self) -> int | None:
         """Return the contact or, past those, the limit that arrives at the event last found, or None."""
@@ -379,6 +476,8 @@ class _Run:
         self._sample()
         if self.work.end_drift > self.largest_drift:
             state.correct_drift()
+        if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
+            self.dynamics.change_side(self.work.event_index)
         if arriving is None:
             state.stop_jammed_slip()
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
@@ -406,10 +505,11 @@ class _Run:
             self.state.settle()
         if len(impacts) > before:  # `max_impacts` watches over these
             self.last_progress = self.steps, self.state.t
-        if len(impacts) + self.jams > self.max_impacts:
+        count = len(impacts) + self.jams - self._counted
+        if count > self.max_impacts:
             last = f", the last at {impacts[-1].source!r}" if impacts else ""
             raise SimulationError(
-                f"max_impacts: {len(impacts) + self.jams} impacts until t = {self.state.t:.6g} s{last}; "
+                f"max_impacts: {count} impacts until t = {self.state.t:.6g} s{last}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
                 "otherwise raise max_impacts",
                 field="max_impacts",

@@ -18,7 +18,7 @@ from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
-from .scene import STANDARD_GRAVITY, Scene, default_resting_speed
+from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import Impact, SceneImpacts
 
 Array = NDArray[np.float64]
@@ -62,15 +62,14 @@ class SimulationState:
     def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
         without = scene.without
         self.t, self.q, self.v = 0.0, q, v
-        unreachable = scene.unreachable()
+        layout = scene.layout()
+        unreachable = layout.unreachable
         watched = () if "contact guards" in without else scene.contacts
         contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
-        limits = scene.limits() if "joint limits" not in without else ()
+        limits = layout.limits if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
-        extent, resting_speed = scene.extent, scene.resting_speed
-        if resting_speed is None:
-            resting_speed = default_resting_speed(scene.model, extent)
+        extent, resting_speed = layout.extent, scene.rest
         self._resting_speed = resting_speed
 
         check_inertia(model, data, q)
@@ -98,7 +97,18 @@ class SimulationState:
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
         self._check_start(len(held), extent)
-        self.modes.update(self.t, work.modes)
+        self._tell_modes()
+
+    def _tell_modes(self) -> None:
+        work = self.dynamics.work
+        self.modes.update(self.t, work.modes, work.drive_side)
+
+    def take_over(self, other: SimulationState) -> None:
+        """Become what another state of the same scene is, all but the dynamics."""
+        self.t, self.q, self.v = other.t, other.q, other.v
+        self.impact_energy = other.impact_energy
+        self.impacts, self.notes = other.impacts.copy(), other.notes.copy()
+        self.modes.ended, self.modes.present = other.modes.ended.copy(), other.modes.present.copy()
 
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""
@@ -205,6 +215,7 @@ class SimulationState:
         """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
+        self.dynamics.choose_sides(self.q, self.v)
         self.v = self.v.copy()
         jammed, converged, energy = self.dynamics.set_modes(self.t, self.q, self.v, slow)
         self.impact_energy += energy
@@ -215,8 +226,8 @@ class SimulationState:
             self.note("The forces of the closed contacts were not found to the usual accuracy.")
         same = bool((work.modes == before).all())
         work.force_bound_ignored = constrained and same
-        if not same:
-            self.modes.update(self.t, work.modes)
+        if not same or work.driven:
+            self._tell_modes()
         return -1
 
     def set_modes_ahead(self, step: DenseStep) -> bool:
@@ -233,7 +244,7 @@ class SimulationState:
             jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
             if jammed < 0 and (work.modes != before).any():
                 work.force_bound_ignored = False
-                self.modes.update(self.t, work.modes)
+                self._tell_modes()
                 return True
             ahead *= 4.0
         return False
@@ -297,7 +308,7 @@ class SimulationState:
 def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
     """Return a contact without the effects that are switched off."""
     if "contact friction" in without:
-        contact = replace(contact, friction=0.0)
+        contact = replace(contact, friction=0.0, sliding_friction=None)
     if "restitution" in without:
         contact = replace(contact, restitution=0.0)
     if "moving surfaces" in without:

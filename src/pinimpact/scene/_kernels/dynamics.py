@@ -11,6 +11,7 @@ from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
+from .drives import drive
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
@@ -137,6 +138,7 @@ def evaluate_without_contacts(work, t, powers):
         work.control_time = t
         if not call_python(work, CONTROL):
             return
+    drive(work)
     work.evaluations += 1
     contact_forces.joint_forces(work, powers)
     call_python(work, ABA)

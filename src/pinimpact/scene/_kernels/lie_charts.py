@@ -15,6 +15,9 @@ from ..._numeric.jit import inner, jit
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
 """Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
 
+ASTRAY = 1e50
+"""Coordinates and velocities beyond this come from a step that is too long; squares of them overflow soon."""
+
 
 @inner
 def half_turn(angle):
@@ -104,6 +107,15 @@ def chart_rate(joints, xi, v, rate):
             rate[j2] = w1 + 0.5 * x1 + e * (f2 * x3 - f3 * x2)
             rate[j2 + 1] = w2 + 0.5 * x2 + e * (f3 * x1 - f1 * x3)
             rate[j2 + 2] = w3 + 0.5 * x3 + e * (f1 * x2 - f2 * x1)
+
+
+@inner
+def gone_astray(xi, v):
+    """Whether chart coordinates and velocity are none that a robot can have: not finite, or nearly so."""
+    astray = False
+    for m in range(len(v)):
+        astray |= not (abs(xi[m]) < ASTRAY and abs(v[m]) < ASTRAY)
+    return astray
 
 
 @ahead(INTEGER_ROWS, FLOATS)

@@ -9,7 +9,7 @@ import numpy as np
 from ..._numeric.jit import inner, jit
 from ..._numeric.loops import assign
 from . import step_dop853
-from .contact_forces import FREE
+from .contact_forces import FREE, SLIP
 from .drift import drift
 from .dynamics import (
     all_gaps,
@@ -17,6 +17,7 @@ from .dynamics import (
     evaluate,
     evaluate_without_contacts,
     follow_surface,
+    limit_gap,
     motion_of_contact,
     motion_of_contacts,
     set_state,
@@ -70,6 +71,34 @@ def begin(work, t, q, v):
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
     return guess
+
+
+@jit
+def modes_go_on(work):
+    """Whether the modes that hold do so under a force that has jumped, at the start of a smooth motion.
+
+    Not where the forces of what is closed leave their bounds, and not for certain where something is about to
+    change its mode: what touches is open, or what slips has no speed.
+    """
+    if work.closed_contacts + work.closed_scalars > 0 and not work.force_margin >= 0.0:
+        return False
+    gaps, modes, v0, contacts = work.start_gaps, work.modes, work.v0, work.contacts
+    near, resting, slowest = work.touching_gap, work.resting_speed, work.stick_speed
+    for i in range(contacts):
+        if modes[i] == FREE and gaps[i, 0] <= near and abs(gaps[i, 1]) <= resting:
+            return False
+    for k in range(work.limits):
+        gap, rate = limit_gap(work, k, work.q0, v0)
+        if modes[contacts + k] == 0 and gap <= near and abs(rate) <= resting:
+            return False
+    mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
+    for k in range(len(mode)):
+        if mode[k] == SLIP and mu[k] > 0.0 and math.hypot(velocity[k, 0], velocity[k, 1]) <= slowest:
+            return False
+    for j in range(len(v0)):
+        if work.dry_friction[j] > 0.0 and modes[contacts + work.limits + j] == 0 and abs(v0[j]) <= slowest:
+            return False
+    return True
 
 
 @jit

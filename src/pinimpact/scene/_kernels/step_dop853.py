@@ -12,7 +12,7 @@ from ..._numeric.loops import assign
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
-from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
+from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
 from .samples import record_sample
 from .workspace import SceneWorkspace
 
@@ -22,12 +22,14 @@ SAMPLES = np.array([0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5])
 
 @jit
 def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it turns too far."""
+    """Compute a step of length h; return its error over the tolerance, infinite if it leads too far."""
     rates, v0, v1 = work.stage_rates, work.v0, work.v1
     reactions = work.stage_reactions
     n, closed = len(v0), work.closed_contacts + work.closed_scalars > 0
     for i in range(1, STAGES + 1):
         set_stage(work, i, h)
+        if gone_astray(work.xi, work.v):
+            return math.inf
         if i == STAGES:
             if turned_too_far(work.joint_charts, work.xi):
                 return math.inf

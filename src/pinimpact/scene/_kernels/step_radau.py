@@ -27,7 +27,7 @@ from .contact_forces import SLIP
 from .dense_output import rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
-from .lie_charts import advance, chart_rate, magnitudes, turned_too_far
+from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
 from .samples import record_sample
 from .slip import restore_directions
 
@@ -153,7 +153,7 @@ def solve_stages(work, t, h, rtol, atol):
     for iteration in range(ITERATIONS):
         for i in range(s):
             advance_to(i, h, rates, v0, xi, v)
-            if turned_too_far(joints, xi):
+            if gone_astray(xi, v) or turned_too_far(joints, xi):
                 return math.inf
             advance(joints, q0, xi, q)
             chart_rate(joints, xi, v, found[i, :n])

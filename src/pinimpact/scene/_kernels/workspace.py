@@ -6,6 +6,9 @@ from ..._numeric.workspace import Workspace, count, flag, integer, integers, rea
 from ...robot._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
 
+CALLS = 8
+"""Addresses of functions and of their arguments, of what kernels call in Python."""
+
 DENSE_TERMS = 7
 """Coefficients of the dense output of a step, see `dense_output.interpolate`."""
 
@@ -18,6 +21,10 @@ class SceneWorkspace(Workspace):
     closed is laid out anew whenever modes change, by `closed_set.close`.
     """
 
+    def take_over(self, other: SceneWorkspace) -> None:
+        """Take over all values of another workspace of the same sizes, but what it calls."""
+        self.copy_values(other, but=("calls",))
+
     nq = size("numbers of a configuration")
     nv = size("velocities")
     bodies = size("joints of the model, with the world")
@@ -27,6 +34,7 @@ class SceneWorkspace(Workspace):
     limits = size("joint limits")
     sources = size("what has a mode: contacts, limits, velocities")
     scalars = size("scalar rows that can be closed: limits, and joints with dry friction")
+    driven = size("drives")
     rows = size("rows of all that can be closed: three a contact, then the scalar ones")
 
     closed_contacts = count("contacts", "contacts that are closed")
@@ -34,7 +42,7 @@ class SceneWorkspace(Workspace):
     closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
     # the robot, where Pinocchio reads and writes it
-    calls = integers(8, meaning="addresses of functions and their arguments, see `dynamics`")
+    calls = integers(CALLS, meaning="addresses of functions and their arguments, see `dynamics`")
     q = reals("nq", given=True, meaning="configuration that is evaluated")
     v = reals("nv", given=True, meaning="velocity that is evaluated")
     tau = reals("nv", given=True, meaning="generalized forces without those of contacts")
@@ -47,6 +55,13 @@ class SceneWorkspace(Workspace):
     joint_jacobian = reals(6, "nv", order="F", given=True, meaning="columns at the world's origin")
     control_time = real("when the control is asked [s]")
     control_force = reals("nv", meaning="what the control returned")
+    drive_velocity = integers("driven", meaning="index in v of each drive")
+    drive_coordinate = integers("nv", meaning="where the coordinate of each velocity stands in q")
+    drive_stiffness = reals("nv", meaning="of the drives [N/m or N m/rad]")
+    drive_damping = reals("nv", meaning="of the drives [N s/m or N m s/rad]")
+    drive_reference = reals("nv", meaning="to which the drives draw [m or rad]")
+    drive_limit = reals("nv", meaning="which the efforts of the drives do not exceed [N or N m]")
+    drive_side = integers("nv", meaning="of each drive: 1 at its upper bound, −1 at its lower one, else 0")
     damping = reals("nv", meaning="viscous damping of the joints")
     dry_friction = reals("nv", meaning="dry friction of the joints")
     sliding_friction = reals("nv", meaning="the dry friction with the sign of the velocity, 0 where held")
@@ -56,7 +71,7 @@ class SceneWorkspace(Workspace):
     contact_joints = integers("contacts", 2, meaning="joints of the tip and of the surface")
     velocity_signs = reals("contacts", "nv", meaning="1: moves the tip only, −1: the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
-    friction = reals("contacts", meaning="coefficients of friction")
+    friction = reals("contacts", meaning="coefficients of friction of sustained contact")
     bilateral = integers("contacts", meaning="1 for a held contact")
     rest_gap = reals("contacts", meaning="the gap that each keeps while closed [m]")
     limit_q = integers("limits", meaning="index of its coordinate in q")

@@ -1,4 +1,5 @@
 """What can happen at an event."""
 
-ARRIVAL, MODE_CHANGE = range(2)
-"""A contact or limit arrives at its surface or bound, and may bounce; or the modes are to be chosen anew."""
+ARRIVAL, MODE_CHANGE, SIDE_CHANGE = range(3)
+"""A contact or limit arrives at its surface or bound, and may bounce; the modes are to be chosen anew; or a
+drive comes to the bound of its effort or leaves it."""

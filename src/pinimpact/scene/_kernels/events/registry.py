@@ -8,9 +8,9 @@ from types import ModuleType
 import numpy as np
 
 from ...._numeric.jit import inner
-from . import force_bound, friction_reversal, gap, joint_limit, slip_end
+from . import force_bound, friction_reversal, gap, joint_limit, saturation, slip_end
 
-EVENTS: tuple[ModuleType, ...] = (gap, joint_limit, friction_reversal, slip_end, force_bound)
+EVENTS: tuple[ModuleType, ...] = (gap, joint_limit, saturation, friction_reversal, slip_end, force_bound)
 """`gap` is first, for its bound needs the kinematics that the step has left.
 
 Of two at the same time the later one here counts: where the forces of what is closed fail just when a gap

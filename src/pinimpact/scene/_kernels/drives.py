@@ -1,0 +1,41 @@
+"""Drives: joints that a linear law draws to a reference, up to an effort that they cannot exceed.
+
+Over a step a drive either follows its law or stays at its bound, so that the motion is smooth; that it
+reaches or leaves the bound is an event.
+"""
+
+from __future__ import annotations
+
+from ..._numeric.jit import inner, jit
+
+CLEAR = 1e-9
+"""A law beyond the bound of its effort by less than this part of it is at the bound."""
+
+
+@inner
+def law(work, j):
+    """Return what the law of a drive asks for at the state that is set [N or N m]."""
+    off = work.drive_reference[j] - work.q[work.drive_coordinate[j]]
+    return work.drive_stiffness[j] * off - work.drive_damping[j] * work.v[j]
+
+
+@inner
+def drive(work):
+    """Set the forces of the drives at the state that is set."""
+    for j in work.drive_velocity:
+        side = work.drive_side[j]
+        work.control_force[j] = law(work, j) if side == 0 else side * work.drive_limit[j]
+
+
+@jit
+def choose_sides(work, q, v):
+    """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""
+    for j in work.drive_velocity:
+        off = work.drive_reference[j] - q[work.drive_coordinate[j]]
+        asked = work.drive_stiffness[j] * off - work.drive_damping[j] * v[j]
+        side, limit = work.drive_side[j], work.drive_limit[j]
+        if side != 0 and side * asked < limit * (1.0 - CLEAR):
+            side = 0
+        if side == 0 and abs(asked) > limit * (1.0 + CLEAR):
+            side = 1 if asked > 0.0 else -1
+        work.drive_side[j] = side

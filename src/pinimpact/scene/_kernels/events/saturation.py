@@ -1,0 +1,53 @@
+"""The effort of a drive reaches its bound, or leaves it."""
+
+from __future__ import annotations
+
+import math
+
+from ...._numeric.jit import inner, separate
+from ..drives import CLEAR, law
+from ..event_location import search_for_fall
+from .consequences import SIDE_CHANGE
+from .gap import SAFETY
+
+CONSEQUENCE = SIDE_CHANGE
+
+
+@inner
+def value(work, i, t):
+    """Return how far the law of a drive keeps to its side of the bound, at the state that is set.
+
+    Below nv, i is a velocity, and the bound the upper one where the drive follows its law; beyond, the lower
+    one.
+    """
+    n = len(work.v)
+    j, sign = (i, 1.0) if i < n else (i - n, -1.0)
+    side = work.drive_side[j]
+    if side != 0:
+        return side * law(work, j) - work.drive_limit[j], 0.0
+    return work.drive_limit[j] - sign * law(work, j), 0.0
+
+
+first_fall = search_for_fall(value)
+
+
+@separate
+def first(work, end):
+    """Return the first time before `end` at which a drive changes its side, infinite if none; and which."""
+    q0, v0, side, bounds, h = work.q0, work.v0, work.drive_side, work.rate_bounds, work.step_length
+    time, which = math.inf, 0
+    for j in work.drive_velocity:
+        stiffness, damping, limit = work.drive_stiffness[j], work.drive_damping[j], work.drive_limit[j]
+        if not limit < math.inf:
+            continue
+        start = stiffness * (work.drive_reference[j] - q0[work.drive_coordinate[j]]) - damping * v0[j]
+        reach = SAFETY * h * (stiffness * bounds[0, j] + damping * bounds[1, j])
+        for part in range(2):
+            room = side[j] * start - limit if side[j] != 0 else limit - (1.0 - 2.0 * part) * start
+            if (side[j] != 0 and part == 1) or room > reach:
+                continue
+            i = j + part * len(v0)
+            found = first_fall(work, i, end, CLEAR * limit)
+            if found < end:
+                time, end, which = found, found, i
+    return time, which

@@ -1,0 +1,220 @@
+"""Controls: what is called for the generalized forces, and the checks of what it returns."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array, float_array
+from ..errors import InputError, SimulationError
+from ..robot.names import joint_of_velocity
+from ._kernels.workspace import SceneWorkspace
+
+Array = NDArray[np.float64]
+Control = Callable[[float, Array, Array], ArrayLike]
+"""control(t, q, v) -> (nv,) generalized forces [N, N m]."""
+
+GRID = 1e-9
+"""A delay closer than this part of a period to a number of periods is that number of them."""
+
+
+def asked(control: Control, t: float, q: Array, v: Array) -> Array:
+    """Return the forces (nv,) of a control at a time and state, which it may change: they are its own.
+
+    Raises:
+        SimulationError: The control fails, or returns another shape or numbers that are not finite.
+    """
+    nv = len(v)
+    try:
+        tau = np.asarray(control(t, q, v), dtype=float)
+    except Exception as error:
+        raise SimulationError(
+            f"control: {type(error).__name__} at t = {t:.6g} s: {error}", field="control"
+        ) from error
+    if tau.shape != (nv,):
+        raise SimulationError(
+            f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; ({nv},) expected",
+            field="control",
+            value=tau,
+        )
+    if not math.isfinite(tau.dot(tau)):
+        raise SimulationError(
+            f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
+            field="control",
+            value=tau,
+        )
+    return tau
+
+
+@dataclass(frozen=True, eq=False)
+class JointPD:
+    """A control that draws joints to a configuration: τ = kp (q_ref − q) − kd v, within ±limits.
+
+    It is a part of the compiled dynamics, and effort that reaches a limit or leaves it is an event, at its
+    exact time. It acts on joints of one coordinate, whatever turns without bounds; a free base is not driven.
+
+    Attributes:
+        kp: Stiffness ≥ 0 [N m/rad or N/m]: a number for all joints, or (nv,), zero where nothing drives.
+        kd: Damping ≥ 0 [N m s/rad or N s/m], likewise.
+        q_ref: (nq,) the configuration to which the joints are drawn.
+        limits: The effort > 0 that each joint can exert [N m or N]: a number, or (nv,), infinite where there
+            is no limit; None for no limits.
+    """
+
+    kp: ArrayLike
+    kd: ArrayLike
+    q_ref: ArrayLike
+    limits: ArrayLike | None = None
+
+    def drives(self, model: pin.Model) -> Drives:
+        """Return the drives of a robot.
+
+        Raises:
+            InputError: Numbers of the wrong shape or range; a joint with several coordinates that is to be
+                driven.
+        """
+        nv = model.nv
+        single, coordinate = np.zeros(nv, dtype=np.bool_), np.zeros(nv, dtype=np.int64)
+        floating = np.zeros(nv, dtype=np.bool_)
+        for nq, n, i, j in zip(model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True):
+            single[j : j + n] = nq == n == 1
+            floating[j : j + n] = n == 6
+            coordinate[j : j + n] = i
+        kp = _gains("kp", self.kp, floating)
+        kd = _gains("kd", self.kd, floating)
+        limits = _gains("limits", np.inf if self.limits is None else self.limits, floating)
+        velocity = np.flatnonzero((kp > 0.0) | (kd > 0.0))
+        for j in velocity[~single[velocity]].tolist():
+            joint = joint_of_velocity(model, j)
+            raise InputError(
+                f"control: the joint {joint!r} has not one plain coordinate, so a JointPD cannot drive it; "
+                "give kp and kd as (nv,) with zeros there, or a control of your own",
+                field="control",
+                value=joint,
+            )
+        for j in velocity[~(limits[velocity] > 0.0)].tolist():
+            raise InputError(
+                f"limits: {limits[j]} given for the joint {joint_of_velocity(model, j)!r}, an effort > 0 "
+                "expected",
+                field="limits",
+                value=limits[j],
+            )
+        q_ref = finite_array("q_ref", self.q_ref, (model.nq,))
+        return Drives(velocity, coordinate, kp, kd, q_ref[coordinate], limits)
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """What a `JointPD` is to one robot; it can be sampled as a control. Arrays are (nv,) but the first.
+
+    Attributes:
+        velocity: Indices in v of what is driven.
+        coordinate: Where the coordinate of each velocity stands in q.
+        stiffness, damping, reference, limit: Of each velocity.
+    """
+
+    velocity: NDArray[np.int64]
+    coordinate: NDArray[np.int64]
+    stiffness: Array
+    damping: Array
+    reference: Array
+    limit: Array
+
+    def __call__(self, t: float, q: Array, v: Array) -> Array:
+        """Return the forces (nv,) at a state."""
+        law = self.stiffness * (self.reference - q[self.coordinate]) - self.damping * v
+        forces = np.zeros(len(v))
+        driven = self.velocity
+        forces[driven] = np.clip(law[driven], -self.limit[driven], self.limit[driven])
+        return forces
+
+
+@lru_cache(maxsize=64)
+def no_drives(nv: int) -> Drives:
+    """Return the drives of a robot that has none."""
+    none, zero = np.zeros(nv, dtype=np.int64), np.zeros(nv)
+    return Drives(none[:0], none, zero, zero, zero, zero)
+
+
+def _gains(name: str, value: ArrayLike, floating: NDArray[np.bool_]) -> Array:
+    """Return numbers ≥ 0 (nv,); a single one is that of all velocities but those of a free base."""
+    single = np.ndim(value) == 0
+    numbers = float_array(name, value, (1,) if single else floating.shape)
+    if single:
+        numbers = np.where(floating, 0.0, numbers)
+    wrong = ~(numbers >= 0.0) | ((name != "limits") & np.isinf(numbers))
+    if wrong.any():
+        found = float(numbers[wrong][0])
+        raise InputError(f"{name}: {found} given, numbers ≥ 0 expected", field=name, value=value)
+    return numbers
+
+
+class ContinuousControl:
+    """Calls a control wherever kernels evaluate v̇.
+
+    Attributes:
+        work: The workspace, where the time and the state stand and the forces go.
+    """
+
+    work: SceneWorkspace
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+
+    def __call__(self) -> None:
+        """Take the control's forces."""
+        work = self.work
+        work.control_force[:] = asked(self._control, work.control_time, work.q.copy(), work.v.copy())
+
+
+class SampledControl:
+    """A control that is asked at the times t_k = k T.
+
+    Its force acts from t_k + delay until the next one does; before the first one acts the force is zero.
+
+    Args:
+        control: Asked once for each time, in order.
+        period: T [s].
+        delay: [s].
+    """
+
+    def __init__(self, control: Control, period: float, delay: float) -> None:
+        self._control = control
+        self._period = period
+        periods = delay / period
+        whole = round(periods)  # so that times that are the same are so to the last bit
+        self._delay = whole if abs(periods - whole) <= GRID else periods
+        self._asked = self._acting = 0
+        self._waiting: deque[Array] = deque()
+
+    @property
+    def next(self) -> float:
+        """The time at which it is to be asked, or a force begins to act [s]."""
+        time = self._asked * self._period
+        return min(time, self._acts_at) if self._waiting else time
+
+    @property
+    def _acts_at(self) -> float:
+        """The time from which the first force that waits acts [s]."""
+        return (self._acting + self._delay) * self._period
+
+    def at(self, t: float, q: Array, v: Array) -> Array | None:
+        """Ask at a time if it is one to ask at; return the force (nv,) that acts from then on, if it changes.
+
+        Raises:
+            SimulationError: As of `asked`.
+        """
+        if t >= self._asked * self._period:
+            self._waiting.append(asked(self._control, t, q.copy(), v.copy()).copy())
+            self._asked += 1
+        if self._waiting and t >= self._acts_at:
+            self._acting += 1
+            return self._waiting.popleft()
+        return None

@@ -1,0 +1,147 @@
+"""What a run needs of a scene that does not change from run to run, made when it is first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..robot.contact import Contact, contact_constants
+from ..robot.names import frame_id
+from ..robot.pinocchio_bridge import RobotDynamics
+from .joint_charts import joint_table
+from .reach import chain_length, link_lengths, out_of_reach
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimit:
+    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0.
+
+    Attributes:
+        name: "joint_name lower" or "joint_name upper".
+        index_q, index_v: Where the coordinate stands in q and in v.
+        sign: 1 for a lower bound, −1 for an upper one.
+        bound: Its value [rad or m].
+    """
+
+    name: str
+    index_q: int
+    index_v: int
+    sign: float
+    bound: float
+
+
+class SceneLayout:
+    """What a run needs of a scene beyond its state, as long as the model stays as it is, see `holds_for`.
+
+    Args:
+        model: The robot.
+        contacts: The contacts that may be open.
+        held: Those that hold throughout.
+        limited: Whether the joint limits act.
+
+    Attributes:
+        spare_dynamics, spare_data: Dynamics of the robot and Data that earlier runs have left, for the next.
+    """
+
+    def __init__(
+        self, model: pin.Model, contacts: Sequence[Contact], held: Sequence[Contact], limited: bool
+    ) -> None:
+        self._model = model
+        self._contacts = tuple(contacts)
+        self._held = tuple(held)
+        self._limited = limited
+        self._sizes = _sizes(model)
+        self._links = [pin.SE3(placement) for placement in model.jointPlacements]
+        self._bounds = _bounds(model)
+        every = (*self._contacts, *self._held)
+        keys = dict.fromkeys(key for c in every for key in (c.frame, c.plane.body) if key is not None)
+        ids = (frame_id(model, key) for key in keys)
+        self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
+        self.spare_dynamics: list[RobotDynamics] = []
+        self.spare_data: list[pin.Data] = []
+
+    def holds_for(self, model: pin.Model) -> bool:
+        """Return whether sizes, placements and joint limits of the model are what they were."""
+        return bool(
+            self._sizes == _sizes(model)
+            and self._links == model.jointPlacements.tolist()
+            and self._bounds == _bounds(model)
+            and all(model.frames[i].placement == placement for i, placement in self._frames)
+        )
+
+    @cached_property
+    def limits(self) -> tuple[JointLimit, ...]:
+        """The finite bounds of the coordinates that are plain numbers."""
+        model = self._model
+        joints = zip(model.names, model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True)
+        lowest, highest = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
+        found = []
+        for label, nq, nv, first_q, first_v in list(joints)[1:]:
+            if nq != nv:
+                continue
+            for k in range(nq):
+                i, j = first_q + k, first_v + k
+                name = label + (f"[{k}]" if nq > 1 else "")
+                lower, upper = lowest[i], highest[i]
+                if lower == upper == 0.0:
+                    continue  # as Pinocchio fills in where a description gives none
+                if abs(lower) < 1e300:
+                    found.append(JointLimit(f"{name} lower", i, j, 1.0, lower))
+                if abs(upper) < 1e300:
+                    found.append(JointLimit(f"{name} upper", i, j, -1.0, upper))
+        return tuple(found)
+
+    @cached_property
+    def extent(self) -> float:
+        """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
+        links = link_lengths(self._model)
+        chains = [chain_length(self._model, links, contact) for contact in (*self._contacts, *self._held)]
+        return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
+
+    @cached_property
+    def unreachable(self) -> tuple[str, ...]:
+        """Names of the contacts that can never reach their surface, whatever the joints do."""
+        return tuple(c.label for c in self._contacts if out_of_reach(self._model, c, self._limited))
+
+    @cached_property
+    def sources(self) -> tuple[str, ...]:
+        """Names of what impacts and modes can be of: contacts, joint limits and joints."""
+        contacts = (contact.label for contact in (*self._contacts, *self._held))
+        limits = (limit.name for limit in self.limits)
+        return tuple(dict.fromkeys((*contacts, *limits, *list(self._model.names)[1:])))
+
+    @cached_property
+    def joint_charts(self) -> NDArray[np.int64]:
+        """The table of the configuration space, see `joint_table`."""
+        return joint_table(self._model)
+
+    @cached_property
+    def velocity_joint(self) -> NDArray[np.int64]:
+        """(nv,) the joint that each velocity belongs to."""
+        return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
+
+    def constants(self, contact: Contact) -> tuple[int, int, NDArray[np.float64], NDArray[np.float64]]:
+        """Return what `contact_constants` does, which is not to be changed in place."""
+        known = self._constants.get(contact.label)
+        if known is None or known[0] is not contact:
+            return contact_constants(self._model, contact)
+        return known[1]
+
+    @cached_property
+    def _constants(self) -> dict[str, tuple[Contact, Any]]:
+        every = (*self._contacts, *self._held)
+        return {c.label: (c, contact_constants(self._model, c)) for c in every}
+
+
+def _sizes(model: pin.Model) -> tuple[int, int, int, int]:
+    return model.nq, model.nv, model.njoints, model.nframes
+
+
+def _bounds(model: pin.Model) -> tuple[bytes, bytes]:
+    return model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()

@@ -1,0 +1,137 @@
+"""A motion taken step by step, with a force that is held over each: for control loops and learning."""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array
+from ..errors import InputError, PinimpactError, SimulationError
+from .scene import Scene
+from .simulation import Motion, check_numbers
+from .trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+class Stepper:
+    """A scene in motion, taken on by `step` with generalized forces that are held over each step.
+
+    It is `simulate` in pieces: a run in steps is the run of a control that is sampled where they start. Steps
+    of any length may follow one another. What happens within a step (impacts, slip that ends, events of one's
+    own) happens at its exact time. A terminal event ends the step early: `t` tells, and the next step goes on
+    from there.
+
+    Args:
+        scene: The scene, without a control of its own.
+        q0: (nq,) configuration at the start, no contact below its surface.
+        v0: (nv,) velocity at the start.
+        rtol, atol, max_step: As of `simulate`.
+        max_impacts: How many impacts to resolve in one step before giving up.
+
+    Raises:
+        InputError: As of `simulate`, or a scene with a control.
+        ModelError: A joint that cannot be integrated.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        *,
+        rtol: float = 1e-8,
+        atol: float = 1e-10,
+        max_step: float = math.inf,
+        max_impacts: int = 10_000,
+    ) -> None:
+        if isinstance(scene, Scene) and scene.control is not None:
+            raise InputError(
+                "scene: it has a control, but the forces of a stepper are those of step(tau, dt); leave out "
+                "control=",
+                field="scene",
+                value=scene,
+            )
+        self._scene = scene
+        self._options = (rtol, atol, max_step, max_impacts)
+        self.reset(q0, v0)
+
+    def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
+        """Begin anew at t = 0 in another state; the motion until now is forgotten.
+
+        Raises:
+            InputError: As of `simulate`; the stepper is then as it was.
+        """
+        self._motion = Motion(self._scene, q0, v0, *self._options)
+        self._begun = self._failed = False
+
+    def copy(self) -> Stepper:
+        """Return a stepper that goes on from here on its own."""
+        twin = copy(self)
+        twin._motion = self._motion.copy()
+        return twin
+
+    def step(self, tau: ArrayLike, dt: float) -> tuple[Array, Array]:
+        """Move on by a time under forces that do not change, and return q (nq,) and v (nv,) at its end.
+
+        Args:
+            tau: (nv,) generalized forces [N, N m].
+            dt: The time [s], above zero.
+
+        Raises:
+            InputError: Forces of the wrong shape or not finite, a time that is not above zero or too small to
+                change `t`; nothing has moved then.
+            SimulationError: The motion cannot go on; ``partial`` is the trajectory until then. Only `reset`
+                helps.
+        """
+        motion = self._motion
+        tau = finite_array("tau", tau, (motion.model.nv,))
+        check_numbers(dt=dt)
+        until = motion.state.t + float(dt)
+        if not until > motion.state.t:
+            raise InputError(
+                f"dt: {dt!r} given, which is too small to change t = {motion.state.t:.6g} s",
+                field="dt",
+                value=dt,
+            )
+        if self._failed:
+            raise SimulationError(
+                f"scene: the motion has stopped at t = {motion.state.t:.6g} s; reset(q, v) begins anew",
+                field="scene",
+            )
+        self._failed = True
+        try:
+            if not self._begun:
+                motion.begin(tau)
+                self._begun = True
+            else:
+                motion.resume()
+                motion.hold_force(tau)
+            motion.advance(until)
+        except PinimpactError as error:
+            motion.stop(error)
+        self._failed = False
+        return self.q, self.v
+
+    @property
+    def t(self) -> float:
+        """The time [s]."""
+        return self._motion.state.t
+
+    @property
+    def q(self) -> Array:
+        """(nq,) the configuration."""
+        return self._motion.state.q.copy()
+
+    @property
+    def v(self) -> Array:
+        """(nv,) the velocity."""
+        return self._motion.state.v.copy()
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion from the start until now; it grows by some kilobytes a step until `reset`."""
+        return self._motion.trajectory(f"Stepped until t = {self.t:.6g} s.", True)

@@ -1,0 +1,189 @@
+"""Joints that a linear law draws to a configuration, within their efforts, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import solve_ivp
+
+import pinimpact
+from pinimpact import Contact, InputError, JointPD, Plane, Scene, simulate
+
+from .scene_models import UP, G, ball, pendulum, run, slider
+
+
+def mass(control, **options):
+    """A free mass of 1 kg on three sliding joints."""
+    return Scene(slider(), control=control, without=["gravity"], **options)
+
+
+def oscillator(x, v, kp, kd, t):
+    """Return x(t), ẋ(t) of ẍ = −kp x − kd ẋ."""
+    root = np.sqrt(complex(kd * kd / 4 - kp))
+    a, b = -kd / 2 + root, -kd / 2 - root
+    second = (v - a * x) / (b - a)
+    first = x - second
+    return (first * np.exp(a * t) + second * np.exp(b * t)).real, (
+        first * a * np.exp(a * t) + second * b * np.exp(b * t)
+    ).real
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(4.0, 0.5), (100.0, 0.0), (9.0, 10.0), (1e4, 20.0), (0.0, 3.0)])
+def test_it_is_a_damped_oscillator(kp, kd):
+    target = np.array([0.4, 0.0, -0.2])
+    trajectory = run(mass(JointPD(kp, kd, target)), np.zeros(3), [1.0, 0, 0], 1.0, rtol=1e-10, atol=1e-12)
+    for t in (0.1, 0.37, 1.0):
+        q, v = trajectory.at(t)
+        for i in range(3):
+            x, speed = oscillator(-target[i], float(i == 0), kp, kd, t)
+            assert q[i] - target[i] == pytest.approx(x, abs=1e-8)
+            assert v[i] == pytest.approx(speed, abs=1e-6)
+
+
+def test_effort_that_reaches_its_limit_and_leaves_it_does_so_at_the_exact_time():
+    kp, kd, limit = 100.0, 4.0, 5.0
+    trajectory = run(mass(JointPD(kp, kd, [0.2, 0, 0], limit)), np.zeros(3), np.zeros(3), 1.0, rtol=1e-10)
+    # at the bound: x = ½ · 5 t², until 100 (0.2 − x) − 4 v = 5, that is 15 − 250 t² − 20 t = 0
+    leaves = (-20 + np.sqrt(400 + 15000)) / 500
+    first = trajectory.modes[0]
+    assert (first.source, first.mode, first.start) == ("x drive", "saturated", 0.0)
+    assert first.end == pytest.approx(leaves, rel=1e-9)
+    x, v = 2.5 * leaves**2, 5.0 * leaves
+    assert trajectory.at(leaves)[0][0] == pytest.approx(x, rel=1e-9)
+    after, speed = oscillator(x - 0.2, v, kp, kd, 0.1 * leaves)
+    assert trajectory.at(1.1 * leaves)[0][0] == pytest.approx(0.2 + after, rel=1e-8)
+    assert trajectory.at(1.1 * leaves)[1][0] == pytest.approx(speed, rel=1e-7)
+    times = np.linspace(0.0, 1.0, 1001)
+    for t in times:
+        q, v = trajectory.at(t)
+        asked = kp * (0.2 - q[0]) - kd * v[0]
+        if abs(asked) > limit * (1 + 1e-6):
+            assert trajectory.mode_at("x drive", t) == "saturated"
+        elif abs(asked) < limit * (1 - 1e-6):
+            assert trajectory.mode_at("x drive", t) == "free"
+
+
+def test_an_undamped_drive_at_its_bounds_is_the_bang_bang_oscillator():
+    # a stiff law with a low bound is nearly −limit · sign(x): x = 1 − t² at first, and the period is 4 s
+    kp, limit = 1e6, 2.0
+    trajectory = run(mass(JointPD(kp, 0.0, np.zeros(3), limit)), [1.0, 0, 0], np.zeros(3), 4.0)
+    edge = limit / kp
+    energy = limit * (1.0 - edge) + 0.5 * limit * edge  # of the drive's potential, linear beyond the edge
+    q, v = trajectory.at(0.5)
+    assert q[0] == pytest.approx(1.0 - 0.25, rel=1e-9)
+    q, v = trajectory.at(1.0 + 0.01)
+    assert 0.5 * v[0] ** 2 + limit * (abs(q[0]) - edge) + 0.5 * limit * edge == pytest.approx(
+        energy, rel=1e-7
+    )
+    crossings = [m for m in trajectory.modes if m.source == "x drive"]
+    assert len(crossings) == 3
+
+
+def test_limits_joint_by_joint_and_a_joint_that_nothing_drives():
+    kp, kd = np.array([50.0, 0.0, 50.0]), np.array([1.0, 0.0, 1.0])
+    control = JointPD(kp, kd, np.ones(3), [np.inf, 1.0, 3.0])
+    trajectory = run(mass(control), np.zeros(3), [0.0, 0.5, 0.0], 0.1)
+    q, _ = trajectory.at(0.1)
+    assert q[0] == pytest.approx(1.0 + oscillator(-1.0, 0.0, 50.0, 1.0, 0.1)[0], abs=1e-8)
+    assert q[1] == pytest.approx(0.05, abs=1e-12)
+    assert q[2] == pytest.approx(0.5 * 3.0 * 0.01, abs=1e-10)
+
+
+def test_it_is_the_same_motion_as_by_a_function():
+    robot = pinimpact.load_robot("panda")
+    q0 = np.array([0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02])
+    reference = q0 + np.array([0.5, 0.2, -0.3, 0.1, 0.4, 0.2, 0.5, 0, 0])
+    kp = np.array([80.0] * 7 + [0, 0])
+    kd = np.array([8.0] * 7 + [0, 0])
+    hand = Contact("panda_hand_tcp", Plane(point=(0, 0, 0.2)), friction=0.4, restitution=0.5)
+    options = {"contacts": [hand], "without": ["joint limits"]}
+    built_in = Scene(robot, control=JointPD(kp, kd, reference), **options)
+    written = Scene(robot, control=lambda t, q, v: kp * (reference - q) - kd * v, **options)
+    one, other = (simulate(scene, q0, np.zeros(9), 0.3) for scene in (built_in, written))
+    assert one.q[-1] == pytest.approx(other.q[-1], abs=1e-9)
+    assert one.v[-1] == pytest.approx(other.v[-1], abs=1e-8)
+
+
+def test_a_pendulum_with_a_weak_motor_is_its_equation():
+    kp, kd, limit = 60.0, 3.0, 4.0
+
+    def rate(t, y):
+        return [y[1], -G * np.sin(y[0]) + np.clip(kp * (1.0 - y[0]) - kd * y[1], -limit, limit)]
+
+    model = pendulum()
+    trajectory = run(Scene(model, control=JointPD(kp, kd, [1.0], limit)), [0.0], [3.0], 2.0)
+    reference = solve_ivp(rate, (0, 2), [0, 3], rtol=1e-11, atol=1e-12, max_step=1e-3)
+    assert [trajectory.q[-1, 0], trajectory.v[-1, 0]] == pytest.approx(reference.y[:, -1], abs=1e-6)
+    assert any(m.mode == "saturated" for m in trajectory.modes)
+
+
+def test_an_impact_that_throws_the_effort_over_its_limit():
+    # a brake of limited effort: the impact turns its force round at once
+    model, kd, limit, e = slider(), 10.0, 3.0, 1.0
+    model.lowerPositionLimit = np.array([0.0, -np.inf, -np.inf])
+    scene = Scene(
+        model, control=JointPD(0.0, [kd, 0, 0], np.zeros(3), limit), limit_restitution=e, without=["gravity"]
+    )
+    trajectory = run(scene, [0.5, 0, 0], [-4.0, 0, 0], 0.4)
+    # braked at the bound: v = 4 − 3 t until the wall, then again 3 against the motion the other way
+    hit = (4 - np.sqrt(16 - 3)) / 3
+    assert trajectory.impacts[0].time == pytest.approx(hit, rel=1e-9)
+    speed, left = 4 - 3 * hit, 0.4 - hit
+    assert trajectory.q[-1, 0] == pytest.approx(speed * left - 1.5 * left**2, rel=1e-8)
+
+
+def test_a_free_base_is_not_driven_and_its_joints_are():
+    robot = pinimpact.load_robot("solo12")
+    model = robot.model
+    q0 = robot.q0.copy()
+    q0[2] = 1.0
+    scene = Scene(robot, control=JointPD(5.0, 0.1, q0, 2.0))
+    moved = q0.copy()
+    moved[7:] += 0.1
+    trajectory = run(scene, moved, np.zeros(18), 0.1)
+    # in flight no outer force but gravity: the centre of mass falls freely
+    data = model.createData()
+    start = pin.centerOfMass(model, data, moved).copy()
+    end = pin.centerOfMass(model, data, trajectory.q[-1]).copy()
+    assert end - start == pytest.approx([0, 0, -0.5 * G * 0.01], abs=1e-8)
+    assert np.abs(trajectory.q[-1, 7:] - q0[7:]).max() < 0.1
+
+
+def test_it_can_be_sampled():
+    period, kp, kd, limit = 0.01, 60.0, 5.0, 4.0
+    trajectory = run(mass(JointPD(kp, kd, [0.3, 0, 0], limit), period=period), np.zeros(3), np.zeros(3), 1.0)
+    x = v = 0.0
+    for _ in range(100):
+        u = np.clip(kp * (0.3 - x) - kd * v, -limit, limit)
+        x, v = x + v * period + 0.5 * u * period**2, v + u * period
+    assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-12)
+
+
+def test_what_it_cannot_drive_and_bad_numbers_are_refused_by_name():
+    unbounded = pin.Model()
+    joint = unbounded.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "spinner")
+    unbounded.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    with pytest.raises(InputError, match="'spinner' has not one plain coordinate"):
+        Scene(unbounded, control=JointPD(1.0, 1.0, pin.neutral(unbounded)))
+    with pytest.raises(InputError, match="'body' has not one plain coordinate"):
+        Scene(ball(), control=JointPD(np.ones(6), 0.0, [0, 0, 0, *UP]))
+    for field, wrong in (
+        ("kp", JointPD(-1.0, 0.0, np.zeros(3))),
+        ("kp", JointPD(np.inf, 0.0, np.zeros(3))),
+        ("kp", JointPD([1.0, 2.0], 0.0, np.zeros(3))),
+        ("kd", JointPD(1.0, np.nan, np.zeros(3))),
+        ("q_ref", JointPD(1.0, 1.0, np.zeros(2))),
+        ("q_ref", JointPD(1.0, 1.0, [0, np.nan, 0])),
+        ("limits", JointPD(1.0, 1.0, np.zeros(3), 0.0)),
+        ("limits", JointPD(1.0, 1.0, np.zeros(3), [1.0, -2.0, 1.0])),
+    ):
+        with pytest.raises(InputError, match=f"{field}: "):
+            mass(wrong)
+
+
+def test_the_plan_tells_of_it_and_it_can_be_switched_off():
+    scene = mass(JointPD([1.0, 1.0, 0.0], 0.0, np.zeros(3)))
+    assert scene.plan()["control"].reason == "PD control of 2 joints"
+    off = Scene(scene.model, control=scene.control, without=["control", "gravity"])
+    assert simulate(off, [1.0, 0, 0], np.zeros(3), 0.1).q[-1] == pytest.approx([1.0, 0, 0])

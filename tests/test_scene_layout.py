@@ -1,0 +1,72 @@
+"""What is remembered of a scene from run to run is forgotten when its model changes, and is never shared."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene, simulate
+
+from .scene_models import UP, G, ball, run, slider
+
+
+def sphere_above(radius=0.1):
+    return Scene(ball(), [Contact("center", Plane(), radius=radius, restitution=0.5, name="ball")])
+
+
+def test_a_joint_limit_that_is_moved_holds_where_it_is_now():
+    model = slider()
+    model.upperPositionLimit = np.array([1.0, np.inf, np.inf])
+    scene = Scene(model, without=["gravity"])
+    for bound in (1.0, 0.25):
+        model.upperPositionLimit = np.array([bound, np.inf, np.inf])
+        assert run(scene, np.zeros(3), [1.0, 0, 0], 2.0).impacts[0].time == pytest.approx(bound, rel=1e-12)
+
+
+def test_a_frame_that_is_moved_touches_where_it_is_now():
+    scene = sphere_above()
+    start = [0, 0, 1.0, *UP]
+    assert run(scene, start, np.zeros(6), 0.5).impacts[0].time == pytest.approx(
+        np.sqrt(2 * 0.9 / G), rel=1e-9
+    )
+    frame = scene.model.frames[scene.model.getFrameId("center")]
+    frame.placement = pin.SE3(np.eye(3), np.array([0, 0, -0.4]))
+    found = run(scene, start, np.zeros(6), 0.5).impacts[0].time
+    assert found == pytest.approx(np.sqrt(2 * 0.5 / G), rel=1e-9)
+
+
+def test_a_joint_that_is_moved_counts_in_the_size_and_the_reach():
+    model = slider()
+    scene = Scene(model, [Contact(model.frames[-1].name, Plane(point=(0, 0, -5.0)))])
+    before = scene.layout()
+    assert scene.layout() is before
+    model.jointPlacements[1] = pin.SE3(np.eye(3), np.array([0, 0, 3.0]))
+    assert scene.layout() is not before
+
+
+def test_runs_one_after_another_and_inside_each_other_are_the_same_to_the_last_bit():
+    scene = sphere_above()
+    start, v = [0, 0, 0.5, *UP], np.array([0.3, 0, 0, 1.0, 2.0, 0])
+    alone = simulate(scene, start, v, 1.0)
+    inner = []
+
+    def progress(t, duration):
+        if len(inner) < 3:
+            inner.append(simulate(scene, start, v, 1.0))
+
+    outer = simulate(scene, start, v, 1.0, progress=progress)
+    again = simulate(scene, start, v, 1.0)
+    for other in (outer, again, *inner):
+        assert np.array_equal(other.t, alone.t)
+        assert np.array_equal(other.q, alone.q)
+        assert np.array_equal(other.v, alone.v)
+
+
+def test_a_scene_that_has_run_can_be_pickled():
+    scene = sphere_above()
+    first = run(scene, [0, 0, 0.5, *UP], np.zeros(6), 0.5)
+    second = run(pickle.loads(pickle.dumps(scene)), [0, 0, 0.5, *UP], np.zeros(6), 0.5)
+    assert np.array_equal(first.q, second.q)

@@ -1,0 +1,267 @@
+"""Motions in steps: exact between changes of the force, nothing lost or doubled where steps meet events."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Event, InputError, Plane, Scene, SimulationError, Stepper, simulate
+
+from .scene_models import UP, G, ball, pendulum, slider
+
+FLOOR = Plane()
+
+
+def block(friction=0.5, **options):
+    """A point of 1 kg on three sliding joints, on the floor."""
+    return Scene(slider(), [Contact("point", FLOOR, friction=friction, name="block")], **options)
+
+
+def bouncing_ball(restitution=0.5):
+    return Scene(ball(), [Contact("center", FLOOR, radius=0.1, restitution=restitution, name="ball")])
+
+
+def test_a_free_mass_moves_as_the_constant_forces_say():
+    stepper = Stepper(Scene(slider(mass=2.0), without=["gravity"]), np.zeros(3), np.zeros(3))
+    rng = np.random.default_rng(0)
+    x, v, t = np.zeros(3), np.zeros(3), 0.0
+    for dt in rng.uniform(1e-4, 0.3, 40):
+        force = rng.normal(size=3)
+        x, v, t = x + v * dt + 0.25 * force * dt**2, v + 0.5 * force * dt, t + dt
+        found, speed = stepper.step(force, dt)
+        assert found == pytest.approx(x, abs=1e-12)
+        assert speed == pytest.approx(v, abs=1e-12)
+        assert stepper.t == pytest.approx(t, rel=1e-14)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 5, 8, 50])
+def test_a_bounce_where_a_step_ends_is_neither_lost_nor_doubled(steps):
+    e, t0 = 0.5, 0.25
+    stepper = Stepper(bouncing_ball(e), [0, 0, 0.1 + 0.5 * G * t0**2, *UP], np.zeros(6))
+    for _ in range(steps):
+        stepper.step(np.zeros(6), t0 / steps)
+    first = len(stepper.trajectory.impacts)
+    for _ in range(steps):
+        stepper.step(np.zeros(6), 0.5 * t0 / steps)
+    impacts = stepper.trajectory.impacts
+    assert first in (0, 1)  # it happens at 0.25 s to rounding
+    assert len(impacts) == 1
+    assert impacts[0].time == pytest.approx(t0, rel=1e-12)
+    up, t = e * G * t0, 0.5 * t0
+    assert stepper.q[2] - 0.1 == pytest.approx(up * t - 0.5 * G * t**2, rel=1e-9)
+    assert stepper.v[2] == pytest.approx(up - G * t, abs=1e-9)
+
+
+def test_bounces_within_steps_come_at_their_exact_times():
+    e, height = 0.7, 0.3
+    stepper = Stepper(bouncing_ball(e), [0, 0, 0.1 + height, *UP], np.zeros(6))
+    while stepper.t < 1.0:
+        stepper.step(np.zeros(6), 0.037)
+    speed, time = np.sqrt(2 * G * height), np.sqrt(2 * height / G)
+    for impact in stepper.trajectory.impacts:
+        assert impact.time == pytest.approx(time, rel=1e-11)
+        speed *= e
+        time += 2 * speed / G
+    assert len(stepper.trajectory.impacts) >= 3
+
+
+def test_a_run_in_steps_is_that_of_the_sampled_control():
+    model = pendulum(joint=pin.JointModelRY())
+    model.friction = np.array([0.3])
+    tip = Contact("tip", Plane(normal=(-1, 0, 0), point=(0.4, 0, 0)), restitution=0.6, name="wall")
+    start, period, count = [0.1], 0.01, 300
+
+    def pulled(t, q, v):
+        return 6.0 * np.sin(5.0 * t) - 0.2 * v
+
+    expected = simulate(
+        Scene(model, [tip], control=pulled, period=period),
+        start,
+        [0.0],
+        count * period,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    stepper = Stepper(Scene(model, [tip]), start, [0.0], rtol=1e-10, atol=1e-12)
+    for k in range(count):
+        stepper.step(pulled(k * period, stepper.q, stepper.v), period)
+    assert stepper.q == pytest.approx(expected.q[-1], abs=1e-10)
+    assert stepper.v == pytest.approx(expected.v[-1], abs=1e-9)
+    found = stepper.trajectory
+    assert len(found.impacts) == len(expected.impacts) >= 2
+    assert [i.time for i in found.impacts] == pytest.approx([i.time for i in expected.impacts], abs=1e-10)
+    assert [m.mode for m in found.modes] == [m.mode for m in expected.modes]
+    assert np.abs(found.energy.residual).max() <= 1e-8
+
+
+def test_a_block_sticks_and_slips_as_the_force_of_each_step_says():
+    mu, dt = 0.5, 0.1
+    hold = mu * G
+    stepper = Stepper(block(mu), np.zeros(3), np.zeros(3))
+    x = v = 0.0
+    for force, acceleration in (
+        (0.9 * hold, 0.0),
+        (1.5 * hold, 0.5 * hold),
+        (1.2 * hold, 0.2 * hold),
+        (0.5 * hold, -0.5 * hold),
+        (0.5 * hold, -0.5 * hold),
+    ):
+        if v > 0.0 or acceleration > 0.0:
+            moving = dt if v + acceleration * dt >= 0.0 else -v / acceleration
+            x += v * moving + 0.5 * acceleration * moving**2
+            v = v + acceleration * moving if moving == dt else 0.0
+        stepper.step([force, 0, 0], dt)
+        assert stepper.q[0] == pytest.approx(x, abs=1e-9)
+        assert stepper.v[0] == pytest.approx(v, abs=1e-9)
+    modes = [(m.mode, m.start) for m in stepper.trajectory.modes]
+    assert [mode for mode, _ in modes] == ["stick", "slip", "stick"]
+    assert modes[1][1] == pytest.approx(dt, abs=1e-15)
+
+
+def test_slip_that_has_just_begun_takes_the_direction_of_the_force_that_acts():
+    mu, dt = 0.5, 1e-3
+    stepper = Stepper(block(mu), np.zeros(3), np.zeros(3))
+    stepper.step([0.5, 0, 0], dt)
+    for force in ([2 * mu * G, 0, 0], [0, 0, 0], [0, 2 * mu * G, 0]):
+        before, after = stepper.v, stepper.step(force, dt)[1]
+        pushed = np.linalg.norm(force) > 0
+        expected = before + np.array(force) * 0.5 * dt if pushed else np.zeros(3)
+        assert after[:2] == pytest.approx(expected[:2], abs=1e-9)
+
+
+def test_a_block_lifts_off_and_lands_where_the_force_changes():
+    stepper = Stepper(block(), np.zeros(3), np.zeros(3))
+    stepper.step(np.zeros(3), 0.1)
+    stepper.step([0, 0, 2 * G], 0.1)
+    assert stepper.q[2] == pytest.approx(0.5 * G * 0.01, rel=1e-9)
+    stepper.step(np.zeros(3), 0.5)
+    landing = stepper.trajectory.impacts[0].time
+    assert landing == pytest.approx(0.2 + 0.1 + np.sqrt(2) * 0.1, rel=1e-9)
+    assert stepper.trajectory.mode_at("block", 0.65) == "stick"
+
+
+def test_weight_that_a_force_just_carries_comes_to_rest_again_when_it_is_let_go():
+    stepper = Stepper(block(), np.zeros(3), np.zeros(3))
+    for lift in (0.5 * G, G, 0.5 * G, 1.0000001 * G, 0.0):
+        stepper.step([0, 0, lift], 0.01)
+    assert stepper.v[2] == pytest.approx(0.0, abs=1e-6)
+    stepper.step(np.zeros(3), 0.1)
+    assert stepper.trajectory.mode_at("block", stepper.t) == "stick"
+    assert abs(stepper.q[2]) < 1e-9
+
+
+def test_a_joint_with_dry_friction_holds_and_gives_way_at_the_change():
+    model = pendulum()
+    model.friction = np.array([2.0])
+    stepper = Stepper(Scene(model, without=["gravity"]), [0.0], [0.0])
+    stepper.step([1.9], 0.1)
+    assert stepper.q[0] == 0.0
+    stepper.step([-3.0], 0.1)
+    assert stepper.q[0] == pytest.approx(-0.5 * 1.0 * 0.01, rel=1e-9)
+    stepper.step([0.0], 0.2)
+    assert stepper.q[0] == pytest.approx(-0.005 - 0.1**2 / 4, rel=1e-8)
+    assert stepper.v[0] == 0.0
+
+
+def test_copies_go_on_each_on_its_own_and_to_the_same_bit():
+    one = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], [0.2, 0, 0, 1.0, 0, 0])
+    for _ in range(30):
+        one.step(np.zeros(6), 0.01)
+    other = one.copy()
+    lifted = one.copy()
+    for _ in range(30):
+        lifted.step([0, 0, 30.0, 0, 0, 0], 0.01)
+    for _ in range(30):
+        one.step(np.zeros(6), 0.01)
+    for _ in range(30):
+        other.step(np.zeros(6), 0.01)
+    assert np.array_equal(one.q, other.q)
+    assert np.array_equal(one.v, other.v)
+    assert np.array_equal(one.trajectory.q, other.trajectory.q)
+    assert [i.time for i in one.trajectory.impacts] == [i.time for i in other.trajectory.impacts]
+    assert lifted.q[2] > one.q[2]
+
+
+def test_reset_begins_anew_as_a_new_stepper_would():
+    scene, start = bouncing_ball(), [0, 0, 0.3, *UP]
+    used, new = Stepper(scene, [0, 0, 0.8, *UP], np.ones(6)), Stepper(scene, start, np.zeros(6))
+    for _ in range(40):
+        used.step(np.ones(6), 0.01)
+    used.reset(start, np.zeros(6))
+    assert used.t == 0.0
+    assert used.trajectory.impacts == ()
+    for _ in range(40):
+        used.step(np.zeros(6), 0.01)
+        new.step(np.zeros(6), 0.01)
+    assert np.array_equal(used.q, new.q)
+    assert np.array_equal(used.trajectory.t, new.trajectory.t)
+
+
+def test_what_is_returned_is_the_users_own():
+    stepper = Stepper(block(), np.zeros(3), np.zeros(3))
+    q, v = stepper.step([0, 0, 2 * G], 0.1)
+    kept = q.copy()
+    q[:], v[:] = 7.0, 7.0
+    stepper.q[:] = 7.0
+    assert stepper.q == pytest.approx(kept)
+    assert stepper.trajectory.q[-1] == pytest.approx(kept)
+
+
+def test_a_terminal_event_ends_the_step_early_and_the_next_goes_on():
+    def half_way(t, q, v):
+        return q[2] - 0.5
+
+    scene = Scene(slider(), events=[Event(half_way, terminal=True)])
+    stepper = Stepper(scene, [0, 0, 1.0], np.zeros(3))
+    stepper.step(np.zeros(3), 1.0)
+    fall = np.sqrt(2 * 0.5 / G)
+    assert stepper.t == pytest.approx(fall, rel=1e-10)
+    stepper.step(np.zeros(3), 0.1)
+    assert stepper.t == pytest.approx(fall + 0.1, rel=1e-10)
+    assert stepper.q[2] == pytest.approx(1.0 - 0.5 * G * (fall + 0.1) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1e-3, np.nan, np.inf, "1", None, 1e-30])
+def test_times_that_cannot_be_stepped_over_are_refused(dt):
+    stepper = Stepper(block(), np.zeros(3), np.zeros(3))
+    stepper.step(np.zeros(3), 1.0)
+    with pytest.raises(InputError, match="dt: "):
+        stepper.step(np.zeros(3), dt)
+    assert stepper.t == 1.0
+
+
+@pytest.mark.parametrize("tau", [np.zeros(2), [0, 0, np.nan], [np.inf, 0, 0], "push", None])
+def test_forces_that_are_none_are_refused_and_nothing_moves(tau):
+    stepper = Stepper(block(), np.zeros(3), np.zeros(3))
+    with pytest.raises(InputError, match="tau: "):
+        stepper.step(tau, 0.1)
+    assert stepper.t == 0.0
+    stepper.step(np.zeros(3), 0.1)
+
+
+def test_a_scene_with_a_control_is_refused_and_so_is_a_bad_start():
+    with pytest.raises(InputError, match="control="):
+        Stepper(block(control=lambda t, q, v: 0 * v), np.zeros(3), np.zeros(3))
+    with pytest.raises(InputError, match="q0: "):
+        Stepper(block(), [0, 0, -1.0], np.zeros(3))
+    with pytest.raises(InputError, match="rtol: "):
+        Stepper(block(), np.zeros(3), np.zeros(3), rtol=0.0)
+
+
+def test_a_motion_that_has_stopped_says_so_until_it_is_reset():
+    stepper = Stepper(bouncing_ball(0.9), [0, 0, 0.11, *UP], np.zeros(6), max_impacts=3)
+    with pytest.raises(SimulationError, match="max_impacts") as caught:
+        stepper.step(np.zeros(6), 5.0)
+    assert caught.value.partial.t[-1] < 5.0
+    with pytest.raises(SimulationError, match="reset"):
+        stepper.step(np.zeros(6), 1e-3)
+    stepper.reset([0, 0, 0.5, *UP], np.zeros(6))
+    stepper.step(np.zeros(6), 1e-3)
+
+
+def test_impacts_are_counted_step_by_step():
+    stepper = Stepper(bouncing_ball(0.9), [0, 0, 0.11, *UP], np.zeros(6), max_impacts=3)
+    for _ in range(60):
+        stepper.step(np.zeros(6), 0.01)
+    assert len(stepper.trajectory.impacts) > 3
