@@ -12,6 +12,7 @@ from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
 from ..samples import along, clear_of_zero
+from ..slip import set_directions_within
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
@@ -45,6 +46,7 @@ def first(work, end):
     for k in range(len(mode)):
         if mode[k] != SLIP or mu[k] == 0.0:
             continue
+        set_directions_within(work, 1.0)
         end_speed = along(work, k, work.end_velocity)
         if work.step_implicit:
             # slip that begins may turn as far as it likes; what counts is where it is when it has begun
