@@ -478,9 +478,9 @@ class Motion:
             state.correct_drift()
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
-        if arriving is None:
-            state.stop_jammed_slip()
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
+        if arriving is None:
+            state.stop_jammed_slip(leaving=bounded)
         self._settle(arriving)
         self._begin_motion()
         # forces that a correction has brought back into their bounds leave them again soon

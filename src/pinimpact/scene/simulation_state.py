@@ -194,14 +194,16 @@ class SimulationState:
         self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
         self.v = v
 
-    def stop_jammed_slip(self, singular: float = SINGULAR) -> bool:
+    def stop_jammed_slip(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
         """Stop contacts that jam, an impact without collision; return whether there are any.
 
         Args:
             singular: The part to which the effects of the forces cancel at a singularity.
+            leaving: Whether forces have just left their bounds: if with a determinant that has changed its
+                sign, they have gone through infinity.
         """
         v = self.v.copy()
-        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, not self._forces_found, singular):
+        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, leaving or not self._forces_found, singular):
             return False
         modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
         slipping = ", ".join(name for name, mode in modes if mode == SLIP)

@@ -21,8 +21,8 @@ def stop_jammed_slip(work, t, q, v, without_forces, singular):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what the closed contacts take away of it.
-        without_forces: Whether no forces were found for the modes; where the determinant of their equations
-            has changed its sign there are none.
+        without_forces: Whether no forces were found for the modes, or they have just left their bounds; where
+            the determinant of the equations has changed its sign there are none.
         singular: The part to which the effects of forces cancel at a singularity.
 
     Returns:
