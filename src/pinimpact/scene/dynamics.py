@@ -26,6 +26,7 @@ from ._kernels import (
     jamming,
     smooth_motion,
     step_dop853,
+    step_drives,
     step_radau,
 )
 from ._kernels import drift as drifting
@@ -299,6 +300,7 @@ def _compile(work: SceneWorkspace) -> None:
         (drives.choose_sides, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
+        (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),
         (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
