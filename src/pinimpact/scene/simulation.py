@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -377,7 +378,7 @@ class Motion:
                     field="rtol",
                     value=self.rtol,
                 )
-            method = step_dop853
+            method: ModuleType = step_dop853
             if trial * work.slip_stiffness > step_radau.STIFF:
                 method = step_radau
             elif trial * work.drive_rate > step_drives.STIFF:
