@@ -147,6 +147,7 @@ class SceneDynamics:
         )
         if control is not None:
             control.work = self.work
+        self._driven = len(motors.velocity) > 0
         self.work.force_margin = math.inf
         _compile(self.work)
         closed_set.close_held(self.work)
@@ -213,7 +214,7 @@ class SceneDynamics:
 
     def choose_sides(self, q: Array, v: Array) -> None:
         """Tell which drives are at the bounds of their efforts at a state."""
-        if self.work.driven:
+        if self._driven:
             drives.choose_sides(self.work, q, v)
 
     def change_side(self, index: int) -> None:
