@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from .ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from .jit import separate
 
 
+@ahead(FLOAT_ROWS, INTEGERS)
 @separate
 def factorize(matrix, order):
     """Replace a matrix by its factors L and U, fill the order of its rows; return whether it is regular."""
@@ -27,6 +29,7 @@ def factorize(matrix, order):
     return True
 
 
+@ahead(FLOAT_ROWS, INTEGERS, FLOATS)
 @separate
 def substitute(factors, order, right):
     """Replace a right-hand side by the solution of the system that was factored."""

@@ -118,7 +118,7 @@ def finish(work, t, h, error, explicit):
         error: Its error over the tolerance.
         explicit: Whether it was an explicit one.
     """
-    work.step_start, work.step_length, work.step_implicit = t, h, not explicit
+    work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin
     work.end_drift = drift(work, work.v1)
     velocity = work.end_velocity

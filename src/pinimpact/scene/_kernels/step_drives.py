@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, INTEGERS, ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
@@ -21,7 +22,9 @@ from .contact_forces import SINGULAR_STILL
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, invert_mass_matrix, set_state
 from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
+from .samples import record_sample
 from .step_radau import ABSCISSAE, AT_START, GAMMA, MATRIX, STAGES, advance_to, complete
+from .workspace import SceneWorkspace
 
 STIFF = 4.0
 """Steps longer than this, times the rate at which the drives settle, are implicit."""
@@ -44,6 +47,7 @@ def following(work):
     return found
 
 
+@ahead(SceneWorkspace, INTEGERS, FLOAT_ROWS)
 @separate
 def respond(work, driven, response):
     """Fill (k, nv) what a unit of each drive's force does to v̇ at the state last evaluated, with its M⁻¹."""
@@ -66,6 +70,7 @@ def respond(work, driven, response):
                 response[c, j] += reaction[m] * effect[m, j]
 
 
+@ahead(SceneWorkspace)
 @separate
 def rate_of_drives(work):
     """Return how fast the drives settle at the most, about [1/s], at the state last evaluated."""
@@ -88,7 +93,7 @@ def rate_of_drives(work):
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    work.least_force_margin = math.inf
+    work.step_turns = False
     error = solve_stages(work, t, h, rtol, atol)
     if error <= 1.0 and not work.callback_failed:
         n = len(work.v1)
@@ -96,6 +101,7 @@ def attempt(work, t, h, rtol, atol):
         evaluate(work, t + h, work.stage_rates[LAST, n:])
         for m in range(n):
             work.stage_reactions[LAST, m] = work.stage_rates[LAST, n + m] - work.acceleration[m]
+        work.samples = 1 + STAGES
         complete(work, h)
     return error
 
@@ -138,7 +144,6 @@ def solve_stages(work, t, h, rtol, atol):
     force = np.empty((s, k))
     before = math.inf
     for iteration in range(ITERATIONS):
-        work.least_force_margin = math.inf
         for i in range(s):
             advance_to(i, h, rates, v0, xi, v)
             if gone_astray(xi, v) or turned_too_far(joints, xi):
@@ -150,6 +155,7 @@ def solve_stages(work, t, h, rtol, atol):
             evaluate(work, t + ABSCISSAE[i] * h, found[i, n:])
             if work.callback_failed:
                 return math.inf
+            record_sample(work, i + 1, ABSCISSAE[i])
             for m in range(width):
                 found[i, m] -= rates[1 + i, m]
         # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks

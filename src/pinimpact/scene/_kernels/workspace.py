@@ -150,7 +150,7 @@ class SceneWorkspace(Workspace):
     # the end of the step last completed, and the first event in it
     step_start = real("[s]")
     step_length = real("[s]")
-    step_implicit = flag("whether it was one of Radau IIA")
+    step_turns = flag("whether the directions of slip were unknowns of it, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     limit_bounds = reals("limits", 4, meaning="likewise")
     end_gaps = reals("contacts", 2, meaning="gap and rate at the end")
