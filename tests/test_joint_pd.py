@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import pinimpact
 from pinimpact import Contact, InputError, JointPD, Plane, Scene, simulate
 
-from .scene_models import UP, G, ball, pendulum, run, slider
+from .scene_models import UP, G, ball, pendulum, run, slider, unbounded
 
 
 def mass(control, **options):
@@ -39,6 +39,79 @@ def test_it_is_a_damped_oscillator(kp, kd):
             x, speed = oscillator(-target[i], float(i == 0), kp, kd, t)
             assert q[i] - target[i] == pytest.approx(x, abs=1e-8)
             assert v[i] == pytest.approx(speed, abs=1e-6)
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(1e4, 1e3), (1e6, 2.5e3), (1e8, 1e5), (1.0, 1e6)])
+def test_stiff_drives_settle_as_they_should_at_the_cost_of_soft_ones(kp, kd):
+    target = np.array([0.4, 0.0, -0.2])
+    trajectory = run(mass(JointPD(kp, kd, target)), np.zeros(3), [1.0, 0, 0], 1.0)
+    for t in (1e-6, 1e-4, 1e-2, 0.1, 1.0):
+        q, v = trajectory.at(t)
+        for i in range(3):
+            x, speed = oscillator(-target[i], float(i == 0), kp, kd, t)
+            assert q[i] - target[i] == pytest.approx(x, abs=1e-8)
+            assert v[i] == pytest.approx(speed, abs=1e-6 * max(1.0, np.sqrt(kp)))
+    assert trajectory.statistics["evaluations"] < 4000  # an explicit step is at most some 5 / kd long
+
+
+def test_the_error_of_stiff_drives_falls_with_the_tolerance():
+    # a double pendulum with a light lower arm; reference: scipy's implicit method
+    model = pendulum()
+    elbow = model.addJoint(1, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, -1.0])), "elbow")
+    model.appendBodyToJoint(
+        elbow, pin.Inertia.FromSphere(0.01, 0.05), pin.SE3(np.eye(3), np.array([0, 0, -0.2]))
+    )
+    unbounded(model)
+    data = model.createData()
+    kp, kd, target = np.array([5.0, 400.0]), np.array([0.3, 30.0]), np.array([0.5, 1.0])
+
+    def rate(t, y):
+        tau = kp * (target - y[:2]) - kd * y[2:]
+        return np.concatenate([y[2:], pin.aba(model, data, y[:2], y[2:], tau)])
+
+    exact = solve_ivp(rate, (0, 0.5), [0, 0, 2, -3], method="Radau", rtol=1e-12, atol=1e-13).y[:, -1]
+    errors = []
+    for rtol in (1e-4, 1e-7, 1e-10):
+        scene = Scene(model, control=JointPD(kp, kd, target))
+        trajectory = run(scene, [0, 0], [2, -3], 0.5, audit=1e-3, rtol=rtol, atol=1e-2 * rtol)
+        assert trajectory.statistics["evaluations"] < 2500
+        found = np.concatenate([trajectory.q[-1], trajectory.v[-1]])
+        errors.append(np.abs(found - exact).max())
+    assert errors[0] < 1e-3
+    assert errors[1] < 1e-6
+    assert errors[2] < 1e-9
+
+
+def test_a_robot_that_stands_on_stiff_legs_bears_its_weight_and_sinks_as_its_stiffness_says():
+    # one leg: a foot on the floor, a sliding body above it that a stiff drive carries; it sinks by m g / kp
+    model = pin.Model()
+    body = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "body")
+    leg = model.addJoint(body, pin.JointModelPZ(), pin.SE3.Identity(), "leg")
+    model.appendBodyToJoint(body, pin.Inertia.FromSphere(3.0, 0.1), pin.SE3.Identity())
+    model.appendBodyToJoint(leg, pin.Inertia.FromSphere(1e-3, 0.01), pin.SE3.Identity())
+    model.addFrame(pin.Frame("foot", leg, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    kp, kd = 1e5, 3e3
+    control = JointPD([0.0, kp], [0.0, kd], [0.0, -0.5])
+    scene = Scene(model, [Contact("foot", Plane(), name="foot")], control=control)
+    trajectory = run(scene, [0.5, -0.5], [0, 0], 1.0)
+    assert trajectory.mode_at("foot", 1.0) != "free"
+    # 3 ẍ = kp (sink) …: the body above its foot is a damped oscillator about its sinking
+    x, _ = oscillator(3.0 * G / kp, 0.0, kp / 3.0, kd / 3.0, 0.01)
+    assert 0.5 - trajectory.at(0.01)[0][0] == pytest.approx(3.0 * G / kp - x, abs=1e-8)
+    assert 0.5 - trajectory.q[-1, 0] == pytest.approx(3.0 * G / kp, abs=1e-8)
+    assert trajectory.statistics["evaluations"] < 1500
+
+
+def test_a_stiff_drive_at_its_limit_is_let_go_at_the_exact_time():
+    kp, kd, limit = 1e4, 1e3, 2.0
+    trajectory = run(mass(JointPD(kp, kd, [0.5, 0, 0], limit)), np.zeros(3), np.zeros(3), 1.5)
+    # pushed with 2 until 10⁴ (0.5 − t²) − 10³ · 2 t = 2
+    leaves = (-2e3 + np.sqrt(4e6 + 4e4 * (5e3 - 2.0))) / 2e4
+    first = trajectory.modes[0]
+    assert (first.mode, first.start) == ("saturated", 0.0)
+    assert first.end == pytest.approx(leaves, rel=1e-8)
+    assert trajectory.modes[1].mode == "saturated"  # braked as hard as it can
 
 
 def test_effort_that_reaches_its_limit_and_leaves_it_does_so_at_the_exact_time():
@@ -161,11 +234,11 @@ def test_it_can_be_sampled():
 
 
 def test_what_it_cannot_drive_and_bad_numbers_are_refused_by_name():
-    unbounded = pin.Model()
-    joint = unbounded.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "spinner")
-    unbounded.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    spinning = pin.Model()
+    joint = spinning.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "spinner")
+    spinning.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
     with pytest.raises(InputError, match="'spinner' has not one plain coordinate"):
-        Scene(unbounded, control=JointPD(1.0, 1.0, pin.neutral(unbounded)))
+        Scene(spinning, control=JointPD(1.0, 1.0, pin.neutral(spinning)))
     with pytest.raises(InputError, match="'body' has not one plain coordinate"):
         Scene(ball(), control=JointPD(np.ones(6), 0.0, [0, 0, 0, *UP]))
     for field, wrong in (

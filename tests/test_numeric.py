@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pinimpact._numeric import cone_program, elimination, least_norm, semidefinite
+from pinimpact._numeric import cone_program, elimination, least_norm, lu, semidefinite
 
 TOLERANCE = 1e-9
 COMPILES = settings(deadline=None)
@@ -122,3 +122,26 @@ def test_a_cone_program_comes_with_the_proof_of_its_optimum(seed, size, lines, c
         assert vector[:lines].min(initial=0.0) >= 0.0
         for start, width in zip(starts, widths, strict=True):
             assert vector[start] >= np.linalg.norm(vector[start + 1 : start + width]) * (1.0 - 1e-12)
+
+
+@numba.njit
+def solve_factored(matrix, rights, order):
+    """Call the kernels, which only kernels can."""
+    if not lu.factorize(matrix, order):
+        return False
+    for right in rights:
+        lu.substitute(matrix, order, right)
+    return True
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 15))
+def test_a_system_that_is_factored_once_is_solved_for_every_right_hand_side(seed, size):
+    rng = np.random.default_rng(seed)
+    matrix, solutions = rng.normal(size=(size, size)), rng.normal(size=(3, size))
+    rights = solutions @ matrix.T
+    assert solve_factored(matrix.copy(), rights, np.empty(size, dtype=np.int64))
+    condition = np.linalg.cond(matrix)
+    assert np.abs(rights - solutions).max() <= 1e-13 * condition * size
+    singular = np.zeros((size, size))
+    assert not solve_factored(singular, rights, np.empty(size, dtype=np.int64))

@@ -199,3 +199,17 @@ def test_scenes_run_with_the_jit_off():
         runs.append([float(x) for x in done.stdout.split()])
     assert runs[1] == pytest.approx(runs[0], abs=1e-12)
     assert runs[1][-1] == pytest.approx(np.sqrt(2 * 0.1 / 9.81), rel=1e-12)
+
+
+def test_the_values_of_one_are_copied_into_another_but_not_its_addresses():
+    one, other = sample(), sample()
+    write(one, 2)
+    turned, addresses = other.turned, other.integers[[Sample.table.slot, Sample.turned.slot]].copy()
+    other.copy_values(one, but=("marks",))
+    assert other.turned is turned
+    assert (other.integers[[Sample.table.slot, Sample.turned.slot]] == addresses).all()
+    for name in ("active", "total", "factor", "ready", "table", "turned", "front", "square", "blocks"):
+        assert np.array_equal(getattr(other, name), getattr(one, name))
+    assert (other.marks == 0).all()
+    one.table[:] = 7.0
+    assert (other.table != 7.0).all()

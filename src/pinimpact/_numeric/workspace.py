@@ -74,13 +74,10 @@ class _Field(Generic[T]):
     @overload
     def __get__(self, work: Workspace, owner: type) -> T: ...
     def __get__(self, work: Workspace | None, owner: type) -> Any:
-        return self if work is None else self.read(work)
+        raise NotImplementedError
 
     def __set__(self, work: Workspace, value: Any) -> None:
         raise AttributeError(f"{self.name} cannot be set; it was given when the workspace was made")
-
-    def read(self, work: Workspace) -> Any:
-        raise NotImplementedError
 
     def layout(self) -> tuple[Any, ...]:
         """What compiled code depends on."""
@@ -88,8 +85,8 @@ class _Field(Generic[T]):
 
 
 class _Size(_Field[int]):
-    def read(self, work: Workspace) -> int:
-        return int(work.integers[self.slot])
+    def __get__(self, work: Workspace | None, owner: type) -> Any:
+        return self if work is None else work.integers.item(self.slot)
 
 
 class _Count(_Size):
@@ -107,8 +104,8 @@ class _Count(_Size):
 
 
 class _Real(_Field[float]):
-    def read(self, work: Workspace) -> float:
-        return float(work.numbers[self.slot])
+    def __get__(self, work: Workspace | None, owner: type) -> Any:
+        return self if work is None else work.numbers.item(self.slot)
 
     def __set__(self, work: Workspace, value: float) -> None:
         work.numbers[self.slot] = value
@@ -120,8 +117,8 @@ class _Integer(_Size):
 
 
 class _Flag(_Field[bool]):
-    def read(self, work: Workspace) -> bool:
-        return bool(work.integers[self.slot])
+    def __get__(self, work: Workspace | None, owner: type) -> Any:
+        return self if work is None else work.integers.item(self.slot) != 0
 
     def __set__(self, work: Workspace, value: bool) -> None:
         work.integers[self.slot] = value
@@ -138,7 +135,9 @@ class _Array(_Field[NDArray[Any]]):
         self.given = given
         self.fixed = False
 
-    def read(self, work: Workspace) -> NDArray[Any]:
+    def __get__(self, work: Workspace | None, owner: type) -> Any:
+        if work is None:
+            return self
         array = work.arrays.get(self.name)
         if array is None:
             array = work.whole(self)

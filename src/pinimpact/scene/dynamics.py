@@ -26,6 +26,7 @@ from ._kernels import (
     jamming,
     smooth_motion,
     step_dop853,
+    step_drives,
     step_radau,
 )
 from ._kernels import drift as drifting
@@ -146,6 +147,7 @@ class SceneDynamics:
         )
         if control is not None:
             control.work = self.work
+        self._driven = len(motors.velocity) > 0
         self.work.force_margin = math.inf
         _compile(self.work)
         closed_set.close_held(self.work)
@@ -212,7 +214,7 @@ class SceneDynamics:
 
     def choose_sides(self, q: Array, v: Array) -> None:
         """Tell which drives are at the bounds of their efforts at a state."""
-        if self.work.driven:
+        if self._driven:
             drives.choose_sides(self.work, q, v)
 
     def change_side(self, index: int) -> None:
@@ -299,6 +301,7 @@ def _compile(work: SceneWorkspace) -> None:
         (drives.choose_sides, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
+        (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),
         (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),

@@ -44,9 +44,8 @@ class ModeIntervals:
             modes: (n + nl + nv,) the modes.
             sides: (nv,) not zero for the drives that are at the bounds of their efforts.
         """
-        now = dict(self._names_of(i, int(modes[i])) for i in np.flatnonzero(modes).tolist())
-        for j in np.flatnonzero(sides).tolist():
-            now[drive_name(self._model, j)] = "saturated"
+        now = dict(self._names_of(i, mode) for i, mode in enumerate(modes.tolist()) if mode)
+        now |= {drive_name(self._model, j): "saturated" for j, side in enumerate(sides.tolist()) if side}
         for source, (mode, start) in list(self.present.items()):
             if now.get(source) != mode:
                 if t > start:

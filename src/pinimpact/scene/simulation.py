@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
-from ._kernels import smooth_motion, step_dop853, step_radau
+from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from .controls import JointPD, SampledControl
@@ -377,15 +378,18 @@ class Motion:
                     field="rtol",
                     value=self.rtol,
                 )
-            explicit = trial * work.slip_stiffness <= step_radau.STIFF
-            attempt = step_dop853.attempt if explicit else step_radau.attempt
-            error = attempt(work, t, trial, self.rtol, self.atol)
+            method: ModuleType = step_dop853
+            if trial * work.slip_stiffness > step_radau.STIFF:
+                method = step_radau
+            elif trial * work.drive_rate > step_drives.STIFF:
+                method = step_drives
+            error = method.attempt(work, t, trial, self.rtol, self.atol)
             self.dynamics.check()
             if error > 1.0:
                 self.rejected += 1
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
-            self.dynamics.finish(t, trial, error, explicit)
+            self.dynamics.finish(t, trial, error, method is step_dop853)
             if work.event_time >= t:
                 break
             self.rejected += 1

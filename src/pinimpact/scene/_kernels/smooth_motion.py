@@ -25,6 +25,7 @@ from .dynamics import (
 from .events.registry import find_first_event
 from .samples import along, record_sample
 from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
+from .step_drives import rate_of_drives
 
 
 @jit
@@ -56,6 +57,7 @@ def begin(work, t, q, v):
     turn_references(work, work.contact_velocity)
     record_sample(work, 0, 0.0)
     work.slip_stiffness = stiffness_of_slip(work)
+    work.drive_rate = rate_of_drives(work)
     work.previous_length = 0.0
     guess = math.inf
     if len(gaps) == 0:
@@ -116,7 +118,7 @@ def finish(work, t, h, error, explicit):
         error: Its error over the tolerance.
         explicit: Whether it was an explicit one.
     """
-    work.step_start, work.step_length, work.step_implicit = t, h, not explicit
+    work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin
     work.end_drift = drift(work, work.v1)
     velocity = work.end_velocity

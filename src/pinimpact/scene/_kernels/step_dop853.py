@@ -25,6 +25,7 @@ def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it leads too far."""
     rates, v0, v1 = work.stage_rates, work.v0, work.v1
     reactions = work.stage_reactions
+    work.step_turns = False
     n, closed = len(v0), work.closed_contacts + work.closed_scalars > 0
     for i in range(1, STAGES + 1):
         set_stage(work, i, h)

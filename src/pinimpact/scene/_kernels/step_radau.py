@@ -101,6 +101,7 @@ def turn(work, k, s1, s2, across, effect):
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
     slowest = work.direction_speed
+    work.step_turns = True
     work.direction_speed = math.inf  # so that friction takes the direction that it is given
     error = solve_stages(work, t, h, rtol, atol)
     work.direction_speed = slowest

@@ -142,6 +142,7 @@ class SceneWorkspace(Workspace):
     rate_bounds = reals(4, "nv", meaning="see `dense_output.rate_bounds`")
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
+    drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
     start_gaps = reals("contacts", 2, meaning="gap and rate at the start")
@@ -149,7 +150,7 @@ class SceneWorkspace(Workspace):
     # the end of the step last completed, and the first event in it
     step_start = real("[s]")
     step_length = real("[s]")
-    step_implicit = flag("whether it was one of Radau IIA")
+    step_turns = flag("whether the directions of slip were unknowns of it, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     limit_bounds = reals("limits", 4, meaning="likewise")
     end_gaps = reals("contacts", 2, meaning="gap and rate at the end")

@@ -48,7 +48,7 @@ def first(work, end):
             continue
         set_directions_within(work, 1.0)
         end_speed = along(work, k, work.end_velocity)
-        if work.step_implicit:
+        if work.step_turns:
             # slip that begins may turn as far as it likes; what counts is where it is when it has begun
             if end_speed >= -BEHIND * work.stick_speed:
                 continue
