@@ -84,6 +84,7 @@ class PartLibrary(InnerLibrary):
         return self
 
     def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
+        """Return what stands for the function."""
         return _no_entry(self, fndesc, env)
 
 
@@ -175,10 +176,13 @@ def _needed(library: Any) -> list[Any]:
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class KernelLowering(typed_passes.NativeLowering):
+    """Lowering to machine code."""
+
     _name = "kernel_lowering"
 
     @property
     def lowering_class(self) -> type[Lowering]:
+        """What lowers."""
         return Lowering
 
 

@@ -55,6 +55,7 @@ def _remembering_sizes(original: Callable[..., int]) -> Callable[..., int]:
     return get_abi_size
 
 
+# what has no variables in it
 _LEAVES = frozenset({str, int, float, bool, type(None), ir.Loc, BuiltinFunctionType})
 
 
@@ -96,6 +97,7 @@ def shortcuts() -> Iterator[None]:
 
 @cache
 def counted(models: Any, kind: Any) -> bool:
+    """Whether references to what a type stands for, or to a part of it, are counted."""
     found: bool = models[kind].contains_nrt_meminfo()
     return found
 
@@ -107,14 +109,17 @@ class Lowering(lowering.Lower):
         return counted(self.context.data_model_manager, kind)
 
     def incref(self, typ: Any, val: Any) -> None:
+        """Count one more reference."""
         if self._counted(typ):
             super().incref(typ, val)
 
     def decref(self, typ: Any, val: Any) -> None:
+        """Count one less."""
         if self._counted(typ):
             super().decref(typ, val)
 
     def delvar(self, name: str) -> None:
+        """End the life of a variable."""
         if self._counted(self.typeof(name)):
             super().delvar(name)
 
@@ -131,24 +136,30 @@ class Passes(PassManager):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class Canonical(FunctionPass):
+    """The control flow in the form that numba's passes expect."""
+
     _name = "kernel_canonical"
 
     def __init__(self) -> None:
         FunctionPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
+        """Bring blocks into order."""
         state.func_ir.blocks = transforms.canonicalize_cfg(state.func_ir.blocks)
         return True
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class Lifetimes(FunctionPass):
+    """The ends of variables, where references are counted; else nobody asks for them."""
+
     _name = "kernel_lifetimes"
 
     def __init__(self) -> None:
         FunctionPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
+        """Mark where variables end."""
         models = state.targetctx.data_model_manager
         if any(counted(models, kind) for kind in set(state.typemap.values())):
             postproc.PostProcessor(state.func_ir).run(emit_dels=True)
@@ -157,12 +168,15 @@ class Lifetimes(FunctionPass):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class Rewrites(FunctionPass):
+    """The rewriting that comes before types, without the look at lifetimes after it."""
+
     _name = "kernel_rewrites"
 
     def __init__(self) -> None:
         FunctionPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
+        """Rewrite the function."""
         with patch.object(postproc.PostProcessor, "run", lambda self: None):
             rewrite_registry.apply("before-inference", state)
         return True

@@ -68,10 +68,12 @@ class _Memory:
         text = path.read_bytes()
         digest = _hash(text)
         if _IMPORTED.get(path, digest) != digest:  # edited since: what was imported is known by its hash only
-            return _IMPORTED[path], _imports(module, path, text)
+            return _IMPORTED[path], _imports(module, path, ast.parse(text))
         key = f"{module} {digest}"
         if key not in self._known:
-            self._known[key] = _digest(text), _imports(module, path, text)
+            tree = ast.parse(text)
+            imports = _imports(module, path, tree)
+            self._known[key] = _digest(tree), imports
             self._save()
         return self._known[key]
 
@@ -109,8 +111,8 @@ def _is_text(node: ast.stmt) -> bool:
     )
 
 
-def _digest(text: bytes) -> str:
-    tree = ast.parse(text)
+def _digest(tree: ast.Module) -> str:
+    """Take the texts out of a tree and return a digest of what is left."""
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
@@ -118,10 +120,10 @@ def _digest(text: bytes) -> str:
     return _hash(ast.dump(tree).encode())
 
 
-def _imports(module: str, path: Path, text: bytes) -> list[str]:
+def _imports(module: str, path: Path, tree: ast.Module) -> list[str]:
     here = module if path.name == "__init__.py" else module.rpartition(".")[0]
     found: set[str] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
