@@ -263,7 +263,8 @@ def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
         "from pinimpact.scene._kernels import entry\n"
         "entry.first(3.0)\n"
     )
-    state = Path("/proc", python(team, TEAM + killed).stdout.strip(), "cmdline")
+    killed_one = python(team, TEAM + killed, TMPDIR=str(team.parent / "temporary"))
+    state = Path("/proc", killed_one.stdout.strip(), "cmdline")
     end = time.monotonic() + 60.0
     while state.exists() and state.read_bytes():
         assert time.monotonic() < end
