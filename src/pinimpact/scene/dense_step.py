@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,9 +24,11 @@ class DenseStep:
         q, v, w: State and works at its start.
         coefficients: (7, 2 nv + 4) dense output of (ξ, v, w).
         joints: Table of the configuration space.
+        closed: What was closed, or None; see `forces.ClosedSet`.
+        directions: (2, n, 2) of slip at the start and at the end, or None where nothing slips.
     """
 
-    __slots__ = ("coefficients", "end", "h", "joints", "q", "start", "v", "w")
+    __slots__ = ("closed", "coefficients", "directions", "end", "h", "joints", "q", "start", "v", "w")
 
     def __init__(
         self,
@@ -44,6 +48,8 @@ class DenseStep:
         self.w = w
         self.coefficients = coefficients
         self.joints = joints
+        self.closed: Any = None
+        self.directions: Array | None = None
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return q and v at a time within the step."""

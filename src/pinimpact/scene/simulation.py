@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable
+from functools import partial
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -20,7 +21,9 @@ from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from .controls import JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
+from .dynamics import SceneDynamics
 from .events import EventWatch, Interruption, as_events
+from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
 from .records import Energy, ModeInterval
 from .scene import Scene
@@ -125,6 +128,11 @@ def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajecto
     return motion.trajectory("The duration is covered.", True)
 
 
+def _dynamics_of(*made_of: Any) -> SceneDynamics:
+    """Return the dynamics of a motion of its own."""
+    return Motion(*made_of).dynamics
+
+
 class Motion:
     """A motion under way, and what there is to tell of it; arguments as in `simulate`.
 
@@ -186,6 +194,7 @@ class Motion:
         self.last_progress = 0, 0.0
         self.forces_were_unique = True
         self.bounce = math.inf
+        self._closed: ClosedSet | None = None
         self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
         self.ended_by: str | None = None
         self._sampled = None
@@ -257,7 +266,7 @@ class Motion:
         twin.events = self.events.copy()
         for name in (
             *("w", "steps", "rejected", "jams", "last_progress", "forces_were_unique", "bounce", "ended_by"),
-            *("_length", "_counted", "_consistent"),
+            *("_length", "_counted", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -323,6 +332,7 @@ class Motion:
             self.switched_off,
             {"steps": self.steps, "rejected": self.rejected, "evaluations": self.work.evaluations},
             self.sources,
+            EvaluatedForces(partial(_dynamics_of, *self._made_of), self.state.names[: self.work.contacts]),
         )
 
     def _sample(self) -> None:
@@ -343,6 +353,7 @@ class Motion:
         if self.forces_were_unique and not unique:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.forces_were_unique = unique
+        self._closed = ClosedSet.of(work)
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next.
@@ -389,6 +400,7 @@ class Motion:
                 self.rejected += 1
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
+            directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)
             if work.event_time >= t:
                 break
@@ -396,6 +408,7 @@ class Motion:
             h = 0.5 * trial  # the slip turns too fast for a step of this length
         self.steps += 1
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
+        step.closed, step.directions = self._closed, directions
         self.dense_steps.append(step)
         time, arriving = work.event_time, self._arriving()
         if self.events:

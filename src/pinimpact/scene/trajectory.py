@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, UnknownNameError
 from ..robot.names import near_matches
+from ..robot.surfaces import contact_axes
 from .dense_step import DenseStep
+from .forces import Forces, ForceSource, TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 from .trajectory_io import read_trajectory, write_trajectory
 
@@ -53,6 +55,7 @@ class Trajectory:
         switched_off: Sequence[str],
         statistics: dict[str, int],
         sources: Sequence[str] | None,
+        forces: ForceSource | None,
     ) -> None:
         self._segments = tuple(segments)
         self._joints = joints
@@ -69,6 +72,7 @@ class Trajectory:
         self.switched_off = tuple(switched_off)
         self.statistics = dict(statistics)
         self.sources = None if sources is None else tuple(sources)
+        self._forces = forces
 
     @property
     def duration(self) -> float:
@@ -88,16 +92,117 @@ class Trajectory:
             return self.q[-1].copy(), self.v[-1].copy()
         if side == "left" and t <= self.t[0]:
             return self.q[0].copy(), self.v[0].copy()
+        return self._segments[self._number(t, side)].at(t)
+
+    def _number(self, t: float, side: str) -> int:
+        """Return the number of the step that a time is in."""
         if side == "right":
-            segment = self._segments[int(np.searchsorted(self._starts, t, side="right")) - 1]
-        else:
-            segment = self._segments[int(np.searchsorted(self._ends, t, side="left"))]
-        return segment.at(t)
+            return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
+        return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
 
     def sample(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return q (k, nq) and v (k, nv) at many times, after any impact at them."""
         states = [self.at(float(t)) for t in np.asarray(times, dtype=float)]
         return np.array([q for q, _ in states]), np.array([v for _, v in states])
+
+    def forces(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
+        """Return the force on the robot of a sustained contact, in contact axes [N].
+
+        It is evaluated at the state of the motion itself, by the equations that the motion obeys (theory.md,
+        sections 9 to 11); of a trajectory from a file, or one that was pickled, it is interpolated. Impulses
+        of impacts are not in it. Where the motion does not determine the forces they have least norm,
+        see `forces_unique`.
+
+        Args:
+            contact: Its name.
+            t: One time, or (m,) of them [s].
+            side: At a time at which forces jump, before ("left") or after it ("right").
+
+        Returns:
+            (3,) or (m, 3) along t₁, t₂ and n, see `contact_axes`; zero where the contact is open.
+
+        Raises:
+            UnknownNameError: A contact that the scene does not have.
+            InputError: A time outside the trajectory, an unknown side, or a file that was written before
+                forces were stored.
+        """
+
+        def in_axes(forces: Forces, i: int) -> Array:
+            force = forces.world[i]
+            return contact_axes(forces.normals[i]) @ force if force.any() else force
+
+        return self._of_contact(contact, t, side, in_axes)
+
+    def forces_world(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
+        """Return what `forces` does, in world axes."""
+        return self._of_contact(contact, t, side, lambda forces, i: forces.world[i])
+
+    def joint_forces(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
+        """Return the generalized forces of joint stops and dry joint friction, (nv,) or (m, nv) [N, N m]."""
+        nv = self.v.shape[1]
+        return self._of_times(t, side, lambda forces: np.zeros(nv) if forces is None else forces.joints)
+
+    def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
+        """Return whether the motion determines the forces, () or (m,); else they are those of least norm."""
+        found = self._of_times(t, side, lambda forces: np.array(forces is None or forces.unique))
+        return found.astype(bool)
+
+    def center_of_pressure(
+        self, contacts: Sequence[str], t: ArrayLike, side: Literal["left", "right"] = "right"
+    ) -> Array:
+        """Return the mean of contact points, weighted by normal forces, (3,) or (m, 3) in world axes [m].
+
+        For contacts on one plane it is the point of the plane about which their normal forces have no moment.
+        NaN where none pushes. Raises what `forces` does.
+        """
+        numbers = [self._contact(contact) for contact in contacts]
+
+        def center(forces: Forces | None) -> Array:
+            if forces is None:
+                return np.full(3, np.nan)
+            used = [i for i in numbers if i is not None]
+            pushes = np.einsum("ij,ij->i", forces.normals[used], forces.world[used])
+            total = pushes.sum()
+            point: Array = pushes @ forces.points[used] / total if total > 0.0 else np.full(3, np.nan)
+            return point
+
+        return self._of_times(t, side, center)
+
+    def _contact(self, name: str) -> int | None:
+        """Return which of the forces are a contact's; None if it can never touch."""
+        if self._forces is not None and name in self._forces.contacts:
+            return self._forces.contacts.index(name)
+        if self.sources is None or name in self.sources:
+            return None
+        raise UnknownNameError(
+            f"contact: no contact is called {name!r}; {near_matches(name, self.sources)}",
+            field="contact",
+            value=name,
+        )
+
+    def _of_contact(
+        self, contact: str, t: ArrayLike, side: str, part: Callable[[Forces, int], Array]
+    ) -> Array:
+        i = self._contact(contact)
+
+        def of(forces: Forces | None) -> Array:
+            return np.zeros(3) if forces is None or i is None else part(forces, i)
+
+        return self._of_times(t, side, of)
+
+    def _of_times(self, t: ArrayLike, side: str, part: Callable[[Forces | None], Array]) -> Array:
+        """Return what a part of the forces is at one or at many times."""
+        source = self._forces
+        if source is None:
+            raise InputError("path: the file was written before forces were stored", field="path")
+        if side not in ("left", "right"):
+            raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        found = []
+        for time in np.ravel(np.asarray(t)):
+            time = self._covered(time)
+            number = self._number(time, side) if self._segments else None
+            found.append(part(None if number is None else source.at(number, self._segments[number], time)))
+        return found[0] if np.ndim(t) == 0 else np.array(found)
 
     def mode_at(self, source: str, t: float) -> str:
         """Return the mode of a contact, joint limit or joint at a time.
@@ -172,7 +277,16 @@ class Trajectory:
             "switched_off": self.switched_off,
             "statistics": self.statistics,
             "sources": self.sources,
+            "forces": None if self._forces is None else TabulatedForces.of(self._forces, self._segments),
         }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the forces as numbers, for what evaluates them has addresses of this process."""
+        return _restored, (self._parts(),)
 
     def __repr__(self) -> str:
         return f"Trajectory({self.duration:.6g} s, {len(self.impacts)} impacts; {self.termination})"
+
+
+def _restored(parts: dict[str, Any]) -> Trajectory:
+    return Trajectory(**parts)

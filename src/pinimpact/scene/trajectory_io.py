@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
 from .dense_step import WORKS, DenseStep
+from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 
 Array = NDArray[np.float64]
 
 FORMAT = 1
+
+FORCE_TABLES = ("force_rows", "force_world", "force_points", "force_normals", "force_joints", "force_unique")
 
 
 def write_trajectory(
@@ -38,6 +41,7 @@ def write_trajectory(
     switched_off: Sequence[str],
     statistics: dict[str, int],
     sources: Sequence[str] | None,
+    forces: TabulatedForces | None,
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
@@ -51,6 +55,7 @@ def write_trajectory(
         "notes": [[note.time, note.text] for note in notes],
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
+        "forces": None if forces is None else forces.contacts,
         "events": [[event.time, event.name] for event in events],
         "impacts": [
             [
@@ -70,6 +75,7 @@ def write_trajectory(
     def stack(rows: Sequence[Any], *shape: int) -> Array:
         return np.array(rows, dtype=float).reshape(len(rows), *shape)
 
+    tables: dict[str, Any] = {} if forces is None else dict(zip(FORCE_TABLES, forces.tables, strict=True))
     with open(path, "wb") as file:
         np.savez_compressed(
             file,
@@ -92,6 +98,7 @@ def write_trajectory(
             impact_vectors=stack(
                 [(i.problem.velocity, i.problem.surface_velocity, i.impulse_world) for i in impacts], 3, 3
             ),
+            **tables,
             impact_scale=stack([i.problem.velocity_scale for i in impacts]),  # None becomes NaN
         )
 
@@ -99,8 +106,8 @@ def write_trajectory(
 def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
-    A file that was written before the names of sources or the scales of impacts' velocities were stored has
-    None for them, and one before events were has none.
+    A file that was written before the names of sources, the forces or the scales of impacts' velocities were
+    stored has None for them, and one before events were has none.
 
     Raises:
         InputError: A file that is missing, or is no trajectory.
@@ -170,6 +177,9 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "switched_off": meta["switched_off"],
         "statistics": meta["statistics"],
         "sources": meta.get("sources"),
+        "forces": None
+        if meta.get("forces") is None
+        else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
     }
 
 

@@ -1,0 +1,59 @@
+"""Forces of what is closed at one state, with where they act, in world axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.jit import jit
+from ...robot._kernels import contact_kinematics, surfaces
+from ...robot._kernels.placement import rotate
+from .closed_set import close
+from .dynamics import evaluate, set_state
+
+
+@jit
+def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints):
+    """Fill the forces of what is closed in the modes that `work.modes` has.
+
+    Args:
+        work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
+        t: Time [s].
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        directions: (n, 2) of slip, for contacts too slow to show them.
+        unique: Whether the forces have been unique so far.
+        forces: (n, 3) takes those on the robot in world axes, zero before [N].
+        points: (n, 3) takes where they act [m].
+        normals: (n, 3) takes the surfaces' normals there, in world axes.
+        joints: (nv,) takes the generalized forces of joint stops and of dry friction, zero before.
+
+    Returns:
+        Whether the motion determines the forces.
+    """
+    close(work, directions)
+    work.forces_unique = unique
+    set_state(work, q, v)
+    evaluate(work, t, np.empty(len(v) + 4))
+    if work.callback_failed:
+        return False
+    index, found = work.closed_index, work.contact_force
+    for m in range(len(index)):
+        i = index[m]
+        k, tip = work.contact_constants[i], work.placements[work.contact_joints[i, 0]]
+        base = work.placements[work.contact_joints[i, 1]]
+        _, n1, n2, n3, p1, p2, p3 = contact_kinematics.at_contact(tip, base, k)
+        points[i, 0], points[i, 1], points[i, 2] = p1, p2, p3
+        normals[i, 0], normals[i, 1], normals[i, 2] = n1, n2, n3
+        _, _, _, x1, x2, x3 = contact_kinematics.relative(tip, base, k)
+        _, l1, l2, l3 = surfaces.distance(k, x1, x2, x3)
+        a1, a2, a3, b1, b2, b3 = contact_kinematics.carried_axes(k, l1, l2, l3)
+        f1, f2, f3 = found[m, 0], found[m, 1], found[m, 2]
+        forces[i, 0], forces[i, 1], forces[i, 2] = rotate(
+            base, f1 * a1 + f2 * b1 + f3 * l1, f1 * a2 + f2 * b2 + f3 * l2, f1 * a3 + f2 * b3 + f3 * l3
+        )
+    velocity, scalar = work.scalar_velocity, work.scalar_force
+    for m in range(len(velocity)):
+        joints[velocity[m]] += scalar[m]
+    for j in range(len(joints)):
+        joints[j] -= work.sliding_friction[j]
+    return work.forces_unique

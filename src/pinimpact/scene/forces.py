@@ -1,0 +1,242 @@
+"""Forces of sustained contact, joint stops and dry friction along a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._kernels import force_evaluation
+from ._kernels.contact_forces import SLIP
+from ._kernels.workspace import SceneWorkspace
+from .dense_step import DenseStep
+
+Array = NDArray[np.float64]
+
+NODES = 7
+"""Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
+
+
+class ClosedSet(NamedTuple):
+    """What was closed during a smooth motion, and what else its forces depend on beside the state.
+
+    Attributes:
+        modes: Of contacts, joint limits and joints.
+        sliding: (nv,) dry friction that slides, with the sign of the velocity.
+        sides: (nv,) of drives at their bounds.
+        control: (nv,) the control that was held.
+        constants: Of the contacts; their axes follow the surfaces.
+        direction_speed: Slip below it has the direction last known [m/s].
+        slips: Whether anything slips.
+        unique: Whether the motion determined the forces.
+    """
+
+    modes: NDArray[np.int64]
+    sliding: Array
+    sides: NDArray[np.int64]
+    control: Array
+    constants: Array
+    direction_speed: float
+    slips: bool
+    unique: bool
+
+    @classmethod
+    def of(cls, work: SceneWorkspace) -> ClosedSet | None:
+        """Return what is closed now, or None if nothing holds or rubs."""
+        if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
+            return None
+        return cls(
+            work.modes.copy(),
+            work.sliding_friction.copy(),
+            work.drive_side.copy(),
+            work.control_force.copy(),
+            work.contact_constants.copy(),
+            work.direction_speed,
+            bool((work.closed_mode == SLIP).any()),
+            work.forces_unique,
+        )
+
+
+def directions_within(work: SceneWorkspace) -> Array:
+    """Return the directions of slip (2, n, 2) at the start and at the end of the step last completed."""
+    directions = np.zeros((2, work.contacts, 2))
+    directions[0, work.closed_index] = work.start_directions
+    directions[1, work.closed_index] = work.end_directions
+    return directions
+
+
+class Forces(NamedTuple):
+    """Forces on the robot at one time.
+
+    Attributes:
+        world: (n, 3) of the contacts, in world axes [N].
+        points: (n, 3) where they act [m].
+        normals: (n, 3) of the surfaces there, in world axes.
+        joints: (nv,) of joint stops and dry friction [N, N m].
+        unique: Whether the motion determines them, else they are those of least norm.
+    """
+
+    world: Array
+    points: Array
+    normals: Array
+    joints: Array
+    unique: bool
+
+
+class ForceSource(Protocol):
+    """Where a trajectory has its forces from.
+
+    Attributes:
+        contacts: Names of the contacts that there are forces of.
+    """
+
+    contacts: Sequence[str]
+
+    def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
+        """Return the forces at a time within the step of this number; None where nothing is closed."""
+
+
+class Dynamics(Protocol):
+    """The part of `SceneDynamics` that forces need."""
+
+    work: SceneWorkspace
+
+    def check(self) -> None:
+        """Raise what went wrong in a call from a kernel."""
+
+
+class EvaluatedForces:
+    """Forces that are evaluated at the state of the motion itself, when they are asked for.
+
+    Args:
+        dynamics: Makes dynamics of the scene, of which the thresholds are set.
+        contacts: Names of the contacts.
+    """
+
+    def __init__(self, dynamics: Callable[[], Dynamics], contacts: Sequence[str]) -> None:
+        self._make = dynamics
+        self.contacts = contacts
+
+    @cached_property
+    def _dynamics(self) -> Dynamics:
+        return self._make()
+
+    def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
+        """See `ForceSource`."""
+        closed = step.closed
+        if closed is None:
+            return None
+        dynamics = self._dynamics
+        work = dynamics.work
+        work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
+        work.drive_side[:], work.control_force[:] = closed.sides, closed.control
+        work.contact_constants[:] = closed.constants
+        work.direction_speed = closed.direction_speed
+        share = (t - step.start) / step.h
+        directions = np.zeros((work.contacts, 2))
+        if step.directions is not None:
+            directions = _between(step.directions, share)
+        n = work.contacts
+        world, points, normals = np.zeros((3, n, 3))
+        joints = np.zeros(work.nv)
+        unique = force_evaluation.forces_at(
+            work, t, *step.at(t), directions, closed.unique, world, points, normals, joints
+        )
+        dynamics.check()
+        return Forces(world, points, normals, joints, bool(unique))
+
+
+def _between(ends: Array, share: float) -> Array:
+    directions: Array = (1.0 - share) * ends[0] + share * ends[1]
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.divide(directions, length, out=directions, where=length > 0.0)
+
+
+class TabulatedForces:
+    """Forces that are interpolated between the Chebyshev nodes of each step.
+
+    Args:
+        contacts: Names of the contacts.
+        rows: (m,) numbers of the steps in which something is closed.
+        world, points, normals: (m, `NODES`, n, 3), see `Forces`.
+        joints: (m, `NODES`, nv).
+        unique: (m,).
+    """
+
+    def __init__(
+        self,
+        contacts: Sequence[str],
+        rows: NDArray[np.int64],
+        world: Array,
+        points: Array,
+        normals: Array,
+        joints: Array,
+        unique: NDArray[np.bool_],
+    ) -> None:
+        self.contacts = list(contacts)
+        self.tables = rows, world, points, normals, joints, unique
+        self._row = {int(number): m for m, number in enumerate(rows)}
+
+    @classmethod
+    def of(cls, source: ForceSource, steps: Sequence[DenseStep]) -> TabulatedForces:
+        """Tabulate forces from elsewhere."""
+        if isinstance(source, cls):
+            return source
+        rows: list[int] = []
+        found: list[list[Forces]] = []
+        for number, step in enumerate(steps):
+            times = step.start + (step.end - step.start) * nodes()
+            at_nodes = [one for t in times.tolist() if (one := source.at(number, step, t)) is not None]
+            if at_nodes:
+                rows.append(number)
+                found.append(at_nodes)
+        n, nv = len(source.contacts), len(steps[0].v) if steps else 0
+
+        def table(part: Callable[[Forces], Array], *shape: int) -> Array:
+            return np.array([[part(one) for one in step] for step in found]).reshape(-1, NODES, *shape)
+
+        return cls(
+            source.contacts,
+            np.array(rows, dtype=np.int64),
+            table(lambda one: one.world, n, 3),
+            table(lambda one: one.points, n, 3),
+            table(lambda one: one.normals, n, 3),
+            table(lambda one: one.joints, nv),
+            np.array([all(one.unique for one in step) for step in found], dtype=np.bool_),
+        )
+
+    def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
+        """See `ForceSource`."""
+        m = self._row.get(number)
+        if m is None:
+            return None
+        _, world, points, normals, joints, unique = self.tables
+        width = step.end - step.start
+        weights = _weights((t - step.start) / width if width > 0.0 else 0.0)
+        return Forces(
+            np.tensordot(weights, world[m], 1),
+            np.tensordot(weights, points[m], 1),
+            np.tensordot(weights, normals[m], 1),
+            np.tensordot(weights, joints[m], 1),
+            bool(unique[m]),
+        )
+
+
+def nodes() -> Array:
+    """Return the Chebyshev nodes of the second kind in [0, 1]."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+
+
+def _weights(x: float) -> Array:
+    """Return what the values at the nodes count for at x, by the barycentric formula."""
+    away = x - nodes()
+    hit = away == 0.0
+    if hit.any():
+        return hit.astype(float)
+    signs = (-1.0) ** np.arange(NODES)
+    signs[[0, -1]] *= 0.5
+    weights: Array = signs / away
+    return weights / weights.sum()
