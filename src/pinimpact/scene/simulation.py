@@ -242,7 +242,7 @@ class Motion:
 
     def hold_force(self, tau: Array) -> None:
         """Let a constant force (nv,) act from now on in place of the one that did."""
-        if np.array_equal(tau, self.work.control_force):
+        if (tau == self.work.control_force).all():
             return
         self.work.control_force[:] = tau
         self._begin_motion()
@@ -342,7 +342,7 @@ class Motion:
     def _begin_motion(self) -> None:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
-        error = self.atol + self.rtol * float(np.abs(state.v).max(initial=0.0))
+        error = self.atol + self.rtol * max(map(abs, state.v.tolist()))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
         self.dynamics.choose_sides(state.q, state.v)
