@@ -22,8 +22,11 @@ def main() -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(3, 3, figsize=(15, 11), layout="constrained")
-    for (name, sweep), panel in zip(SWEEPS.items(), panels.flat, strict=True):
+    rows = -(-len(SWEEPS) // 3)
+    figure, panels = plt.subplots(rows, 3, figsize=(15, 3.7 * rows), layout="constrained")
+    for panel in panels.flat[len(SWEEPS) :]:
+        panel.axis("off")
+    for (name, sweep), panel in zip(SWEEPS.items(), panels.flat, strict=False):
         x = np.linspace(sweep.start, sweep.end, 2001)
         y = np.array([sweep.answer(value) for value in x])
         for part in np.split(np.arange(len(x)), [k + 1 for k in _breaks(sweep, x)]):

@@ -61,6 +61,29 @@ def _edge(law: str) -> Callable[[float], ImpactProblem]:
     return lambda v3: ImpactProblem(JAMS, [0.5, 12, v3], 1.5, 1.0, law)
 
 
+FACTOR = np.array([[1.0, 0.25], [0.375, -0.75]])
+"""An arm's own Jacobian times the root of its inverse inertia: along the floor, and up."""
+
+
+def _arm(across: np.ndarray, up: np.ndarray, made: tuple[float, float]) -> ImpactProblem:
+    """An arm that moves in the plane of the first axis and `across`/`up` (2,): W = FFᵀ, v = F made."""
+    F = np.array([FACTOR[0], across[0] * FACTOR[1], up[1] * FACTOR[1]])
+    return ImpactProblem(F @ F.T, F @ made, 0.9, 0.5)
+
+
+def _leaning(tilt: float) -> ImpactProblem:
+    return _arm(np.array([np.sin(tilt), 0.0]), np.array([0.0, np.cos(tilt)]), (0.25, 1.0))
+
+
+def _parallel(v3: float) -> ImpactProblem:
+    """An arm that moves along the floor but for 0.1, with a slip of about one, at an approach of v₃."""
+    normal = 0.1 * FACTOR[1]
+    F = np.array([FACTOR[0], FACTOR[1], normal])
+    across = np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
+    made = v3 * normal / (normal @ normal) + across
+    return ImpactProblem(F @ F.T, F @ made, 0.9, 0.5)
+
+
 SWEEPS = {
     "1 friction through the stick threshold": Sweep(
         "μ / threshold − 1",
@@ -103,4 +126,6 @@ SWEEPS = {
             0.8,
         ),
     ),
+    "8a tilt of an arm's plane through zero": Sweep("tilt [rad]", -0.5, 0.5, _leaning, 1),
+    "8a approach through zero, parallel to the floor": Sweep("v₃ [m/s]", -0.02, 0.01, _parallel, 1),
 }

@@ -234,6 +234,10 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     s1, s2 = 1.0, 0.0
     if speed > 0.0:
         s1, s2 = v1 / speed, v2 / speed
+    if abs(v3) <= tiny and c < mu * (b1 * s1 + b2 * s2):
+        # without an approach friction drives the surface in, with the least retreat it does not
+        jump = NEAR_JUMP
+        flags |= jump
     if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):
         return _nothing_to_follow(NO_IMPACT, 0.0, jump)
     if c <= 0.0:
