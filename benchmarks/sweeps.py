@@ -11,6 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from mpmath import mp
 from tests.reference.reference import solve_reference
 from tests.sweeps import SWEEPS, Sweep
 
@@ -35,7 +36,12 @@ def main() -> None:
             panel.plot(x[part], y[part][:, 3:], lw=1, ls="--")
         for value in x[20::280]:
             p = sweep.problem(float(value))
-            s = solve_reference(p.delassus, p.velocity, p.friction, p.restitution, p.law, digits=20)
+            W, v = p.delassus, p.velocity
+            if sweep.factor is not None:  # with all digits: the reference takes a singular W as it is
+                F, r = (mp.matrix(x.tolist()) for x in sweep.factor(float(value)))
+                with mp.workprec(400):
+                    W, v = (F * F.T).tolist(), list(F * r)
+            s = solve_reference(W, v, p.friction, p.restitution, p.law, digits=20)
             panel.plot([value] * 6, [float(z) for z in (*s.velocity, *s.impulse)], "ko", ms=4, mfc="none")
         panel.set_title(name)
         panel.set_xlabel(sweep.label)
