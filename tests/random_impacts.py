@@ -29,15 +29,16 @@ ALLOWED = 8.0
 
 
 class Problems(NamedTuple):
-    """N problems: W (N, 3, 3), v (N, 3), μ (N,), e (N,)."""
+    """N problems: W (N, 3, 3), v (N, 3), μ (N,), e (N,), and the scale of v (N,), 0 where it is not told."""
 
     delassus: Array
     velocity: Array
     friction: Array
     restitution: Array
+    scale: Array
 
     def __getitem__(self, rows):
-        return Problems(*(tuple.__getitem__(self, k)[rows] for k in range(4)))
+        return Problems(*(tuple.__getitem__(self, k)[rows] for k in range(5)))
 
 
 # ---- drawing ----
@@ -201,6 +202,44 @@ def rank_rounded(rng, n, rank):
     return symmetric(X @ X.transpose(0, 2, 1)), v, power(rng, n, -1.5, 1.5)
 
 
+def made_by_w(rng, n, rank):
+    """W = XXᵀ and v = W r as matrix products round them, v smaller than its terms by cancellation."""
+    X = rng.standard_normal((n, 3, rank))
+    W = symmetric(X @ X.transpose(0, 2, 1))
+    r = rng.standard_normal((n, 3, 1))
+    null = np.linalg.svd(X)[0][:, :, rank:]
+    r += power(rng, (n, 1, 1), 0, 4) * null[:, :, :1]
+    v = (W @ r)[:, :, 0]
+    v[v[:, 2] > 0] *= -1
+    return W, v, power(rng, n, -1.5, 1.5), (np.abs(W) @ np.abs(r)).sum(axis=(1, 2))
+
+
+def leaning(rng, n):
+    """An arm in a plane through the normal, but for 1e-15 … 1e-3, or nearly along the floor; some turned."""
+    tilt = sign(rng, n) * power(rng, n, -15, -3) * (rng.random(n) < 0.9)
+    T = turned(np.where(rng.random(n) < 0.5, rng.uniform(0, 7, n), 0.0))
+    plane = np.zeros((n, 3, 2))
+    plane[:, 0, 0] = 1.0
+    floor = rng.random(n) < 0.3
+    plane[:, 1, 1] = np.where(floor, np.cos(tilt), np.sin(tilt))
+    plane[:, 2, 1] = np.where(floor, np.sin(tilt), np.cos(tilt))
+    X = T @ plane @ rng.standard_normal((n, 2, 2))
+    v = (X @ rng.standard_normal((n, 2, 1)))[:, :, 0]
+    v[v[:, 2] > 0] *= -1
+    return symmetric(X @ X.transpose(0, 2, 1)), v, power(rng, n, -1.5, 1)
+
+
+def turned_in_space(rng, n):
+    """A mechanism of one or two degrees of freedom, or a regular one, whose base is turned by any angles."""
+    Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
+    X = rng.standard_normal((n, 3, 3)) * (np.arange(3) < rng.integers(1, 4, (n, 1)))[:, None, :]
+    X[rng.random(n) < 0.5, 1] = 0.0
+    W = symmetric(Q @ (X @ X.transpose(0, 2, 1)) @ Q.transpose(0, 2, 1))
+    v = (Q @ X @ rng.standard_normal((n, 3, 1)))[:, :, 0]
+    v[v[:, 2] > 0] *= -1
+    return W, v, power(rng, n, -1.5, 1)
+
+
 def nearly_singular(rng, n):
     """One or two eigenvalues about where they stop to count."""
     Q = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0]
@@ -278,6 +317,10 @@ CATEGORIES: dict[str, Callable] = {
     "rank two, rounded": lambda rng, n: rank_rounded(rng, n, 2),
     "rank one, exactly": lambda rng, n: rank_exact(rng, n, 1),
     "rank one, rounded": lambda rng, n: rank_rounded(rng, n, 1),
+    "rank two, v = W r": lambda rng, n: made_by_w(rng, n, 2),
+    "rank one, v = W r": lambda rng, n: made_by_w(rng, n, 1),
+    "leaning": leaning,
+    "turned in space": turned_in_space,
     "nearly singular": nearly_singular,
     "ill-conditioned": ill_conditioned,
     "planar": planar,
@@ -291,13 +334,19 @@ CATEGORIES: dict[str, Callable] = {
 
 def draw(rng: np.random.Generator, category: str, count: int) -> Problems:
     """Draw problems of a category; a third of them with e = 0 or e = 1."""
-    W, v, mu = CATEGORIES[category](rng, count)
+    W, v, mu, *scale = CATEGORIES[category](rng, count)
     e = np.where(rng.random(count) < 0.35, rng.integers(0, 2, count), rng.random(count))
     if category == "second compression":
         e = 1 - (rng.random(count) < 0.5) * rng.uniform(0, 0.1, count)
     if category == "coincident events":
         e = rng.integers(0, 5, count) / 4
-    return Problems(np.ascontiguousarray(W), v, np.asarray(mu, dtype=float), e.astype(float))
+    return Problems(
+        np.ascontiguousarray(W),
+        v,
+        np.asarray(mu, dtype=float),
+        e.astype(float),
+        *(scale or [np.zeros(count)]),
+    )
 
 
 # ---- solving, changing, comparing ----
@@ -315,7 +364,7 @@ class Answers(NamedTuple):
 
 
 def solve(p: Problems, law: str) -> Answers:
-    s = solve_impacts(*p, law)
+    s = solve_impacts(p.delassus, p.velocity, p.friction, p.restitution, law, p.scale)
     return Answers(s.velocity, s.impulse, s.compression_impulse, s.status, s.flags, s.iterations)
 
 
@@ -347,7 +396,7 @@ def perturbed(rng: np.random.Generator, p: Problems) -> Problems:
     W, v = mapped(T, p.delassus, p.velocity)
     # as turning the axes does; a singular W must not be taken for another
     W = W + symmetric(noise(3, 3)) / 4 * np.abs(W).max(axis=(1, 2), keepdims=True)
-    return Problems(W, v, p.friction * (1 + noise()), np.minimum(p.restitution * (1 + noise()), 1.0))
+    return Problems(W, v, p.friction * (1 + noise()), np.minimum(p.restitution * (1 + noise()), 1.0), p.scale)
 
 
 def sensitivity(rng: np.random.Generator, p: Problems, law: str, answers: Answers, trials: int) -> Array:
@@ -374,15 +423,16 @@ def same_bits(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> di
     """Whether maps that cost no rounding change no bit."""
     wrong = {}
     for name, T in EXACT_MAPS.items():
-        s = solve(Problems(T @ p.delassus @ T.T, p.velocity @ T.T, p.friction, p.restitution), law)
+        s = solve(p._replace(delassus=T @ p.delassus @ T.T, velocity=p.velocity @ T.T), law)
         s = s._replace(velocity=s.velocity @ T, impulse=s.impulse @ T)
         wrong[name] = ~np.equal(bits(s), bits(a)).all(axis=1) & (a.status <= Status.LOCKED)
         wrong[name] |= s.status != a.status
     # up, never down: numbers that underflow would be rounded
     m, u = 2.0 ** rng.integers(0, 60, (2, len(p.friction)))
-    s = solve(
-        Problems(p.delassus / m[:, None, None], p.velocity * u[:, None], p.friction, p.restitution), law
+    scaled = p._replace(
+        delassus=p.delassus / m[:, None, None], velocity=p.velocity * u[:, None], scale=p.scale * u
     )
+    s = solve(scaled, law)
     s = s._replace(
         velocity=s.velocity / u[:, None],
         impulse=s.impulse / (m * u)[:, None],
@@ -392,28 +442,55 @@ def same_bits(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> di
     return wrong
 
 
+def decided_by_rounding(*answers: Answers) -> NDArray[np.bool_]:
+    """Whether a singular W says that rounding decides what kind of mechanism it is."""
+    said = np.zeros(len(answers[0].flags), dtype=bool)
+    for a in answers:
+        singular = (a.flags & Flag.SINGULAR_DELASSUS != 0) | (a.status == Status.NO_IMPACT)
+        said |= singular & (a.flags & Flag.NEAR_JUMP != 0)
+    return said
+
+
 def seen_otherwise(rng: np.random.Generator, p: Problems, law: str, a: Answers) -> Array:
-    """The disagreement after turning the axes, and after changing units by factors that round."""
+    """The disagreement after turning the axes, and after changing units by factors that round.
+
+    Where rounding decides, and the answer says so, there is none.
+    """
     n = len(p.friction)
     T = turned(rng.uniform(0, 2 * np.pi, n))
     back = T.transpose(0, 2, 1)
     W, v = mapped(T, p.delassus, p.velocity)
-    s = solve(Problems(W, v, p.friction, p.restitution), law)
+    s = solve(p._replace(delassus=W, velocity=v), law)
     turn = difference(
         p, a, np.einsum("nij,nj->ni", back, s.velocity), np.einsum("nij,nj->ni", back, s.impulse), s.status
     )
+    turn = np.where(decided_by_rounding(a, s), 0.0, turn)
     m, u = power(rng, (n, 1), -3, 3), power(rng, (n, 1), -3, 3)
-    s = solve(Problems(p.delassus / m[:, :, None], p.velocity * u, p.friction, p.restitution), law)
-    return np.maximum(turn, difference(p, a, s.velocity / u, s.impulse / (m * u), s.status))
+    rescaled = p._replace(
+        delassus=p.delassus / m[:, :, None], velocity=p.velocity * u, scale=p.scale * u[:, 0]
+    )
+    s = solve(rescaled, law)
+    unit = difference(p, a, s.velocity / u, s.impulse / (m * u), s.status)
+    return np.maximum(turn, np.where(decided_by_rounding(a, s), 0.0, unit))
 
 
 # ---- what must hold ----
 
 
+def made_zero(p: Problems, flags) -> Array:
+    """The parts of v, over its size, that may be taken as zero since a singular W cannot have made them."""
+    values = np.sort(np.abs(np.linalg.eigvalsh(p.delassus)), axis=1)
+    least = np.where(values[:, 0] > 32 * EPS * values[:, 2], values[:, 0], values[:, 1])
+    amplified = 64 * EPS * values[:, 2] / np.maximum(least, EPS * np.maximum(values[:, 2], 1e-300))
+    singular = (flags & Flag.SINGULAR_DELASSUS != 0) | (values[:, 0] < 64 * EPS * values[:, 2])
+    size = np.maximum(1.0, p.scale / np.maximum(np.abs(p.velocity).max(axis=1), np.finfo(float).tiny))
+    return np.where(singular, np.minimum(amplified, 4e-6) * size, 0.0)
+
+
 def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
     """Which rows break which law of mechanics."""
-    s = solve_impacts(*p, law)
-    W, v0, mu, e = p
+    s = solve_impacts(p.delassus, p.velocity, p.friction, p.restitution, law, p.scale)
+    W, v0, mu, e, _ = p
     v, P, pc, status = s.velocity, s.impulse, s.compression_impulse, s.status
     ok = status <= Status.LOCKED
     wrong = {"not converged": status == Status.NOT_CONVERGED}
@@ -431,13 +508,10 @@ def mechanics(p: Problems, law: str) -> dict[str, NDArray[np.bool_]]:
     speed = 1.0 + size
     magnitude = np.abs(wc) + np.abs(wr) + np.abs(wf)
     gained = np.sum(P * (v0 + v), axis=1) / 2
-    wrong["v3 < 0"] = v[:, 2] < 0
+    projected = made_zero(p, s.flags)
+    # what is left of v₃ by rounding, where nothing moves along the normal, is no approach
+    wrong["v3 < 0"] = v[:, 2] < np.where(status == Status.NO_IMPACT, -projected, 0.0)
     wrong["outside the cone"] = np.hypot(P[:, 0], P[:, 1]) > mu * P[:, 2] * (1 + 1e-13)
-    # parts of v that a singular W cannot have made are rounding, amplified by its smallest other eigenvalue
-    values = np.sort(np.abs(np.linalg.eigvalsh(W)), axis=1)
-    least = np.where(values[:, 0] > 32 * EPS * values[:, 2], values[:, 0], values[:, 1])
-    singular = s.flags & Flag.SINGULAR_DELASSUS != 0
-    projected = np.where(singular, np.minimum(64 * EPS * values[:, 2] / np.maximum(least, EPS), 4e-6), 0.0)
     imbalance = np.abs(v - v0 - np.einsum("nij,nj->ni", W, P)).max(axis=1)
     wrong["momentum"] = imbalance > (1e-11 + projected) * speed
     wrong["friction gives work"] = wf > 0
@@ -505,7 +579,7 @@ def check(rng: np.random.Generator, category: str, law: str, count: int, report:
     a = solve(p, law)
     wrong = mechanics(p, law) | same_bits(rng, p, law, a)
 
-    gap = seen_otherwise(rng, p, law, a)
+    gap = np.maximum(seen_otherwise(rng, p, law, a) - made_zero(p, a.flags), 0.0)
     sensitive = sensitivity(rng, p, law, a, TRIALS[0])
     with np.errstate(invalid="ignore"):
         ratio = np.where(np.isinf(sensitive), 0.0, gap / sensitive)

@@ -24,6 +24,7 @@ class Sweep:
         start, end: Its range.
         problem: The problem at x.
         jumps: How many jumps the impact map has there.
+        factor: F (3, 2) and r (2) at x, where W = FFᵀ is singular and v = F r.
     """
 
     label: str
@@ -31,6 +32,7 @@ class Sweep:
     end: float
     problem: Callable[[float], ImpactProblem]
     jumps: int = 0
+    factor: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
     def answer(self, x: float) -> np.ndarray:
         """v⁺ and P at x, six numbers."""
@@ -59,6 +61,31 @@ class Sweep:
 
 def _edge(law: str) -> Callable[[float], ImpactProblem]:
     return lambda v3: ImpactProblem(JAMS, [0.5, 12, v3], 1.5, 1.0, law)
+
+
+FACTOR = np.array([[1.0, 0.25], [0.375, -0.75]])
+"""An arm's own Jacobian times the root of its inverse inertia: along the floor, and up."""
+
+
+def _leaning(tilt: float) -> tuple[np.ndarray, np.ndarray]:
+    """An arm in a plane through the normal, but for a tilt."""
+    F = np.array([FACTOR[0], np.sin(tilt) * FACTOR[1], np.cos(tilt) * FACTOR[1]])
+    return F, np.array([0.25, 1.0])
+
+
+def _parallel(v3: float) -> tuple[np.ndarray, np.ndarray]:
+    """An arm that moves along the floor but for an eighth, with a slip of about one and an approach of v₃."""
+    normal = 0.125 * FACTOR[1]
+    made = v3 * normal / (normal @ normal) + np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
+    return np.array([FACTOR[0], FACTOR[1], normal]), made
+
+
+def _made(factor: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Callable[[float], ImpactProblem]:
+    def problem(x: float) -> ImpactProblem:
+        F, r = factor(x)
+        return ImpactProblem(F @ F.T, F @ r, 0.9, 0.5)
+
+    return problem
 
 
 SWEEPS = {
@@ -102,5 +129,9 @@ SWEEPS = {
             0.5,
             0.8,
         ),
+    ),
+    "8a tilt of an arm's plane through zero": Sweep("tilt [rad]", -0.5, 0.5, _made(_leaning), 1, _leaning),
+    "8a approach through zero, parallel to the floor": Sweep(
+        "v₃ [m/s]", -0.02, 0.01, _made(_parallel), 1, _parallel
     ),
 }

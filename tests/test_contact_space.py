@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import threading
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 import pinimpact
 from pinimpact import Flag, ImpactProblem, InputError, Status, solve_impact, solve_impacts
 
+from . import random_impacts
 from .drawing import examples
 
 LAWS = pinimpact.LAWS
@@ -368,6 +371,38 @@ def test_batch_shapes(field, arguments):
     with pytest.raises(InputError, match=field) as caught:
         solve_impacts(*arguments)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_threads_change_no_bit(law):
+    p = random_impacts.draw(np.random.default_rng(4), "general", 101)
+    problems = p.delassus, p.velocity, p.friction, p.restitution, law
+    one = solve_impacts(*problems)
+    for threads in (2, 3, 200):
+        many = solve_impacts(*problems, threads=threads)
+        for name in ("velocity", "impulse", "compression_impulse", "status", "flags", "iterations"):
+            assert np.array_equal(getattr(many, name), getattr(one, name))
+        assert np.array_equal(many.work.total, one.work.total)
+
+
+def test_other_threads_run_while_rows_are_solved():
+    p = random_impacts.draw(np.random.default_rng(4), "general", 20_000)
+    solve_impacts(p.delassus[:1], p.velocity[:1], 0.3, 0.5)  # compiled
+    solver = threading.Thread(target=solve_impacts, args=(p.delassus, p.velocity, p.friction, 0.5))
+    solver.start()
+    counted = 0
+    while solver.is_alive():
+        counted += 1
+        time.sleep(0)
+    # with the lock held to the end, nothing would be counted but the start and the end
+    assert counted > 50
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "two", None])
+def test_a_number_of_threads_is_asked_for(threads):
+    with pytest.raises(InputError, match="threads") as caught:
+        solve_impacts([W], [V], 0.3, 0.5, threads=threads)
+    assert caught.value.field == "threads"
 
 
 def test_empty_batch():

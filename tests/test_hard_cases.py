@@ -274,7 +274,7 @@ def test_6_neighbours_across_a_jump(law, v, faster, mu, e, rows, last):
 def test_6_never_a_third(law):
     p = random_impacts.draw(np.random.default_rng(6), "second compression", 150)
     for k in range(150):
-        phases = [s.phase for s in solve(*(x[k] for x in p), law).segments]
+        phases = [s.phase for s in solve(*(x[k] for x in list(p)[:4]), law).segments]
         starts = [a for a, b in zip(phases, ["", *phases], strict=False) if a == "compression" != b]
         assert len(starts) <= 2
 

@@ -20,7 +20,7 @@ from pinimpact import (
     solve_impacts,
 )
 
-from . import random_arms
+from . import many_arms, random_arms
 from .random_arms import Case, Report, check, run, solve
 from .reference.arms import Arm
 from .reference.reference import solve_reference
@@ -31,6 +31,27 @@ def test_random_arms_agree_with_their_exact_numbers():
     assert report.impacts == 15
     assert report.uncovered <= 2
     assert [what for what, _ in report.violations] == []
+
+
+def test_many_arms_obey_mechanics_in_any_world():
+    report = many_arms.run(7, 3000)
+    assert report.impacts == 3000
+    assert [what for what, _ in report.violations] == []
+    assert [what for what, _ in report.judged.violations] == []
+
+
+@pytest.mark.parametrize(("change", "noticed"), [(1.0, False), (1.0 + 1e-9, True)])
+def test_the_run_of_many_notices(monkeypatch, change, noticed):
+    """Joint velocities that are wrong by 1e-9 do not fit the impulses."""
+    right = many_arms.solve
+
+    def wrong(group):
+        hits = right(group)
+        return dataclasses.replace(hits, v=hits.v * change)
+
+    monkeypatch.setattr(many_arms, "solve", wrong)
+    report = many_arms.run(0, 400)
+    assert ("momentum" in {what for what, _ in report.violations}) is noticed
 
 
 def test_the_run_notices_a_wrong_arm(monkeypatch):
@@ -170,6 +191,21 @@ def test_tilted_arms_creep_as_their_exact_numbers_say(tilt):
         size = float(exact.impulse[2])
         error = np.abs(hit.solution.impulse - [float(x) for x in exact.impulse]).max() / size
         assert error <= 1e-12 + 4e-15 / tilt  # one rounding of the base angle is 2e-16 of the tilt
+
+
+def test_v3_that_just_passes_zero_before_it_turns():
+    """The tip moves nearly parallel to the plane: v₃ rises to zero, a millionth beyond, and falls again."""
+    arm = Arm(
+        (-0.1702886459437738, -0.8561693184828377, 0.09848280984389923),
+        (-0.7578243529637448, 0.09541705828585698, 0.6454439054194833),
+        (-1.1668022599256869, -1.722923627686554, -1.8128927657723501),
+        (1.0081895570759398, 0.9777418135339674, -1.1805268719567252),
+    )
+    W, v, _ = arm.contact_problem()
+    exact = solve_reference(W, v, 0.05108799013575157, 0.0, "poisson")
+    solution = solve(Case("parallel", arm, 0.05108799013575157, 0.0, "poisson")).solution
+    assert solution.impulse == pytest.approx([float(x) for x in exact.impulse], rel=1e-9)
+    assert solution.velocity == pytest.approx([float(x) for x in exact.velocity], rel=1e-6, abs=1e-15)
 
 
 @pytest.mark.parametrize("scale", [-1.0, np.nan, "fast"])

@@ -1,9 +1,9 @@
-"""Planar arms in multiple precision, from the very numbers of their URDF: W and v unrounded.
+"""Small arms in multiple precision, from the very numbers of their URDF: W and v unrounded.
 
-An arm of one to three joints with parallel axes hangs on a base that is turned by any angles; its tip meets a
-plane of any normal. Everything is doubles as the package gets them, and everything that follows is formed
-with `mpmath`: rotations, Jacobian, mass matrix. W = FFᵀ and v = Fr have
-exactly the rank that the mechanism has.
+An arm of one to three joints hangs on a base that is turned by any angles; its tip meets a plane of any
+normal. Its axes are parallel, or each link is turned against the one before. Everything is doubles as the
+package gets them, and everything that follows is formed with `mpmath`: rotations, Jacobian, mass matrix.
+W = FFᵀ and v = Fr have exactly the rank that the mechanism has.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ class Arm:
         rpy: Roll, pitch and yaw of its base.
         normal: Of the plane.
         q, v: One to three angles and rates.
+        twists: Roll, pitch and yaw of each further joint against the one before; none: parallel axes.
     """
 
     rpy: tuple[float, float, float]
     normal: tuple[float, float, float]
     q: tuple[float, ...]
     v: tuple[float, ...]
+    twists: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("rpy", "normal", "q", "v"):
@@ -51,7 +53,8 @@ class Arm:
                 f'<child link="link{i}"/><origin {place}/><axis xyz="0 0 1"/>'
                 '<limit lower="-9" upper="9" effort="9" velocity="99"/></joint>'
             )
-            parent, place = f"link{i}", f'xyz="{LENGTH} 0 0"'
+            turned = " ".join(repr(x) for x in (*self.twists, *[(0, 0, 0)] * 3)[i])
+            parent, place = f"link{i}", f'rpy="{turned}" xyz="{LENGTH} 0 0"'
         return text + (
             f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
             f'<origin xyz="{REACH} 0 0"/></joint></robot>'
@@ -65,6 +68,8 @@ class Arm:
                 they are meant: π/2 is no double. The tangent axes then lie along and across the arm.
             digits: The precision.
         """
+        if self.twists:
+            return self._spatial(digits)
         with mp.workdps(digits):
             plane = _axes(self.normal) * _rotation(self.rpy)[:, 0:2]  # the arm's own axes in contact axes
             jacobian, mass = self._planar()
@@ -87,6 +92,40 @@ class Arm:
             factor, made = (plane * lower).apply(_rounded), mp.lu_solve(lower, rates).apply(_rounded)
         with mp.workprec(400):
             return (factor * factor.T).tolist(), list(factor * made), turn.tolist()
+
+    def _spatial(self, digits: int) -> tuple[list[list[mpf]], list[mpf]]:
+        """Return what `contact_problem` does for axes that are not parallel: of full rank, as joints go."""
+        n = len(self.q)
+        with mp.workdps(digits):
+            turn, place = _rotation(self.rpy), mp.matrix([0, 0, 0])
+            joints, axes, centres = [], [], []
+            for i in range(n):
+                joints.append(place)
+                axes.append(turn[:, 2])
+                turn = turn * _rotation((0.0, 0.0, self.q[i]))
+                centres.append(place + turn * mp.matrix([mpf(CENTRE), 0, 0]))
+                tip = place + turn * mp.matrix([mpf(REACH), 0, 0])
+                place = place + turn * mp.matrix([mpf(LENGTH), 0, 0])
+                turn = turn * _rotation((*self.twists, (0.0, 0.0, 0.0))[i])
+
+            def jacobian(point: mp.matrix, last: int) -> mp.matrix:
+                columns = mp.zeros(3, n)
+                for j in range(last + 1):
+                    columns[:, j] = mp.matrix([mp.fsum(r) for r in _cross(axes[j], point - joints[j])])
+                return columns
+
+            mass = mp.zeros(n)
+            for i in range(n):
+                J, turning = jacobian(centres[i], i), mp.zeros(3, n)
+                for j in range(i + 1):
+                    turning[:, j] = axes[j]
+                mass += mpf(MASS) * J.T * J + mpf(INERTIA) * turning.T * turning
+            lower = mp.cholesky(mass)
+            rows = _axes(self.normal) * jacobian(tip, n - 1)
+            factor = (rows * mp.inverse(lower).T).apply(_rounded)
+            made = (lower.T * mp.matrix(self.v)).apply(_rounded)
+        with mp.workprec(400):
+            return (factor * factor.T).tolist(), list(factor * made), mp.eye(3).tolist()
 
     def _planar(self) -> tuple[mp.matrix, mp.matrix]:
         """Return the (2, n) Jacobian of the tip in the arm's plane, and its mass matrix."""

@@ -1,6 +1,7 @@
 """The decorators of the kernels: numba's njit, each kernel compiled once, and kept on disk from then on.
 
 `jit`: what Python calls. It is compiled on its own when it is first called.
+`released`: such a one that runs without Python's lock, so that threads can share its work.
 `separate`: what several kernels call and Python does not. It is compiled on its own too, and whoever calls it
     has no copy of it but its symbol. The call costs some 2 ns; where the kernel is long, each caller takes a
     second less to compile. (A kernel that calls a `jit` does the same.)
@@ -73,7 +74,16 @@ def separate(function: F) -> F:
 
 def jit(function: F) -> F:
     """Compile a kernel that Python calls, when it is first called."""
-    compiled = _cached(function)
+    return _called(function)
+
+
+def released(function: F) -> F:
+    """Like `jit`, for a kernel that runs long: it lets Python's other threads run meanwhile."""
+    return _called(function, nogil=True)
+
+
+def _called(function: F, **options: Any) -> F:
+    compiled = _cached(function, **options)
     if isinstance(compiled, dispatcher.Dispatcher):
         compiled.compile = _Compile(compiled)  # type: ignore[method-assign, assignment]
     return compiled

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,8 +27,9 @@ class BatchSolution:
         iterations: (N,) steps taken.
     """
 
-    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array]) -> None:
+    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array], threads: int) -> None:
         self._inputs = inputs
+        self._threads = threads
         numbers, codes, _ = self._solve(0)
         self.velocity = numbers[:, 0:3]
         self.impulse = numbers[:, 3:6]
@@ -40,7 +43,20 @@ class BatchSolution:
 
         count = len(self._inputs[1])
         result = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), np.empty((works, 3))
-        solve_rows(*self._inputs, *result)
+        matrices, velocities, mu, e, law, scales = self._inputs
+
+        def solve(rows: slice) -> None:
+            given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows]
+            solve_rows(*given, *(part[rows] for part in result))
+
+        share = -(-count // self._threads)
+        shares = [slice(start, start + share) for start in range(0, count, share)] if share else []
+        if len(shares) <= 1:
+            solve(slice(None))
+        else:
+            solve(slice(0, 0))  # compiled before the threads start
+            with ThreadPoolExecutor(self._threads) as pool:
+                list(pool.map(solve, shares))
         return result
 
     @cached_property
@@ -60,6 +76,7 @@ def solve_impacts(
     restitution: ArrayLike,
     law: str = "poisson",
     velocity_scale: ArrayLike | None = None,
+    threads: int = 1,
 ) -> BatchSolution:
     """Resolve N frictional impacts with the method "exact".
 
@@ -71,12 +88,13 @@ def solve_impacts(
         law: The restitution law of all of them.
         velocity_scale: Sizes of the numbers that the velocities were formed from, a number or (N,); see
             `ImpactProblem`.
+        threads: How many threads share the rows. The answers are the same to the bit, whatever their number.
 
     Returns:
         A `BatchSolution`. A row whose numbers are unusable gets its status and NaN, and spoils no other.
 
     Raises:
-        InputError: Shapes that do not fit.
+        InputError: Shapes that do not fit, or a number of threads that is none.
         UnknownNameError: No such law.
     """
     matrices = _numbers("delassus", delassus)
@@ -102,7 +120,8 @@ def solve_impacts(
             )
         coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients
-    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales))
+    inputs = matrices, velocities, mu, e, law_code(law), scales
+    return BatchSolution(inputs, _thread_count(threads))
 
 
 def _numbers(field: str, value: ArrayLike) -> Array:
@@ -112,3 +131,11 @@ def _numbers(field: str, value: ArrayLike) -> Array:
         return np.asarray(value, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         raise InputError(f"{field}: {value!r} is not an array of numbers", field=field, value=value) from None
+
+
+def _thread_count(threads: Any) -> int:
+    if not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise InputError(
+            f"threads: {threads!r} given, a whole number from 1 expected", field="threads", value=threads
+        )
+    return int(threads)

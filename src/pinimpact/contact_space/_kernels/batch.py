@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._numeric.jit import inner, released
 from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
 from .ending import Answer, no_answer
@@ -23,7 +23,7 @@ def _asymmetry(w):
     return most > ZERO * largest
 
 
-@jit
+@released
 def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, numbers, codes, works):
     """Solve N problems.
 

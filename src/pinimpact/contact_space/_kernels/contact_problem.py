@@ -17,6 +17,7 @@ from .codes import (
     IMPULSE,
     INDEFINITE_DELASSUS,
     INVALID_NUMBERS,
+    NEAR_JUMP,
     NO_FLAG,
     NO_IMPACT,
     SINGULAR_DELASSUS,
@@ -136,12 +137,12 @@ def halves(exponent):
 
 
 @inner
-def _nothing_to_follow(status, figure):
+def _nothing_to_follow(status, figure, flags):
     nan, no = math.nan, np.int64(0)
     view = View(1.0, 1.0, False, False, 0, 0, False, 0.0, 1.0)
     nans = (nan, nan, nan, nan, nan, nan, nan)
     problem = Problem(*nans, nan, nan, nan, nan, no, no, *nans, False, False, False)
-    return status, figure, NO_FLAG, view, problem
+    return status, figure, flags, view, problem
 
 
 @inner
@@ -171,7 +172,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         `View` and the `Problem`.
     """
     if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
-        return _nothing_to_follow(INVALID_NUMBERS, 0.0)
+        return _nothing_to_follow(INVALID_NUMBERS, 0.0, NO_FLAG)
 
     # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
     largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
@@ -188,10 +189,12 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
 
     found = classify(w11, w12, w13, w22, w23, w33)
-    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3 = found
+    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
     if rank < 0:
-        return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w))
+        return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w), NO_FLAG)
     flags = SINGULAR_DELASSUS if rank < 3 else NO_FLAG
+    jump = NEAR_JUMP if doubt else NO_FLAG
+    flags |= jump
 
     # a part of v that W cannot have made is rounding up to here, and a moving surface beyond (theory.md, 6)
     size = max(abs(v1) + abs(v2) + abs(v3), velocity_scale * fv1 * fv2)
@@ -231,10 +234,14 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     s1, s2 = 1.0, 0.0
     if speed > 0.0:
         s1, s2 = v1 / speed, v2 / speed
+    if abs(v3) <= tiny and c < mu * (b1 * s1 + b2 * s2):
+        # without an approach friction drives the surface in, with the least retreat it does not
+        jump = NEAR_JUMP
+        flags |= jump
     if v3 > 0.0 or (v3 == 0.0 and not (speed > 0.0 and c < mu * (b1 * s1 + b2 * s2))):
-        return _nothing_to_follow(NO_IMPACT, 0.0)
+        return _nothing_to_follow(NO_IMPACT, 0.0, jump)
     if c <= 0.0:
-        return _nothing_to_follow(UNSTOPPABLE, math.ldexp(v3, scale_v))
+        return _nothing_to_follow(UNSTOPPABLE, math.ldexp(v3, scale_v), NO_FLAG)
     if v3 == 0.0:
         flags |= IMPACT_WITHOUT_COLLISION
     elif v3 > -TOO_SHORT * speed and c > mu * (b1 * s1 + b2 * s2):

@@ -13,6 +13,9 @@ EPS = 2.0**-52
 ZERO = 32.0 * EPS
 """Eigenvalues of W within ZERO·‖W‖ of zero are zero."""
 
+NOISE = 2.0 * EPS
+"""What rounding leaves, over the spread, of a part of a null vector that is none."""
+
 MOST_SPREAD = 2.0**27
 """ZERO times the spread is how far directions of the null space are off; never taken for more than 2⁻²⁰."""
 
@@ -94,6 +97,7 @@ class Delassus(NamedTuple):
         spread: ‖W‖/λ of the smallest eigenvalue λ that counts.
         n1, n2, n3: Null vector, where the rank is 2; where it is 1, n₃ is the tangential part of the range,
             so that v₃ = κ·v_t + η holds to rounding over n₃; else 0, 0, 1.
+        doubt: Whether it is rounding that says if the null vector is tangential or normal, or neither.
     """
 
     rank: np.int64
@@ -111,6 +115,7 @@ class Delassus(NamedTuple):
     n1: float
     n2: float
     n3: float
+    doubt: bool
 
 
 @inner
@@ -137,57 +142,40 @@ def eliminate(w11, w12, w13, w22, w23, w33):
 
 
 @inner
-def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread):
-    """Return W cleared of what acts along its null vector n, a unit vector that is known to ZERO·spread."""
+def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
+    """Return W cleared of what acts along its null vector n, a unit vector that is known to ZERO·spread.
+
+    Parts of it up to `noise` times the spread may be rounding.
+    """
     n1, n2, n3 = n
     norm = math.hypot(n1, n2)
     uncertain = ZERO * spread
     two, nought = np.int64(2), 0.0
+    # in turned axes the same W has its null vector to rounding times trace²/(sum of the principal minors)
+    minors = w11 * w22 - w12 * w12 + w11 * w33 - w13 * w13 + w22 * w33 - w23 * w23
+    trace = w11 + w22 + w33
+    part = min(norm, abs(n3)) * minors
+    doubt = noise * trace * trace < part < 2.0 * ZERO * trace * trace
     if norm <= uncertain:
         # nothing moves along the normal
         return Delassus(
-            two,
-            w11,
-            w12,
-            nought,
-            w22,
-            nought,
-            nought,
-            nought,
-            nought,
-            nought,
-            least,
-            spread,
-            nought,
-            nought,
-            1.0,
-        )
+            two, *(w11, w12, nought, w22, nought, nought, nought, nought, nought, least, spread),
+            *(nought, nought, 1.0, doubt),
+        )  # fmt: skip
     if abs(n3) > uncertain:
         return Delassus(
-            two, w11, w12, w13, w22, w23, w33, -n1 / n3, -n2 / n3, nought, least, spread, n1, n2, n3
-        )
+            two, *(w11, w12, w13, w22, w23, w33, -n1 / n3, -n2 / n3, nought, least, spread),
+            *(n1, n2, n3, doubt),
+        )  # fmt: skip
     # the null direction is tangential: A has rank one along d, and b is parallel to d
     d1, d2 = n2 / norm, -n1 / norm
     alpha = d1 * (w11 * d1 + w12 * d2) + d2 * (w12 * d1 + w22 * d2)
     beta = w13 * d1 + w23 * d2
     ratio = beta / alpha
     return Delassus(
-        two,
-        alpha * d1 * d1,
-        alpha * d1 * d2,
-        beta * d1,
-        alpha * d2 * d2,
-        beta * d2,
-        w33,
-        ratio * d1,
-        ratio * d2,
-        w33 - beta * ratio,
-        least,
-        spread,
-        n1,
-        n2,
-        nought,
-    )
+        two, *(alpha * d1 * d1, alpha * d1 * d2, beta * d1, alpha * d2 * d2, beta * d2, w33),
+        *(ratio * d1, ratio * d2, w33 - beta * ratio, least, spread, n1, n2, nought, doubt),
+    )  # fmt: skip
 
 
 @inner
@@ -219,11 +207,13 @@ def _graded(w11, w12, w13, w22, w23, w33):
         return True, _rank_two(
             *(w11 - c11 / u1 / u1, w12 - c12 / u1 / u2, w13 - c13 / u1 / u3),
             *(w22 - c22 / u2 / u2, w23 - c23 / u2 / u3, w33 - c33 / u3 / u3),
-            *(n, 0.0, l3 / l2),
+            *(n, 0.0, l3 / l2, 0.0),
         )
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = l1 > CORRELATED and det > 0.0 and largest > CORRELATED
-    return regular, Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
+    return regular, Delassus(
+        np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False
+    )
 
 
 @inner
@@ -241,7 +231,22 @@ def _nearly_singular(w11, w12, w13, w22, w23, w33):
     nought, one = 0.0, 1.0
     if l1 < -zero or not (l3 >= 0.0):
         return Delassus(
-            np.int64(-1), w11, w12, w13, w22, w23, w33, nought, nought, nought, l1, one, nought, nought, one
+            np.int64(-1),
+            w11,
+            w12,
+            w13,
+            w22,
+            w23,
+            w33,
+            nought,
+            nought,
+            nought,
+            l1,
+            one,
+            nought,
+            nought,
+            one,
+            False,
         )
     if l1 > zero:
         # κ = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
@@ -250,7 +255,22 @@ def _nearly_singular(w11, w12, w13, w22, w23, w33):
         k1 = -(g1 * x[0] + g2 * y[0] + g3 * z[0]) / q3
         k2 = -(g1 * x[1] + g2 * y[1] + g3 * z[1]) / q3
         return Delassus(
-            np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1, nought, nought, one
+            np.int64(3),
+            w11,
+            w12,
+            w13,
+            w22,
+            w23,
+            w33,
+            k1,
+            k2,
+            1.0 / q3,
+            l1,
+            l3 / l1,
+            nought,
+            nought,
+            one,
+            False,
         )
     if l2 > zero:
         w11 -= l1 * x[0] * x[0]
@@ -259,14 +279,14 @@ def _nearly_singular(w11, w12, w13, w22, w23, w33):
         w22 -= l1 * x[1] * x[1]
         w23 -= l1 * x[1] * x[2]
         w33 -= l1 * x[2] * x[2]
-        return _rank_two(w11, w12, w13, w22, w23, w33, x, l1, min(l3 / l2, MOST_SPREAD))
+        return _rank_two(w11, w12, w13, w22, w23, w33, x, l1, min(l3 / l2, MOST_SPREAD), NOISE)
     if l3 > 0.0:
         tangential = z[0] * z[0] + z[1] * z[1]
         if tangential <= ZERO * ZERO:
             c = l3 * z[2] * z[2]
             return Delassus(
                 np.int64(1), *(nought, nought, nought, nought, nought, c, nought, nought, c, l1, one),
-                *(nought, nought, one),
+                *(nought, nought, one, False),
             )  # fmt: skip
         z3 = z[2] if abs(z[2]) > ZERO else 0.0
         return Delassus(
@@ -285,10 +305,11 @@ def _nearly_singular(w11, w12, w13, w22, w23, w33):
             nought,
             nought,
             math.sqrt(tangential),
+            False,
         )
     return Delassus(
         np.int64(0), *(nought, nought, nought, nought, nought, nought, nought, nought, nought, l1, one),
-        *(nought, nought, one),
+        *(nought, nought, one, False),
     )  # fmt: skip
 
 
@@ -299,6 +320,6 @@ def classify(w11, w12, w13, w22, w23, w33):
     trace = w11 + w22 + w33
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     if det > 0.0 and det > 1e-12 * trace * trace * trace:
-        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0)
+        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False)
 
     return _nearly_singular(w11, w12, w13, w22, w23, w33)

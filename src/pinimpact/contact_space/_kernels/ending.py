@@ -65,10 +65,10 @@ def no_answer(status, figure):
 
 
 @inner
-def without_impact(v1, v2, v3):
+def without_impact(flags, v1, v2, v3):
     """Return the answer where there is no impact."""
     no = np.int64(0)
-    return Answer(NO_IMPACT, NO_FLAG, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
+    return Answer(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
 
 
 @inner

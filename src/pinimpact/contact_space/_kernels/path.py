@@ -71,7 +71,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     )
     if begins == NO_IMPACT:
-        return plain(without_impact(v1, v2, v3))
+        return plain(without_impact(flags, v1, v2, v3))
     if begins != PROCEEDS:
         return plain(no_answer(begins, figure))
 

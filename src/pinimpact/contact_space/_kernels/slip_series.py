@@ -82,6 +82,12 @@ def halley(f, slope, bend):
 
 
 @inner
+def settled(step, x, f, slope):
+    """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
+    return abs(step) <= 2e-6 * x and abs(f) <= 4e-6 * x * abs(slope)
+
+
+@inner
 def invariant_moments(coefficients, reciprocals, exponent, span):
     """Return y, yᵃG(y) and the integrals of yᵃ⁺ʲG over (0, L) for j = 0 … 4. (4.4)"""
     if span == math.inf:
@@ -255,7 +261,7 @@ def seek(series, counts, aim, f_low, f_high, high):
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
         elif new > 2.0 * x + 2.0:
             new = 2.0 * x + 2.0
-        elif abs(step) <= 2e-6 * x:
+        elif settled(step, x, now, slope):
             return new
         x = new
     return x
@@ -274,8 +280,9 @@ def seek_near(series, counts, aim, x, last):
             return 0.0
         now, slope, bend = measure(series, counts, aim, x)
         step = halley(now, slope, bend)
+        converged = settled(step, x, now, slope)
         x += step
-        if abs(step) <= 2e-6 * x:
+        if converged:
             end = h * x
             monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end) == end
             falls = counts != VELOCITY and v3 + point(series, x)[3] < 0.0
