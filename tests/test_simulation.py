@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 import pinimpact
-from pinimpact import Contact, Plane, Scene
+from pinimpact import Contact, Plane, Scene, SimulationError, simulate
 
 from .scene_models import UP, G, ball, free_body, pendulum, run, slider, unbounded
 
@@ -319,3 +319,41 @@ def test_a_step_that_leads_out_of_the_finite_is_taken_anew_and_asks_the_control_
         lambda t, y: [y[1], -0.75 * stiffness * y[0] ** 3], (0, 0.01), [1, 0], rtol=1e-12, atol=1e-12
     )
     assert trajectory.q[-1, :2] == pytest.approx([0.005, reference.y[0, -1]], abs=1e-6)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-8, 1e-11])
+def test_a_control_that_chatters_is_told_of_and_its_remedies_work(rtol):
+    """−sign(v) beside a constant force: at rest from t = 1/0.7 on, where no value of it holds the mass."""
+    model = slider()
+    tolerances = {"rtol": rtol, "atol": 1e-2 * rtol}
+
+    def rubbing(t, q, v):
+        return np.array([0.3 - np.sign(v[0]), 0.0, 0.0])
+
+    scene = Scene(model, control=rubbing, without=["gravity"])
+    with pytest.raises(SimulationError, match=r"chatters.*'x'.*-0\.7 and 1\.3.*friction.*period=") as caught:
+        simulate(scene, np.zeros(3), [1.0, 0.0, 0.0], 3.0, **tolerances)
+    assert caught.value.field == "control"
+    assert 1.0 < caught.value.partial.t[-1] < 2.0
+    model = slider()
+    model.friction = np.array([1.0, 0.0, 0.0])
+    scene = Scene(model, control=lambda t, q, v: np.array([0.3, 0.0, 0.0]), without=["gravity"])
+    trajectory = simulate(scene, np.zeros(3), [1.0, 0.0, 0.0], 3.0, **tolerances)
+    assert trajectory.q[-1, 0] == pytest.approx(0.5 / 0.7, rel=1e2 * rtol)
+    assert trajectory.v[-1, 0] == 0.0
+    scene = Scene(slider(), control=rubbing, period=1e-3, without=["gravity"])
+    trajectory = simulate(scene, np.zeros(3), [1.0, 0.0, 0.0], 3.0, **tolerances)
+    assert abs(trajectory.v[-1, 0]) < 2e-3
+
+
+def test_a_control_that_switches_a_hundred_times_does_not_chatter():
+    """Full force forth and back by turns of 10 ms: v returns after each period of T, and x grows by T²/4."""
+    rtol = 1e-8
+    scene = Scene(
+        slider(),
+        control=lambda t, q, v: np.array([1.0 if t % 0.02 < 0.01 else -1.0, 0.0, 0.0]),
+        without=["gravity"],
+    )
+    trajectory = simulate(scene, np.zeros(3), np.zeros(3), 1.0, rtol=rtol, atol=1e-2 * rtol, max_step=5e-3)
+    assert trajectory.statistics["steps"] > 1000
+    assert trajectory.q[-1, 0] == pytest.approx(50 * 0.01**2, rel=1e-5)

@@ -19,7 +19,8 @@ from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
-from .controls import JointPD, SampledControl
+from .chatter import check_chatter
+from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import EventWatch, Interruption, as_events
@@ -42,6 +43,9 @@ DIRECTED = 1e-3
 
 MAX_STALLED = 200
 """Steps without progress in time, after which slip is stopped, or a simulation gives up."""
+
+LOOK_EVERY = 1000
+"""Steps from one look for chatter to the next."""
 
 JAMS = 3
 """How often slip that a jam has stopped may begin again at one instant before it is left to begin."""
@@ -198,9 +202,13 @@ class Motion:
         self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
         self.ended_by: str | None = None
         self._sampled = None
-        if scene.control is not None and scene.period is not None and "control" not in without:
-            control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
-            self._sampled = SampledControl(control, scene.period, scene.delay)
+        self._continuous: Control | None = None
+        if scene.control is not None and "control" not in without:
+            if scene.period is not None:
+                control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
+                self._sampled = SampledControl(control, scene.period, scene.delay)
+            elif not isinstance(scene.control, JointPD):
+                self._continuous = scene.control
         self._length = 0.0
         self._counted = 0
         self._sample()
@@ -367,9 +375,10 @@ class Motion:
         if self.steps - self.last_progress[0] > MAX_STALLED:
             if t - self.last_progress[1] > STALLED * scale:
                 self.last_progress = self.steps, t
-            elif self._stop_jam():
-                return self.dynamics.first_length(self.rtol, self.atol)
             else:
+                self._look_for_chatter()
+                if self._stop_jam():
+                    return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
                     "not settle there; a larger resting_speed may help",
@@ -381,6 +390,7 @@ class Motion:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
+                self._look_for_chatter()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -410,6 +420,8 @@ class Motion:
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
         step.closed, step.directions = self._closed, directions
         self.dense_steps.append(step)
+        if self.steps % LOOK_EVERY == 0:
+            self._look_for_chatter()
         time, arriving = work.event_time, self._arriving()
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
@@ -442,6 +454,10 @@ class Motion:
         if event.CONSEQUENCE != ARRIVAL:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
+
+    def _look_for_chatter(self) -> None:
+        if self._continuous is not None:
+            check_chatter(self._continuous, self.model, self.dense_steps)
 
     def _stop_jam(self) -> bool:
         """Stop slip whose forces have grown until no step is short enough; return False if there is none."""
