@@ -78,7 +78,7 @@ def test_run(tmp_path: Path) -> None:
     result = call("run", str(SCENES / "ball_on_conveyor.toml"), "-o", str(tmp_path))
     assert result.exit_code == 0, result.output
     assert "The duration is covered" in result.output
-    names = ("trajectory.npz", "energy.png", "impact.png", "replay.html")
+    names = ("trajectory.npz", "energy.png", "forces.png", "impact.png", "replay.html")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
 
 

@@ -88,14 +88,19 @@ class LoadedScene:
     def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
         """Write what ``[output]`` asks for, and yield what each file is and its path."""
         from ..visual.html_replay import replay
-        from ..visual.plots import energy_figure, impact_figure, save_figure
+        from ..visual.plots import energy_figure, forces_figure, impact_figure, save_figure
 
         trajectory.save(folder / "trajectory.npz")
         yield "Trajectory", folder / "trajectory.npz"
         output = self.file.output
         if output.plots:
             yield "Energy", save_figure(energy_figure(trajectory, self.file.title), folder / "energy.png")
-            contacts = {contact.label for contact in self.scene.contacts}
+            contacts = [contact.label for contact in self.scene.contacts]
+            touching = {interval.source for interval in trajectory.modes}
+            shown = [contact for contact in contacts if contact in touching]
+            if shown:
+                figure = forces_figure(trajectory, shown, self.file.title)
+                yield "Forces", save_figure(figure, folder / "forces.png")
             impacts = [impact for impact in trajectory.impacts if impact.source in contacts]
             if impacts:
                 strongest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -121,6 +122,49 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
         axes.axvline(impact.time, color=FLOW, lw=0.6, zorder=0)
     axes.set(xlabel="t [s]", ylabel="[J]", title=title)
     axes.legend(fontsize="small", loc="best")
+    return figure
+
+
+def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = "") -> Figure:
+    """Return a figure of the forces of sustained contacts over time, one row a contact; slip is shaded.
+
+    Args:
+        trajectory: The motion; impulses of impacts are not in it but marked.
+        contacts: Names of the contacts.
+        title: Above the figure.
+
+    Raises:
+        UnknownNameError: A contact that the scene does not have.
+    """
+    from matplotlib.figure import Figure
+
+    times = np.unique(np.concatenate([trajectory.t, np.linspace(trajectory.t[0], trajectory.t[-1], 400)]))
+    rows = np.concatenate([times, times])
+    order = np.argsort(rows, kind="stable")  # before a jump, then after it
+    figure = Figure(figsize=(9.0, 1.2 + 1.7 * len(contacts)), layout="constrained")
+    figure.suptitle(title)
+    axes = figure.subplots(len(contacts), 1, sharex=True, squeeze=False)[:, 0]
+    for row, contact in zip(axes, contacts, strict=True):
+        forces = np.concatenate([trajectory.forces(contact, times, side) for side in ("left", "right")])[
+            order
+        ]
+        row.plot(rows[order], forces[:, 2], color="black", lw=1.4, label="normal")
+        row.plot(
+            rows[order], np.hypot(forces[:, 0], forces[:, 1]), color=RESTITUTION, lw=1.4, label="friction"
+        )
+        for interval in trajectory.modes:
+            if interval.source == contact and interval.mode == "slip":
+                row.axvspan(interval.start, interval.end, color=COMPRESSION, alpha=0.2, lw=0.0, label="slip")
+        for impact in trajectory.impacts:
+            if impact.source == contact:
+                row.axvline(impact.time, color=FLOW, lw=0.6, zorder=0, label="impact")
+        row.set(ylabel=f"{contact}\n[N]")
+    names: dict[str, Any] = {}
+    for row in axes:
+        handles, labels = row.get_legend_handles_labels()
+        names |= dict(zip(labels, handles, strict=True))
+    figure.legend(names.values(), names.keys(), fontsize="small", loc="outside upper right", ncols=4)
+    axes[-1].set(xlabel="t [s]")
     return figure
 
 
