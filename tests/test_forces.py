@@ -12,7 +12,7 @@ import pinimpact
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.robot.surfaces import contact_axes
 
-from .random_scenes import MODELS
+from .random_scenes import MODELS, draw
 from .scene_models import UP, G, ball, free_body, pendulum, slider
 
 
@@ -168,6 +168,25 @@ def test_forces_keep_to_coulombs_law_along_a_landing():
                 assert tangent == pytest.approx(0.5 * force[2], abs=near)
     power = np.diff(trajectory.energy.friction)
     assert power.max() <= 1e-9
+
+
+@pytest.mark.parametrize("seed", range(1000020, 1000040))
+def test_no_force_pulls_or_leaves_its_cone_and_friction_takes(seed):
+    """At random times of robots that flop about, also where the motion does not determine the forces."""
+    _, scene, q, v, rtol = draw(seed)
+    trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
+    times = np.random.default_rng(seed).uniform(0.0, 1.0, 50)
+    for contact in scene.contacts:
+        forces = trajectory.forces(contact.label, times)
+        near = 1e-10 * (1.0 + np.abs(forces).max())
+        assert forces[:, 2].min() >= -near
+        tangent = np.hypot(forces[:, 0], forces[:, 1])
+        assert (tangent - contact.friction * forces[:, 2]).max() <= near
+        closed = [trajectory.mode_at(contact.label, time) != "free" for time in times]
+        assert not forces[~np.array(closed)].any()
+    taken = np.diff(trajectory.energy.friction)
+    assert taken.max() <= 10.0 * rtol * trajectory.energy.kinetic.max()
+    assert np.diff(trajectory.energy.joints).max() <= 1e-12
 
 
 def test_forces_are_saved_and_pickled(tmp_path):

@@ -110,8 +110,8 @@ class Trajectory:
 
         It is evaluated at the state of the motion itself, by the equations that the motion obeys (theory.md,
         sections 9 to 11); of a trajectory from a file, or one that was pickled, it is interpolated. Impulses
-        of impacts are not in it. Where the motion does not determine the forces they have least norm,
-        see `forces_unique`.
+        of impacts are not in it. Where the motion does not determine the forces, see `forces_unique`, these
+        are the ones of least norm among those that keep to their laws.
 
         Args:
             contact: Its name.

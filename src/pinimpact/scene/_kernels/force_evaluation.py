@@ -8,7 +8,9 @@ from ..._numeric.jit import jit
 from ...robot._kernels import contact_kinematics, surfaces
 from ...robot._kernels.placement import rotate
 from .closed_set import close
+from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
+from .widest_margin import least_admissible
 
 
 @jit
@@ -33,9 +35,13 @@ def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints
     close(work, directions)
     work.forces_unique = unique
     set_state(work, q, v)
-    evaluate(work, t, np.empty(len(v) + 4))
+    out = np.empty(len(v) + 4)
+    evaluate(work, t, out)
     if work.callback_failed:
         return False
+    if not work.forces_unique and work.force_margin < 0.0:
+        least_admissible(work, work.solution)
+        apply_forces(work, out[: len(v)], out[len(v) + 2 :])
     index, found = work.closed_index, work.contact_force
     for m in range(len(index)):
         i = index[m]

@@ -29,54 +29,19 @@ LARGEST = 1e4
 @separate
 def widest_margin(work):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N]."""
-    system, target, modes, mu = work.system, work.target, work.closed_mode, work.closed_friction
-    lower, upper = work.scalar_lower, work.scalar_upper
-    size, nc, ns = len(target), len(modes), len(lower)
+    size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
-    rank = least_norm(system, target, SINGULAR_STILL, x, null)
-    free = size - rank
-    unit = 0.0
-    for a in range(size):
-        unit = max(unit, abs(x[a]))
-    for m in range(ns):
-        if lower[m] > -math.inf:
-            unit = max(unit, abs(lower[m]))
-        if upper[m] < math.inf:
-            unit = max(unit, abs(upper[m]))
+    free = size - least_norm(work.system, work.target, SINGULAR_STILL, x, null)
+    unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
     n = free + 1
-    lines, cones = 1, 0
-    for k in range(nc):
-        lines += modes[k] == SLIP
-        cones += modes[k] == STICK
-    for m in range(ns):
-        lines += (lower[m] > -math.inf) + (upper[m] < math.inf)
+    lines, cones = count_bounds(work)
+    lines += 1
     rows = lines + 3 * cones + n
     G, h = np.zeros((rows, n)), np.zeros(rows)
     G[0, free], h[0] = 1.0, 1.0  # where forces can grow without end the margin is that of the loads
-    line, cone, a = 1, lines, 0
-    for k in range(nc):
-        if modes[k] == SLIP:
-            bound_row(G, h, line, 1.0, x[a] / unit, null, free, a)
-            line += 1
-            a += 1
-            continue
-        if modes[k] == STICK:
-            bound_row(G, h, cone, mu[k], x[a + 2] * mu[k] / unit, null, free, a + 2)
-            for d in range(2):
-                bound_row(G, h, cone + 1 + d, 1.0, x[a + d] / unit, null, free, a + d)
-                G[cone + 1 + d, free] = 0.0
-            cone += 3
-        a += 3
-    for m in range(ns):
-        if lower[m] > -math.inf:
-            bound_row(G, h, line, 1.0, (x[a] - lower[m]) / unit, null, free, a)
-            line += 1
-        if upper[m] < math.inf:
-            bound_row(G, h, line, -1.0, (upper[m] - x[a]) / unit, null, free, a)
-            line += 1
-        a += 1
+    cone = fill_bounds(work, x, null, free, unit, 1.0, G, h, 1, lines)
     h[cone] = LARGEST
     for j in range(free):
         G[cone + 1 + j, j] = -1.0
@@ -90,9 +55,102 @@ def widest_margin(work):
 
 
 @inner
-def bound_row(G, h, row, factor, value, null, free, a):
-    """Fill a row of G and h for factor · x_a − m, of which value is the part at the forces of least norm."""
+def least_admissible(work, x):
+    """Fill x with the forces of least norm that keep to their bounds, as nearly as there are any."""
+    size = len(work.target)
+    null = np.empty((size, size))
+    free = size - least_norm(work.system, work.target, SINGULAR_STILL, x, null)
+    unit = largest_force(work, x)
+    if unit == 0.0 or free == 0:
+        return
+    lines, cones = count_bounds(work)
+    rows = lines + 3 * cones
+    G, h = np.zeros((rows, free)), np.zeros(rows)
+    fill_bounds(work, x, null, free, unit, 0.0, G, h, 0, lines)
+    P, c = np.eye(free), np.zeros(free)  # x is at right angles to the null space
+    y, s, z = np.zeros(free), np.empty(rows), np.empty(rows)
+    cone_program(P, c, G, h, lines, np.full(cones, 3), ACCURACY, y, s, z)
+    for j in range(free):
+        for a in range(size):
+            x[a] += unit * y[j] * null[j, a]
+
+
+@inner
+def largest_force(work, x):
+    """Return the largest of forces and bounds, as their unit."""
+    lower, upper = work.scalar_lower, work.scalar_upper
+    unit = 0.0
+    for force in x:
+        unit = max(unit, abs(force))
+    for m in range(len(lower)):
+        if lower[m] > -math.inf:
+            unit = max(unit, abs(lower[m]))
+        if upper[m] < math.inf:
+            unit = max(unit, abs(upper[m]))
+    return unit
+
+
+@inner
+def count_bounds(work):
+    """Return how many half-lines and how many cones the forces keep to."""
+    lower, upper = work.scalar_lower, work.scalar_upper
+    lines = cones = 0
+    for mode in work.closed_mode:
+        lines += mode == SLIP
+        cones += mode == STICK
+    for m in range(len(lower)):
+        lines += (lower[m] > -math.inf) + (upper[m] < math.inf)
+    return lines, cones
+
+
+@inner
+def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
+    """Fill the rows of G and h by which x + nullᵀy keeps to its bounds, by `margin` times a last unknown.
+
+    Args:
+        work: The workspace.
+        x: (size,) forces of least norm.
+        null: (free, size) what they leave open.
+        free: How many rows of it count.
+        unit: Of the forces.
+        margin: 1 or, for no such unknown, 0.
+        G, h: Zero before.
+        line, cone: The rows of the first half-line and of the first cone.
+
+    Returns:
+        The row after the last cone.
+    """
+    modes, mu = work.closed_mode, work.closed_friction
+    lower, upper = work.scalar_lower, work.scalar_upper
+    a = 0
+    for k in range(len(modes)):
+        if modes[k] == SLIP:
+            bound_row(G, h, line, 1.0, x[a] / unit, null, free, a, margin)
+            line += 1
+            a += 1
+            continue
+        if modes[k] == STICK:
+            bound_row(G, h, cone, mu[k], x[a + 2] * mu[k] / unit, null, free, a + 2, margin)
+            for d in range(2):
+                bound_row(G, h, cone + 1 + d, 1.0, x[a + d] / unit, null, free, a + d, 0.0)
+            cone += 3
+        a += 3
+    for m in range(len(lower)):
+        if lower[m] > -math.inf:
+            bound_row(G, h, line, 1.0, (x[a] - lower[m]) / unit, null, free, a, margin)
+            line += 1
+        if upper[m] < math.inf:
+            bound_row(G, h, line, -1.0, (upper[m] - x[a]) / unit, null, free, a, margin)
+            line += 1
+        a += 1
+    return cone
+
+
+@inner
+def bound_row(G, h, row, factor, value, null, free, a, margin):
+    """Fill a row for factor · x_a − margin · m, of which value is the part at the forces of least norm."""
     for j in range(free):
         G[row, j] = -factor * null[j, a]
-    G[row, free] = 1.0
+    if margin > 0.0:
+        G[row, free] = margin
     h[row] = value
