@@ -20,7 +20,7 @@ from pinimpact import (
     solve_impacts,
 )
 
-from . import many_arms, random_arms
+from . import many_arms, random_arms, random_impacts
 from .random_arms import Case, Report, check, run, solve
 from .reference.arms import Arm
 from .reference.reference import solve_reference
@@ -206,6 +206,22 @@ def test_v3_that_just_passes_zero_before_it_turns():
     solution = solve(Case("parallel", arm, 0.05108799013575157, 0.0, "poisson")).solution
     assert solution.impulse == pytest.approx([float(x) for x in exact.impulse], rel=1e-9)
     assert solution.velocity == pytest.approx([float(x) for x in exact.velocity], rel=1e-6, abs=1e-15)
+
+
+def test_an_approach_across_rank_one_is_refused_in_all_axes():
+    """Slip turns to where nothing acts: no force may be left there by rounding, whatever the axes."""
+    W = np.array(
+        [
+            [0.8861422875255425, 0.3154149258118694, 0.037517440739397986],
+            [0.3154149258118694, 0.11226930124586734, 0.013354018822995542],
+            [0.037517440739397986, 0.013354018822995542, 0.0015884112285903115],
+        ]
+    )
+    v = np.array([-0.38824158017406785, -0.1930965243082683, -0.6145436819223341])
+    T = random_impacts.turned(np.random.default_rng(0).uniform(0, 2 * np.pi, 2000))
+    matrices, velocities = random_impacts.mapped(T, np.tile(W, (2000, 1, 1)), np.tile(v, (2000, 1)))
+    batch = solve_impacts(matrices, velocities, 2.6569998937133446, 1.0)
+    assert (batch.status == Status.UNSTOPPABLE).all()
 
 
 @pytest.mark.parametrize("scale", [-1.0, np.nan, "fast"])
