@@ -35,6 +35,7 @@ class ModeIntervals:
         self._model = model
         self._contacts = len(contacts)
         self._names = [*contacts, *limits]
+        self._joints: dict[int, str] = {}
 
     def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
         """Take what holds from t on: some intervals end, others begin.
@@ -60,7 +61,10 @@ class ModeIntervals:
             return self._names[i], MODES[mode]
         if i < len(self._names):
             return self._names[i], "closed"
-        return joint_of_velocity(self._model, i - len(self._names)), "stuck"
+        velocity = i - len(self._names)
+        if velocity not in self._joints:
+            self._joints[velocity] = joint_of_velocity(self._model, velocity)
+        return self._joints[velocity], "stuck"
 
 
 def drive_name(model: pin.Model, velocity: int) -> str:
