@@ -22,6 +22,9 @@ MAX_ITERATIONS = 60
 FALLS_BACK = 1e-6
 """Accuracy from which on what gets worse is at the end of what double precision gives."""
 
+ROUNDING = 1e-13
+"""What the equations miss by below this is rounding, if they are of order one."""
+
 STEP = 0.99
 """Part of the way to the boundary of the cone that an iteration goes."""
 
@@ -222,7 +225,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         h: (m,).
         lines: Number of half-lines.
         sizes: (k,) sizes of the second-order cones.
-        tolerance: Of the gap sᵀz and of the equations, absolute: scale the problem to order one.
+        tolerance: Of the gap sᵀz, and of the equations as far as rounding lets them, absolute: scale the
+            problem to order one.
         x: (n,) takes the solution.
         s: (m,) takes h − G x.
         z: (m,) takes the multipliers, with P x + Gᵀz + c = 0.
@@ -248,7 +252,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         gap = 0.0
         for i in range(m):
             gap += s[i] * z[i]
-        accuracy = gap
+        missing = 0.0
         for i in range(n):
             total = c[i]
             for j in range(n):
@@ -256,13 +260,14 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             for j in range(m):
                 total += G[j, i] * z[j]
             rx[i] = total
-            accuracy = max(accuracy, abs(total))
+            missing = max(missing, abs(total))
         for i in range(m):
             total = s[i] - h[i]
             for j in range(n):
                 total += G[i, j] * x[j]
             rz[i] = total
-            accuracy = max(accuracy, abs(total))
+            missing = max(missing, abs(total))
+        accuracy = max(gap, missing) if missing > ROUNDING else gap
         if accuracy < best:
             best = accuracy
             assign(best_x, x)

@@ -35,6 +35,9 @@ ACCURACY = 1e-10
 ROUNDS = 4
 """How often modes are found anew, for what closes takes velocity away, and slip may then go another way."""
 
+INSIDE = 1.0 - 1e-9
+"""Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
+
 NOTHING = 1e-3
 """Part of the speed of sticking that takes no slip another way."""
 
@@ -143,15 +146,18 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
         return contacts[jamming], True, gained, 0.0
     stopped = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
-    pace = resulting_accelerations(delassus, free, force, strength)
-    modes_of_contacts(work, contacts, velocity, slip, mu, held, force, free, pace, stopped, modes, reference)
+    pace, unique = resulting_accelerations(delassus, free, force, strength)
+    modes_of_contacts(
+        work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
+    )
     for m in range(ns):
         a, j = 3 * nc + m, joints[m]
         stopped[a] = True
         if j < work.limits:
             closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
             stopped[a] = closed
-        elif abs(free[a]) > pace:  # a force at its bound holds what it does not let move
+        elif abs(free[a]) > pace and abs(strength[m]) >= INSIDE * upper[m]:
+            # a force at its bound holds what it does not let move
             stopped[a] = False
             breaking[scalars[m]] = strength[m]
             v[scalars[m]] = 0.0
@@ -178,7 +184,7 @@ def resulting_accelerations(delassus, free, force, scalar_force):
         scalar_force: (ns,) those of the scalar rows.
 
     Returns:
-        An acceleration that counts as none.
+        An acceleration that counts as none, and whether no other forces have the same effects.
     """
     size, closed = len(free), 3 * len(force)
     largest = 0.0
@@ -193,12 +199,12 @@ def resulting_accelerations(delassus, free, force, scalar_force):
     for a in range(size):
         rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
     unique = rank == size
-    return (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY)
+    return (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY), unique
 
 
 @inner
 def modes_of_contacts(
-    work, contacts, velocity, slip, mu, held, force, acceleration, pace, stopped, modes, reference
+    work, contacts, velocity, slip, mu, held, force, unique, acceleration, pace, stopped, modes, reference
 ):
     """Fill modes, directions of slip, and which velocities vanish, from the forces on the contacts.
 
@@ -210,6 +216,7 @@ def modes_of_contacts(
         mu: (nc,) friction coefficients.
         held: (nc,) True for bilateral contacts.
         force: (nc, 3) forces.
+        unique: Whether no other forces have the same effects.
         acceleration: (m,) of the rows, with the forces.
         pace: An acceleration that counts as none.
         stopped: (m,) takes whether the velocity of a row becomes zero.
@@ -229,12 +236,13 @@ def modes_of_contacts(
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
-        # what slips and has come to rest goes on slipping where its force stays on the cone; what rests and
-        # is not set in motion sticks, and whether it leaves the cone is seen just after, see
-        # `events.force_bound`
-        inside = tangent <= mu[k] * normal * (1.0 - 1e-9)
-        shared = not work.forces_unique
-        inside |= (shared or before[i] != SLIP) and math.hypot(acceleration[b], acceleration[b + 1]) <= pace
+        # what slips and has come to rest goes on slipping where its force stays on the cone, if no other one
+        # would do; what rests and is not set in motion sticks, and whether it leaves the cone is seen just
+        # after, see `events.force_bound`
+        inside = tangent <= INSIDE * mu[k] * normal
+        inside |= (not unique or before[i] != SLIP) and math.hypot(
+            acceleration[b], acceleration[b + 1]
+        ) <= pace
         if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True

@@ -37,6 +37,10 @@ exist they are small and many, so each is taken twice as far as the one before."
 
 LONGEST = 1e12
 
+GAP = 1e-20
+"""Gap to which programs are solved: what is about to slip has an acceleration of 10⁻⁸ beside those of others,
+and its force is to be at its bound to 10⁻¹² nevertheless."""
+
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @separate
@@ -173,7 +177,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     for i in range(ns):
         which[n] = 3 * nc + i
         n += 1
-        lines += (lower[i] > -math.inf) + (upper[i] < math.inf)
+        lines += int(lower[i] > -math.inf) + int(upper[i] < math.inf)
     P, c, y = np.empty((n, n)), np.empty(n), np.zeros(n)
     for a in range(n):
         for b in range(n):
@@ -209,7 +213,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     for outer in range(OUTER):
         for k in range(n):
             c[k] = f0[which[k]] + corrected[which[k]]
-        cone_program(P, c, G, h, lines, sizes, 1e-13, y, s, z)
+        cone_program(P, c, G, h, lines, sizes, GAP, y, s, z)
         for a in range(size):
             f[a] = 0.0
         for k in range(n):
