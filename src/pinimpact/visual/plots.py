@@ -163,7 +163,7 @@ def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = 
     for row in axes:
         handles, labels = row.get_legend_handles_labels()
         names |= dict(zip(labels, handles, strict=True))
-    figure.legend(names.values(), names.keys(), fontsize="small", loc="outside upper right", ncols=4)
+    figure.legend(names.values(), names.keys(), fontsize="small", loc="outside lower center", ncols=4)
     axes[-1].set(xlabel="t [s]")
     return figure
 
