@@ -196,7 +196,9 @@ class TabulatedForces:
         n, nv = len(source.contacts), len(steps[0].v) if steps else 0
 
         def table(part: Callable[[Forces], Array], *shape: int) -> Array:
-            return np.array([[part(one) for one in step] for step in found]).reshape(-1, NODES, *shape)
+            return np.array([[part(one) for one in step] for step in found]).reshape(
+                len(found), NODES, *shape
+            )
 
         return cls(
             source.contacts,
