@@ -1,4 +1,4 @@
-"""Robots under joint PD control: seeds at which the choice of modes once came to no end, and what ends well."""
+"""Robots under joint PD control: seeds at which modes once came to no end, and what ends well."""
 
 from __future__ import annotations
 
