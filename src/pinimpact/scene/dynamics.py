@@ -30,6 +30,7 @@ from ._kernels import (
     step_radau,
 )
 from ._kernels import drift as drifting
+from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
@@ -204,8 +205,9 @@ class SceneDynamics:
 
     @property
     def forces_doubtful(self) -> bool:
-        """Whether the forces last computed do not clearly keep to what their modes allow."""
-        return self.work.force_margin <= 2.0 * self.work.force_tolerance
+        """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
+        margin: float = force_bound.margin_of_forces(self.work)
+        return margin <= 2.0 * self.work.force_tolerance
 
     @property
     def constrained(self) -> bool:
@@ -298,6 +300,7 @@ def _compile(work: SceneWorkspace) -> None:
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
         (smooth_motion.modes_go_on, work),
+        (force_bound.margin_of_forces, work),
         (drives.choose_sides, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),

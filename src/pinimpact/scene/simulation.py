@@ -210,6 +210,7 @@ class Motion:
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
         self._length = 0.0
+        self._ahead_at = -math.inf
         self._counted = 0
         self._sample()
         self._consistent = self._lengths()
@@ -274,7 +275,7 @@ class Motion:
         twin.events = self.events.copy()
         for name in (
             *("w", "steps", "rejected", "jams", "last_progress", "forces_were_unique", "bounce", "ended_by"),
-            *("_length", "_counted", "_consistent", "_closed"),
+            *("_length", "_ahead_at", "_counted", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -356,7 +357,7 @@ class Motion:
         self.dynamics.choose_sides(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
-        work.force_bound_ignored &= self.dynamics.forces_doubtful
+        work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
@@ -516,8 +517,10 @@ class Motion:
             state.stop_jammed_slip(leaving=bounded)
         self._settle(arriving)
         self._begin_motion()
-        # forces that a correction has brought back into their bounds leave them again soon
-        if bounded and self.work.force_bound_ignored and state.set_modes_ahead(step):
+        # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
+        # have led back to this instant are none
+        if bounded and self.work.force_bound_ignored and self._ahead_at != t and state.set_modes_ahead(step):
+            self._ahead_at = t
             self._begin_motion()
         self._sample()
 
