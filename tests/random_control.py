@@ -67,6 +67,7 @@ def draw(seed: int) -> Run:
     q, reference = (pin.integrate(model, q0, spread * rng.normal(size=model.nv)) for _ in range(2))
     bounded = (np.abs(lower) < 1e3) & (np.abs(upper) < 1e3) & (upper > lower)
     q[bounded] = np.clip(q[bounded], lower[bounded] + 1e-3, upper[bounded] - 1e-3)
+    q = pin.normalize(model, q)  # a quaternion has bounds too
     joints = np.ones(model.nv, dtype=bool)
     joints[: 6 * (model.joints[1].nv == 6)] = False
     if rng.random() < 0.6:

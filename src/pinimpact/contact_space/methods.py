@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Raw = tuple[Any, ...]
 Run = Callable[..., Raw]
-"""run(inputs, trace, path, **options) -> the thirteen values of `_kernels.ending.Answer`."""
+"""run(inputs, trace, path, **options) -> the thirteen values of `_kernels.ending.Result`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +91,8 @@ def _load_exact() -> Run:
     from ._kernels.path import SCRATCH, solve_into
 
     def run(inputs: Inputs, trace: Array, path: Array) -> Raw:
-        answer: Raw = solve_into(*inputs, np.empty(SCRATCH), trace, path)
-        return answer
+        result: Raw = solve_into(*inputs, np.empty(SCRATCH), trace, path)
+        return result
 
     return run
 
@@ -118,8 +118,8 @@ def _checked_rtol(rtol: Any) -> float:
 def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array, path: Array) -> Raw:
     from ._kernels.stepping import solve_stepping
 
-    answer: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
-    if answer[0] == Status.NOT_CONVERGED:
+    result: Raw = solve_stepping(*inputs, table, steps, rtol, trace, path)
+    if result[0] == Status.NOT_CONVERGED:
         name, value = ("rtol", rtol) if rtol > 0.0 else ("steps", steps)
         raise PinimpactError(
             f"{name}: with {value:g} the impact takes too many steps; it slips for far longer than |v₃|/c "
@@ -127,7 +127,7 @@ def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array,
             field=name,
             value=value,
         )
-    return answer
+    return result
 
 
 def _load_euler() -> Run:

@@ -77,14 +77,14 @@ class Solution:
 
     def __init__(
         self,
-        answer: tuple[Any, ...],
+        result: tuple[Any, ...],
         inputs: Inputs,
         method: str = "exact",
         options: Mapping[str, Any] | None = None,
         path: Path | None = None,
         surface_velocity: Any = (0.0, 0.0, 0.0),
     ) -> None:
-        self._answer = answer
+        self._result = result
         self._inputs = inputs
         self._method = method
         self._options = options
@@ -95,32 +95,32 @@ class Solution:
     @cached_property
     def velocity(self) -> Array:
         """(3,) post-impact contact velocity [m/s]."""
-        return np.array(self._answer[3:6])
+        return np.array(self._result[3:6])
 
     @cached_property
     def impulse(self) -> Array:
         """(3,) impulse on the robot [N s]."""
-        return np.array(self._answer[6:9])
+        return np.array(self._result[6:9])
 
     @property
     def compression_impulse(self) -> float:
         """Normal impulse of all compression phases together [N s]."""
-        return float(self._answer[9])
+        return float(self._result[9])
 
     @property
     def status(self) -> Status:
         """Why the impact ended."""
-        return Status(self._answer[0])
+        return Status(self._result[0])
 
     @property
     def flags(self) -> Flag:
         """What was special about it."""
-        return Flag(self._answer[1])
+        return Flag(self._result[1])
 
     @property
     def iterations(self) -> int:
         """Steps that the method took."""
-        return int(self._answer[2])
+        return int(self._result[2])
 
     @cached_property
     def _rows(self) -> Array:

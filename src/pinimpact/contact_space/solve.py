@@ -21,7 +21,7 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
 
     Args:
         status: Why there is no answer.
-        figure: The number that belongs into the message; see `Answer`.
+        figure: The number that belongs into the message; see `Result`.
         inputs: The problem.
     """
     v3, mu, e = inputs[8], inputs[9], inputs[10]
@@ -100,11 +100,11 @@ def solve_inputs(
                     value=options[name],
                 )
         run = partial(run, **options)
-    answer = run(inputs, NO_ROWS, NO_ROWS)
-    if answer[0] > Status.LOCKED:
-        raise_for_status(Status(answer[0]), answer[10], inputs)
+    result = run(inputs, NO_ROWS, NO_ROWS)
+    if result[0] > Status.LOCKED:
+        raise_for_status(Status(result[0]), result[10], inputs)
     path = _record(run, inputs) if record else None
-    return Solution(answer, inputs, method, options, path, surface_velocity)
+    return Solution(result, inputs, method, options, path, surface_velocity)
 
 
 def _record(run: Run, inputs: Inputs) -> Path:

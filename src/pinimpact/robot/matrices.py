@@ -84,9 +84,11 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     cache.joint_jacobian(model, data, q)
     kinematic = kinematics(model, data, q, cache, contact)
     rows = np.empty((3, cache.nv))
-    seen = np.array(contact_kinematics.jacobian(*kinematic, contact.constants, rows))
+    geometry = np.array(contact_kinematics.jacobian(*kinematic, contact.constants, rows))
     gap, _, _, _, *point = contact_kinematics.locate(*kinematic[:2], contact.constants)
-    return ContactGeometry(np.array(point), gap, seen[:9].reshape(3, 3), rows[:2].T, rows[2], seen[9:])
+    return ContactGeometry(
+        np.array(point), gap, geometry[:9].reshape(3, 3), rows[:2].T, rows[2], geometry[9:]
+    )
 
 
 def contact_matrices(
@@ -120,7 +122,7 @@ def contact_matrices(
     cache = data_cache(model, data)
     free = free_velocities(model, locked)
     held = check_held(held)
-    seen = contact_geometry(model, data, q, contact)
+    geometry = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
     mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
     loose = np.where(free[:, None] & free, mass, np.diag(np.where(free, 0.0, 1.0)))
@@ -135,7 +137,7 @@ def contact_matrices(
         tree.solve_transposed(lower, cache.parents, y)
         return y
 
-    y = half_solve(seen.jacobian)
+    y = half_solve(geometry.jacobian)
     held_response = np.zeros((0, 3, 3))
     if anchors:
         world_rows = [anchor.axes.T @ anchor.jacobian for anchor in anchors]
@@ -145,12 +147,12 @@ def contact_matrices(
     response = y.copy()
     tree.solve(lower, cache.parents, response)
     return ContactMatrices(
-        point=seen.point,
-        gap=seen.gap,
-        axes=seen.axes,
-        K=seen.K,
-        h=seen.h,
-        surface_velocity=seen.surface_velocity,
+        point=geometry.point,
+        gap=geometry.gap,
+        axes=geometry.axes,
+        K=geometry.K,
+        h=geometry.h,
+        surface_velocity=geometry.surface_velocity,
         mass=mass,
         delassus=0.5 * (delassus + delassus.T),
         response=response.T,

@@ -57,21 +57,21 @@ class Hit:
         held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
     """
 
-    __slots__ = ("_answer", "_contact", "_nv", "_outcome", "_restitution", "_solution", "held_impulses")
+    __slots__ = ("_contact", "_ended", "_numbers", "_nv", "_restitution", "_solution", "held_impulses")
 
     def __init__(
         self,
-        answer: Array,
+        numbers: Array,
         nv: int,
-        outcome: tuple[int, int, int],
+        ended: tuple[int, int, int],
         contact: Contact,
         restitution: float,
         solution: Solution | None = None,
         held_impulses: Array = _NONE_HELD,
     ) -> None:
-        self._answer = answer
+        self._numbers = numbers
         self._nv = nv
-        self._outcome = outcome
+        self._ended = ended
         self._contact = contact
         self._restitution = restitution
         self._solution = solution
@@ -80,7 +80,7 @@ class Hit:
     @property
     def v(self) -> Array:
         """(nv,) post-impact generalized velocity."""
-        return self._answer[: self._nv]
+        return self._numbers[: self._nv]
 
     @property
     def impulse_world(self) -> Array:
@@ -111,9 +111,9 @@ class Hit:
         """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
             inputs = self._inputs()
-            answer = (*self._outcome, *self._part(kernel.AFTER, 7).tolist())
+            numbers = (*self._ended, *self._part(kernel.AFTER, 7).tolist())
             surface = self._part(kernel.SURFACE, 3)
-            self._solution = Solution(answer, inputs, surface_velocity=surface)
+            self._solution = Solution(numbers, inputs, surface_velocity=surface)
         return self._solution
 
     def __repr__(self) -> str:
@@ -132,7 +132,7 @@ class Hit:
 
     def _part(self, start: int, count: int) -> Array:
         start += self._nv
-        return self._answer[start : start + count]
+        return self._numbers[start : start + count]
 
 
 def impact(
@@ -192,8 +192,8 @@ def impact(
     if callable(restitution):
         restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
     nv = cache.nv
-    answer = _empty(nv + SIZE)
-    outcome = _robot_impact(
+    numbers = _empty(nv + SIZE)
+    ended = _robot_impact(
         cache.mass_matrix(model, data, q_now, _WORLD),
         cache.parents,
         *kinematics(model, data, q_now, cache, contact),
@@ -203,12 +203,12 @@ def impact(
         contact.friction,
         restitution,
         contact.law_code,
-        answer,
+        numbers,
     )
-    hit = Hit(answer, nv, outcome, contact, restitution)
-    if not 0 <= outcome[0] <= LOCKED:
-        if outcome[0] == kernel.SINGULAR_MASS:
-            raise singular_mass(model, outcome[1])
+    hit = Hit(numbers, nv, ended, contact, restitution)
+    if not 0 <= ended[0] <= LOCKED:
+        if ended[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, ended[1])
         finite_array("q", q, cache.q_shape)
         finite_array("v", v, cache.v_shape)
         solve_inputs(hit._inputs())
@@ -340,7 +340,7 @@ def _impact_in_steps(
                 HeldContactWarning,
                 stacklevel=3,
             )
-    answer = np.concatenate(
+    numbers = np.concatenate(
         [
             v + matrices.response @ solution.impulse,
             matrices.delassus[np.triu_indices(3)],
@@ -352,8 +352,8 @@ def _impact_in_steps(
             [solution.compression_impulse, scale],
         ]
     )
-    outcome = (solution.status, solution.flags, solution.iterations)
-    return Hit(answer, nv, outcome, contact, restitution, solution, held_impulses)
+    ended = (solution.status, solution.flags, solution.iterations)
+    return Hit(numbers, nv, ended, contact, restitution, solution, held_impulses)
 
 
 def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:

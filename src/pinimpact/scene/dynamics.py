@@ -30,6 +30,7 @@ from ._kernels import (
     step_radau,
 )
 from ._kernels import drift as drifting
+from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
@@ -204,18 +205,19 @@ class SceneDynamics:
 
     @property
     def forces_doubtful(self) -> bool:
-        """Whether the forces last computed do not clearly keep to what their modes allow."""
-        return self.work.force_margin <= 2.0 * self.work.force_tolerance
+        """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
+        margin: float = force_bound.margin_of_forces(self.work)
+        return margin <= 2.0 * self.work.force_tolerance
 
     @property
     def constrained(self) -> bool:
         """Whether anything is closed."""
         return self.work.closed_contacts + self.work.closed_scalars > 0
 
-    def choose_sides(self, q: Array, v: Array) -> None:
+    def set_saturation(self, q: Array, v: Array) -> None:
         """Tell which drives are at the bounds of their efforts at a state."""
         if self._driven:
-            drives.choose_sides(self.work, q, v)
+            drives.set_saturation(self.work, q, v)
 
     def change_side(self, index: int) -> None:
         """Let a drive come to the bound of its effort, or leave it; see `events.saturation.value`."""
@@ -298,7 +300,8 @@ def _compile(work: SceneWorkspace) -> None:
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
         (smooth_motion.modes_go_on, work),
-        (drives.choose_sides, work, q, v),
+        (force_bound.margin_of_forces, work),
+        (drives.set_saturation, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0),

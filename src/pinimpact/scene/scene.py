@@ -172,7 +172,7 @@ class Scene:
             unreachable=layout.unreachable,
             limits=len(layout.limits),
             limit_restitution=self.limit_restitution,
-            control=self._told_of_control(),
+            control=self._control_in_words(),
             locked=self.locked,
             resting_speed=self.rest,
             record=self.record,
@@ -180,7 +180,7 @@ class Scene:
             without=self.without,
         )
 
-    def _told_of_control(self) -> str:
+    def _control_in_words(self) -> str:
         """Return a clause on the control, empty where there is none."""
         if self.control is None:
             return ""

@@ -210,6 +210,7 @@ class Motion:
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
         self._length = 0.0
+        self._ahead_at = -math.inf
         self._counted = 0
         self._sample()
         self._consistent = self._lengths()
@@ -274,7 +275,7 @@ class Motion:
         twin.events = self.events.copy()
         for name in (
             *("w", "steps", "rejected", "jams", "last_progress", "forces_were_unique", "bounce", "ended_by"),
-            *("_length", "_counted", "_consistent", "_closed"),
+            *("_length", "_ahead_at", "_counted", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -353,10 +354,10 @@ class Motion:
         error = self.atol + self.rtol * max(map(abs, state.v.tolist()))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
-        self.dynamics.choose_sides(state.q, state.v)
+        self.dynamics.set_saturation(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
-        work.force_bound_ignored &= self.dynamics.forces_doubtful
+        work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
@@ -376,7 +377,7 @@ class Motion:
             if t - self.last_progress[1] > STALLED * scale:
                 self.last_progress = self.steps, t
             else:
-                self._look_for_chatter()
+                self._check_for_chatter()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -390,7 +391,7 @@ class Motion:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                self._look_for_chatter()
+                self._check_for_chatter()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -421,7 +422,7 @@ class Motion:
         step.closed, step.directions = self._closed, directions
         self.dense_steps.append(step)
         if self.steps % LOOK_EVERY == 0:
-            self._look_for_chatter()
+            self._check_for_chatter()
         time, arriving = work.event_time, self._arriving()
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
@@ -455,7 +456,7 @@ class Motion:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
-    def _look_for_chatter(self) -> None:
+    def _check_for_chatter(self) -> None:
         if self._continuous is not None:
             check_chatter(self._continuous, self.model, self.dense_steps)
 
@@ -516,8 +517,10 @@ class Motion:
             state.stop_jammed_slip(leaving=bounded)
         self._settle(arriving)
         self._begin_motion()
-        # forces that a correction has brought back into their bounds leave them again soon
-        if bounded and self.work.force_bound_ignored and state.set_modes_ahead(step):
+        # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
+        # have led back to this instant are none
+        if bounded and self.work.force_bound_ignored and self._ahead_at != t and state.set_modes_ahead(step):
+            self._ahead_at = t
             self._begin_motion()
         self._sample()
 

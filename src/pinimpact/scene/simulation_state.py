@@ -217,7 +217,7 @@ class SimulationState:
         """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
-        self.dynamics.choose_sides(self.q, self.v)
+        self.dynamics.set_saturation(self.q, self.v)
         self.v = self.v.copy()
         jammed, converged, energy = self.dynamics.set_modes(self.t, self.q, self.v, slow)
         self.impact_energy += energy

@@ -9,7 +9,7 @@ import numpy as np
 from ..._numeric.jit import inner, released
 from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
-from .ending import Answer, no_answer
+from .ending import Result, no_result
 from .path import SCRATCH, solve_into
 from .recording import TRACE_ROWS
 
@@ -40,7 +40,7 @@ def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, n
     trace = np.empty((TRACE_ROWS if works.shape[0] > 0 else 0, 6))
     for i in range(velocity.shape[0]):
         w = delassus[i]
-        answer = Answer(
+        result = Result(
             *solve_into(
                 w[0, 0],
                 0.5 * (w[0, 1] + w[1, 0]),
@@ -61,20 +61,20 @@ def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, n
             )
         )
         if _asymmetry(w):
-            answer = no_answer(INDEFINITE_DELASSUS, 0.0)
-        numbers[i, 0] = answer.v1
-        numbers[i, 1] = answer.v2
-        numbers[i, 2] = answer.v3
-        numbers[i, 3] = answer.p1
-        numbers[i, 4] = answer.p2
-        numbers[i, 5] = answer.p3
-        numbers[i, 6] = answer.compression_impulse
-        codes[i, 0] = answer.status
-        codes[i, 1] = answer.flags
-        codes[i, 2] = answer.iterations
+            result = no_result(INDEFINITE_DELASSUS, 0.0)
+        numbers[i, 0] = result.v1
+        numbers[i, 1] = result.v2
+        numbers[i, 2] = result.v3
+        numbers[i, 3] = result.p1
+        numbers[i, 4] = result.p2
+        numbers[i, 5] = result.p3
+        numbers[i, 6] = result.compression_impulse
+        codes[i, 0] = result.status
+        codes[i, 1] = result.flags
+        codes[i, 2] = result.iterations
         if works.shape[0] > 0:
-            works[i, :] = 0.0 if answer.status <= LOCKED else math.nan
-            if answer.status <= LOCKED:
-                for j in range(answer.trace_rows):
+            works[i, :] = 0.0 if result.status <= LOCKED else math.nan
+            if result.status <= LOCKED:
+                for j in range(result.trace_rows):
                     works[i, int(trace[j, 1])] += trace[j, 4]
                     works[i, 2] += trace[j, 5]

@@ -22,7 +22,7 @@ from .contact_problem import Problem, View, halves
 from .delassus import EPS
 
 
-class Answer(NamedTuple):
+class Result(NamedTuple):
     """What a solver finds; it returns it as a plain tuple, which Python gets in a quarter of the time.
 
     Attributes:
@@ -51,24 +51,24 @@ class Answer(NamedTuple):
 
 
 @inner
-def plain(answer):
-    """Return an `Answer` as a plain tuple."""
-    status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points = answer
+def plain(result):
+    """Return an `Result` as a plain tuple."""
+    status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points = result
     return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points
 
 
 @inner
-def no_answer(status, figure):
+def no_result(status, figure):
     """Return the answer of a problem that has none."""
     nan, no = math.nan, np.int64(0)
-    return Answer(status, NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
+    return Result(status, NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
 
 
 @inner
 def without_impact(flags, v1, v2, v3):
     """Return the answer where there is no impact."""
     no = np.int64(0)
-    return Answer(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
+    return Result(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
 
 
 @inner
@@ -100,7 +100,7 @@ def finish(
         trace, path: Their first `rows` and `points` rows are turned back too.
 
     Returns:
-        the `Answer`.
+        the `Result`.
     """
     v1, v2, v3 = velocity
     p1, p2, p3 = impulse
@@ -127,7 +127,7 @@ def finish(
     p1, p2, p3 = sign1 * p1 * fp1 * fp2 + 0.0, sign2 * p2 * fp1 * fp2 + 0.0, p3 * fp1 * fp2
     compressed = compressed * fp1 * fp2
     if not (abs(v1) + abs(v2) + abs(v3) + abs(p1) + abs(p2) + abs(p3) < math.inf):
-        return no_answer(OUT_OF_RANGE, 0.0)
+        return no_result(OUT_OF_RANGE, 0.0)
     for i in range(rows):
         trace[i, 2] = math.ldexp(trace[i, 2], scale_p)
         trace[i, 3] = math.ldexp(trace[i, 3], scale_p)
@@ -146,4 +146,4 @@ def finish(
         path[i, 3] = math.ldexp(path[i, 3], scale_v)
         path[i, 4] = math.ldexp(sign1 * y1 + 0.0, scale_p)
         path[i, 5] = math.ldexp(sign2 * y2 + 0.0, scale_p)
-    return Answer(status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points)
+    return Result(status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points)

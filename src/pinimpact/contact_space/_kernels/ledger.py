@@ -53,7 +53,7 @@ def new_ledger():
 
 
 @inner
-def still_to_gain(ledger, counts, v3):
+def left_to_gain(ledger, counts, v3):
     """Return what is left of the restitution's goal."""
     return left_of_goal(counts, ledger.goal, v3, ledger.restored, ledger.restitution_work)
 

@@ -23,8 +23,8 @@ from .codes import (
     WORK,
 )
 from .contact_problem import PROCEEDS, prepare
-from .ending import finish, no_answer, plain, without_impact
-from .ledger import CLOSE_TO_JUMP, close_move, new_ledger, still_to_gain
+from .ending import finish, no_result, plain, without_impact
+from .ledger import CLOSE_TO_JUMP, close_move, left_to_gain, new_ledger
 from .moves import (
     State,
     frictionless_course,
@@ -65,7 +65,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
 
     Returns:
-        the values of an `Answer`.
+        the values of an `Result`.
     """
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
@@ -73,7 +73,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
     if begins == NO_IMPACT:
         return plain(without_impact(flags, v1, v2, v3))
     if begins != PROCEEDS:
-        return plain(no_answer(begins, figure))
+        return plain(no_result(begins, figure))
 
     units = slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 :]
@@ -89,15 +89,15 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
     while True:
         iterations += 1
         if iterations > MAX_MOVES:
-            return plain(no_answer(NOT_CONVERGED, 0.0))
-        left = still_to_gain(ledger, problem.counts, state.v3)
+            return plain(no_result(NOT_CONVERGED, 0.0))
+        left = left_to_gain(ledger, problem.counts, state.v3)
         turns = False
         if not settled:
             if state.speed <= VANISHED:
                 settled = True
                 course, state, new_flags = leave_zero_slip(problem, state)
                 flags |= new_flags
-                left = still_to_gain(ledger, problem.counts, state.v3)
+                left = left_to_gain(ledger, problem.counts, state.v3)
             else:
                 course, straight, state, polynomials, bl, bp = slip_course(
                     problem, units, state, iterations == 1
@@ -123,7 +123,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
             never, figure = (
                 (LAW_UNREACHABLE, left) if ledger.phase == RESTITUTION else (UNSTOPPABLE, state.v3)
             )
-            return plain(no_answer(never, math.ldexp(figure, view.scale_v)))
+            return plain(no_result(never, math.ldexp(figure, view.scale_v)))
         flags |= mode_flag(course.mode, move.span, state.p3)
         if trace.shape[0] > 0:
             rows = record_move(
@@ -154,7 +154,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
     u1, u2 = tangential_velocity(problem, state)
     velocity = (u1, u2, v3)
     impulse = (state.p1, state.p2, state.p3)
-    answer = finish(
+    result = finish(
         view,
         problem,
         status,
@@ -168,4 +168,4 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
         path,
         points,
     )
-    return plain(answer)
+    return plain(result)

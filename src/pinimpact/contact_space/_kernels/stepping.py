@@ -35,8 +35,8 @@ from .codes import (
 )
 from .contact_problem import PROCEEDS, prepare
 from .delassus import EPS
-from .ending import finish, no_answer, plain, without_impact
-from .ledger import CLOSE_TO_JUMP, close_move, new_ledger, still_to_gain
+from .ending import finish, no_result, plain, without_impact
+from .ledger import CLOSE_TO_JUMP, close_move, left_to_gain, new_ledger
 from .moves import (
     State,
     frictionless_course,
@@ -126,7 +126,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
 
 
 @inner
-def take(stiff, table, tangent, mu, v1, v2, h, k):
+def trial_step(stiff, table, tangent, mu, v1, v2, h, k):
     """Take one step by `stiff_step` or by the table; arguments and values are those of `slip_step`."""
     if stiff:
         return stiff_step(tangent, mu, v1, v2, h, k)
@@ -154,7 +154,7 @@ def before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, 
     """Measure how far the end of a step over h lies before an event: positive before it."""
     if sought == GOAL and counts == IMPULSE:
         return left - h
-    d1, d2, q1, q2, _, _, _, least = take(stiff, table, tangent, mu, v1, v2, h, k)
+    d1, d2, q1, q2, _, _, _, least = trial_step(stiff, table, tangent, mu, v1, v2, h, k)
     if sought == SLIP_ENDS:
         return least
     b1, b2 = tangent[3], tangent[4]
@@ -214,7 +214,7 @@ def solve_stepping(
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
 
     Returns:
-        the values of an `Answer`; its path has one point for each step and one more, as far as there is room.
+        the values of an `Result`; its path has one point for each step and one more, as far as there is room.
     """
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
@@ -222,7 +222,7 @@ def solve_stepping(
     if begins == NO_IMPACT:
         return plain(without_impact(flags, v1, v2, v3))
     if begins != PROCEEDS:
-        return plain(no_answer(begins, figure))
+        return plain(no_result(begins, figure))
 
     a11, a12, a22, b1, b2, c = problem.a11, problem.a12, problem.a22, problem.b1, problem.b2, problem.c
     counts, v1, v2, v3, speed = problem.counts, problem.v1, problem.v2, problem.v3, problem.speed
@@ -251,25 +251,25 @@ def solve_stepping(
     while True:
         iterations += 1
         if iterations > most:
-            return plain(no_answer(NOT_CONVERGED, 0.0))
+            return plain(no_result(NOT_CONVERGED, 0.0))
         event = NO_EVENT
         if not settled and v1 == 0.0 and v2 == 0.0:
             settled = True
             course, state, new_flags = leave_zero_slip(problem, State(1.0, 0.0, 0.0, v3, 0.0, p1, p2, p3))
             flags |= new_flags
             mode, v3 = course.mode, state.v3
-        left = still_to_gain(ledger, counts, v3)
+        left = left_to_gain(ledger, counts, v3)
 
         if settled:
             move, state = straight_move(problem, 1.0, course, state, ledger.phase, left)
             event, h, work, friction_work, rate = move
             if event == NEVER:
                 if ledger.phase == COMPRESSION:
-                    return plain(no_answer(UNSTOPPABLE, math.ldexp(v3, view.scale_v)))
+                    return plain(no_result(UNSTOPPABLE, math.ldexp(v3, view.scale_v)))
                 if flags & LOCKS:
                     status = LOCKED
                     break
-                return plain(no_answer(LAW_UNREACHABLE, math.ldexp(left, view.scale_v)))
+                return plain(no_result(LAW_UNREACHABLE, math.ldexp(left, view.scale_v)))
             v1, v2 = tangential_velocity(problem, state)
             v3, p1, p2, p3 = state.v3, state.p1, state.p2, state.p3
         else:
@@ -282,7 +282,7 @@ def solve_stepping(
             vanishes = not lasting and math.hypot(x1, x2) <= negligible * mu * max(p3, scale)
             if vanishes:
                 stiff, h = False, 0.0
-            d1, d2, q1, q2, u1, u2, error, least = take(stiff, table, tangent, mu, v1, v2, h, k)
+            d1, d2, q1, q2, u1, u2, error, least = trial_step(stiff, table, tangent, mu, v1, v2, h, k)
             ends = least <= 0.0 and not lasting and not vanishes
             if rtol > 0.0 and not vanishes:
                 tolerance = rtol * mu * max(p3 + h, scale)
@@ -296,7 +296,7 @@ def solve_stepping(
             elif ends:
                 vanishes = True
                 h = locate(SLIP_ENDS, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k)
-                d1, d2, q1, q2, u1, u2, _, _ = take(stiff, table, tangent, mu, v1, v2, h, k)
+                d1, d2, q1, q2, u1, u2, _, _ = trial_step(stiff, table, tangent, mu, v1, v2, h, k)
             v3_end = v3 + c * h + b1 * d1 + b2 * d2
             work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             # of the events on this step the first: each search starts from the event found before
@@ -313,7 +313,7 @@ def solve_stepping(
                     event = COMPRESSION_ENDS if phase == COMPRESSION else COMPRESSION_RESUMES
                     if sought == GOAL:
                         event = LAW_MET
-                    d1, d2, q1, q2, u1, u2, _, _ = take(stiff, table, tangent, mu, v1, v2, h, k)
+                    d1, d2, q1, q2, u1, u2, _, _ = trial_step(stiff, table, tangent, mu, v1, v2, h, k)
                     v3_end = v3 + c * h + b1 * d1 + b2 * d2
                     work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
             friction_work = 0.5 * (d1 * (v1 + u1) + d2 * (v2 + u2))
@@ -359,7 +359,7 @@ def solve_stepping(
         if rate < 0.0 and v3 < -CLOSE_TO_JUMP * p3 * rate:
             flags |= NEAR_JUMP
     velocity, impulse = (v1, v2, v3), (p1, p2, p3)
-    answer = finish(
+    result = finish(
         view,
         problem,
         status,
@@ -373,4 +373,4 @@ def solve_stepping(
         path,
         points,
     )
-    return plain(answer)
+    return plain(result)

@@ -100,8 +100,8 @@ def robot_impact(
     stopped = factor(mass, parents, lower)
     if stopped >= 0:
         return SINGULAR_MASS, stopped, 0
-    seen = jacobian(frame, carrier, columns, signs, constants, y)
-    s1, s2, s3 = seen[9], seen[10], seen[11]
+    geometry = jacobian(frame, carrier, columns, signs, constants, y)
+    s1, s2, s3 = geometry[9], geometry[10], geometry[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
     scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
     for j in range(n):
@@ -121,7 +121,7 @@ def robot_impact(
         out[j] = v[j] + delta[j]
     rest = (
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
-        *seen[:9],
+        *geometry[:9],
         *(a1, a2, a3, p1, p2, p3, pc, scale),
     )
     for i in range(SIZE):

@@ -152,16 +152,15 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     )
     for m in range(ns):
         a, j = 3 * nc + m, joints[m]
-        stopped[a] = True
+        stopped[a] = closed = True
         if j < work.limits:
             closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
             stopped[a] = closed
         elif abs(free[a]) > pace and abs(strength[m]) >= INSIDE * upper[m]:
-            # a force at its bound holds what it does not let move
-            stopped[a] = False
+            # a force at its bound holds what it does not let move; what it lets move begins from rest
+            closed = False
             breaking[scalars[m]] = strength[m]
-            v[scalars[m]] = 0.0
-        modes[work.contacts + j] = 1 if stopped[a] else 0
+        modes[work.contacts + j] = 1 if closed else 0
     taken, fastest = 0, 0.0
     speeds = np.empty(size)
     for a in range(size):
@@ -170,7 +169,11 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             fastest = max(fastest, abs(speeds[taken]))
             assign(rows[taken], rows[a])
             taken += 1
-    return -1, converged, stop_along(rows[:taken], speeds[:taken], work.minverse, v), fastest
+    gained = stop_along(rows[:taken], speeds[:taken], work.minverse, v)
+    for j in range(n):
+        if breaking[j] != 0.0:
+            v[j] = 0.0  # to the last bit
+    return -1, converged, gained, fastest
 
 
 @inner

@@ -28,7 +28,7 @@ def drive(work):
 
 
 @jit
-def choose_sides(work, q, v):
+def set_saturation(work, q, v):
     """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""
     for j in work.drive_velocity:
         off = work.drive_reference[j] - q[work.drive_coordinate[j]]

@@ -208,7 +208,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 line += 1
     f, a_now = np.zeros(size), np.empty(size)
     corrected = np.zeros(size)  # what is added to the free accelerations
-    lifts, changes, stretch = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
+    lifts, changes, reach = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
     worst, undecided = math.inf, np.full(nc, -1)
     for outer in range(OUTER):
         for k in range(n):
@@ -247,13 +247,13 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 along += change * changes[i]
                 new, old = new + change**2, old + changes[i] ** 2
                 changes[i] = change
-        stretch = min(2.0 * stretch, LONGEST) if along > STEADY * math.sqrt(new * old) else 1.0
+        reach = min(2.0 * reach, LONGEST) if along > STEADY * math.sqrt(new * old) else 1.0
         for a in range(size):
             corrected[a] = 0.0
         for i in range(nc):
             b = 3 * i
             if at_rest[i]:
-                lifts[i] = max(0.0, lifts[i] + stretch * changes[i])
+                lifts[i] = max(0.0, lifts[i] + reach * changes[i])
                 corrected[b + 2] += lifts[i]
             else:
                 for a in range(size):

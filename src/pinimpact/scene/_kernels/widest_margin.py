@@ -99,7 +99,7 @@ def count_bounds(work):
         lines += mode == SLIP
         cones += mode == STICK
     for m in range(len(lower)):
-        lines += (lower[m] > -math.inf) + (upper[m] < math.inf)
+        lines += int(lower[m] > -math.inf) + int(upper[m] < math.inf)
     return lines, cones
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ...._numeric.ahead import ahead
-from ...._numeric.jit import inner, separate
+from ...._numeric.jit import inner, jit, separate
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
@@ -22,10 +22,16 @@ CONSEQUENCE = MODE_CHANGE
 def value(work, _, t):
     """Return by how much forces can keep to what their modes allow, at the state that is set."""
     evaluate(work, t, np.empty(len(work.v) + 4))
+    return max(margin_of_forces(work), -1e300), 0.0
+
+
+@jit
+def margin_of_forces(work):
+    """Return by how much forces can keep to what their modes allow, at the state last evaluated."""
     margin = work.force_margin
     if margin < 0.0 and not work.forces_unique:
         margin = widest_margin(work) + work.force_tolerance
-    return max(margin, -1e300), 0.0
+    return margin
 
 
 first_fall = search_for_fall(value)
