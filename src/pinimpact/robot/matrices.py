@@ -88,8 +88,6 @@ def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Co
     gap, _, _, _, *point = contact_kinematics.locate(*kinematic[:2], contact.constants)
     numbers = geometry[:9].reshape(3, 3), rows[:2].T, rows[2], geometry[9:]
     return ContactGeometry(np.array(point), gap, *numbers)
-        np.array(point), gap, geometry[:9].reshape(3, 3), rows[:2].T, rows[2], geometry[9:]
-    )
 
 
 def contact_matrices(
