@@ -150,7 +150,7 @@ class SceneDynamics:
             control.work = self.work
         self._driven = len(motors.velocity) > 0
         self.work.force_margin = math.inf
-        _compile(self.work)
+        _compile(self.work, self._driven)
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
@@ -278,33 +278,31 @@ def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model
     return robot
 
 
-_compiled = False
+_compiled: set[tuple[bool, ...]] = set()
 
 
-def _compile(work: SceneWorkspace) -> None:
-    """Compile or load all kernels of scenes, once, so that no run waits in its middle.
+def _compile(work: SceneWorkspace, driven: bool) -> None:
+    """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
-    The types of what they take are the same for every scene.
+    The types of what they take are the same for every scene; only one with friction takes steps in which slip
+    turns, only one with drives steps of theirs.
     """
-    global _compiled
-    if _compiled:
+    rough, held = bool(work.friction.any()), bool(work.bilateral.any())
+    if (rough, held, driven) in _compiled:
         return
-    _compiled = True
+    _compiled.add((rough, held, driven))
     q, v, coefficients, numbers = work.q0, work.v0, work.dense_coefficients, np.zeros(1, dtype=np.int64)
     three, jacobian = np.zeros((1, 3)), np.zeros((1, 3, len(v)))
+    free = smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v
     compile_all(
         (closed_set.close_held, work),
         (smooth_motion.gaps_at, work, q, v, work.start_gaps),
-        (smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v),
         (approach.fastest_approach, work, q, v, True, numbers, numbers),
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
         (smooth_motion.modes_go_on, work),
         (force_bound.margin_of_forces, work),
-        (drives.set_saturation, work, q, v),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
-        (step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),
-        (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),
         (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
@@ -312,4 +310,12 @@ def _compile(work: SceneWorkspace) -> None:
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
         (robot_impact.robot_impact,),
         (contact_kinematics.locate,),
+        *((free,) if held else ()),
+        *(((step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),) if rough else ()),
+        *(_of_drives(work, q, v) if driven else ()),
     )
+
+
+def _of_drives(work: SceneWorkspace, q: Array, v: Array) -> tuple[tuple[Any, ...], ...]:
+    """Return the kernels that drives need."""
+    return (drives.set_saturation, work, q, v), (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0)

@@ -248,6 +248,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 new, old = new + change**2, old + changes[i] ** 2
                 changes[i] = change
         reach = min(2.0 * reach, LONGEST) if along > STEADY * math.sqrt(new * old) else 1.0
+        before = corrected.copy()
         for a in range(size):
             corrected[a] = 0.0
         for i in range(nc):
@@ -258,6 +259,11 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             else:
                 for a in range(size):
                     corrected[a] += w[a, b] * f[b] + w[a, b + 1] * f[b + 1]
+        moved = 0.0
+        for a in range(size):
+            moved = max(moved, abs(corrected[a] - before[a]))
+        if moved == 0.0:  # the same program again
+            break
     return worst
 
 
