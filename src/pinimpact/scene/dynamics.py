@@ -278,7 +278,7 @@ def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model
     return robot
 
 
-_compiled: set[tuple[bool, ...]] = set()
+_compiled: set[tuple[bool, bool]] = set()
 
 
 def _compile(work: SceneWorkspace, driven: bool) -> None:
@@ -287,16 +287,16 @@ def _compile(work: SceneWorkspace, driven: bool) -> None:
     The types of what they take are the same for every scene; only one with friction takes steps in which slip
     turns, only one with drives steps of theirs.
     """
-    rough, held = bool(work.friction.any()), bool(work.bilateral.any())
-    if (rough, held, driven) in _compiled:
+    rough = bool(work.friction.any())
+    if (rough, driven) in _compiled:
         return
-    _compiled.add((rough, held, driven))
+    _compiled.add((rough, driven))
     q, v, coefficients, numbers = work.q0, work.v0, work.dense_coefficients, np.zeros(1, dtype=np.int64)
     three, jacobian = np.zeros((1, 3)), np.zeros((1, 3, len(v)))
-    free = smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v
     compile_all(
         (closed_set.close_held, work),
         (smooth_motion.gaps_at, work, q, v, work.start_gaps),
+        (smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v),
         (approach.fastest_approach, work, q, v, True, numbers, numbers),
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
@@ -310,7 +310,6 @@ def _compile(work: SceneWorkspace, driven: bool) -> None:
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
         (robot_impact.robot_impact,),
         (contact_kinematics.locate,),
-        *((free,) if held else ()),
         *(((step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),) if rough else ()),
         *(_of_drives(work, q, v) if driven else ()),
     )
