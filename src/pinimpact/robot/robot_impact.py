@@ -13,9 +13,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
+from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Inputs, Solution
-from ..contact_space.solve import solve_impact, solve_inputs
+from ..contact_space.solve import solve_impact
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
