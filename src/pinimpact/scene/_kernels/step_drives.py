@@ -1,9 +1,10 @@
-"""One step of the Radau IIA method of order 9, for drives that are stiff.
+"""One step of the Radau IIA method of order 9, for drives and damping of joints that are stiff.
 
 A drive of damping d on a joint of little inertia settles at a rate N d, where N = ∂v̇/∂τ is what forces of the
 drives do to v̇ with all that is closed; an explicit step is stable up to about five of these times. Here
 Newton's method takes the laws of the drives as they are, ∂v̇/∂v = −N d and ∂v̇/∂q = −N k with the N at the
-start, and iterates the rest along. See `step_radau` for the method.
+start, and iterates the rest along. Viscous damping of a joint is a law of the same kind, with k = 0. See
+`step_radau` for the method.
 """
 
 from __future__ import annotations
@@ -36,15 +37,27 @@ SQUARE = MATRIX @ MATRIX
 
 @inner
 def following(work):
-    """Return the velocities whose drives follow their law."""
-    driven, side = work.drive_velocity, work.drive_side
-    marks = np.zeros(len(driven), dtype=np.int64)
-    for c in range(len(driven)):
-        marks[c] = side[driven[c]] == 0
-    found = nonzero(marks)
-    for c in range(len(found)):
-        found[c] = driven[found[c]]
-    return found
+    """Return the velocities on which a linear law acts: drives within their efforts, and damping."""
+    side, stiffness, drive_damping, damping = (
+        work.drive_side,
+        work.drive_stiffness,
+        work.drive_damping,
+        work.damping,
+    )
+    held = work.modes[work.contacts + work.limits :]
+    marks = np.zeros(len(held), dtype=np.int64)
+    for j in range(len(held)):
+        follows = side[j] == 0 and (stiffness[j] > 0.0 or drive_damping[j] > 0.0)
+        marks[j] = (follows or damping[j] > 0.0) and held[j] == 0
+    return nonzero(marks)
+
+
+@inner
+def law(work, j):
+    """Return stiffness and damping of the linear law of a velocity."""
+    if work.drive_side[j] != 0:
+        return 0.0, work.damping[j]
+    return work.drive_stiffness[j], work.drive_damping[j] + work.damping[j]
 
 
 @ahead(SceneWorkspace, INTEGERS, FLOAT_ROWS)
@@ -74,6 +87,8 @@ def respond(work, driven, response):
 @separate
 def rate_of_drives(work):
     """Return how fast the drives settle at the most, about [1/s], at the state last evaluated."""
+    if not work.stiff_joints:
+        return 0.0
     driven = following(work)
     if len(driven) == 0:
         return 0.0
@@ -85,7 +100,7 @@ def rate_of_drives(work):
     for j in driven:
         total = 0.0
         for c in range(len(driven)):
-            total += abs(response[c, j]) * work.drive_damping[driven[c]]
+            total += abs(response[c, j]) * law(work, driven[c])[1]
         fastest = max(fastest, total)
     return fastest
 
@@ -124,14 +139,14 @@ def solve_stages(work, t, h, rtol, atol):
         return math.inf
     respond(work, driven, response)
     for c in range(k):
-        stiffness[c], damping[c] = work.drive_stiffness[driven[c]], work.drive_damping[driven[c]]
+        stiffness[c], damping[c] = law(work, driven[c])
     matrix, order, right = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64), np.empty(s * k)
     for i in range(s):
         for c in range(k):
             for j in range(s):
                 for d in range(k):
-                    law = h * MATRIX[i, j] * damping[d] + h * h * SQUARE[i, j] * stiffness[d]
-                    matrix[i * k + c, j * k + d] = law * response[d, driven[c]]
+                    effect = h * MATRIX[i, j] * damping[d] + h * h * SQUARE[i, j] * stiffness[d]
+                    matrix[i * k + c, j * k + d] = effect * response[d, driven[c]]
             matrix[i * k + c, i * k + c] += 1.0
     if not factorize(matrix, order):
         return math.inf
@@ -173,8 +188,8 @@ def solve_stages(work, t, h, rtol, atol):
         for i in range(s):
             for c in range(k):
                 for j in range(s):
-                    law = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
-                    force[i, c] -= law * right[j * k + c]
+                    effect = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
+                    force[i, c] -= effect * right[j * k + c]
         norm = 0.0
         for i in range(s):
             for c in range(k):
