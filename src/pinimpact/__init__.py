@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         UnstoppableApproachError,
     )
     from .robot.contact import Contact
+    from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
@@ -80,6 +81,7 @@ __all__ = [
     "impact",
     "impacts",
     "load_robot",
+    "place_in_contact",
     "register_method",
     "replay",
     "simulate",
@@ -106,6 +108,7 @@ _HOMES = {
     "status": ("EFFECTS", "Flag", "Status"),
     "contact_space.problem": ("ImpactProblem",),
     "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
+    "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),

@@ -17,11 +17,11 @@ from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import PinimpactError, SimulationError
 from ..robot.contact import Contact
+from ..robot.joint_limits import JointLimit
 from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
-from .layout import JointLimit
 from .scene import Scene
 
 Array = NDArray[np.float64]
