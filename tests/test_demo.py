@@ -137,7 +137,7 @@ def test_frames_that_suggest_themselves() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for names in named_robots().values() for name in names])
 def test_every_named_robot_strikes_and_moves_on(name: str) -> None:
-    """Its impact takes the energy that its works say; in a scene of its own it falls or swings for a moment."""
+    """Its impact takes the energy that its works say; in a scene of its own it falls or swings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # mimic joints, and meshes that a distribution lacks
         if name == "cassie":  # an SDF file, which wheels of Pinocchio do not read

@@ -157,6 +157,7 @@ def robot_impacts(
     after,
     impulses,
     codes,
+    numbers,
 ):
     """Resolve one contact's impact from N states.
 
@@ -180,20 +181,26 @@ def robot_impacts(
         after: (N, nv) takes v⁺.
         impulses: (N, 3) takes the impulses in world axes.
         codes: (N, 2) takes status and flags.
+        numbers: (N, SIZE) takes what `robot_impact` has beyond v⁺; (0, SIZE) where that is not wanted.
 
     Returns:
         `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.
     """
     n = v.shape[1]
     out, placed, carried = np.empty(n + SIZE), np.eye(4), np.eye(4)
+    fresh = False
     for row in range(len(v)):
         if not usable[row]:
             continue
         for i in range(len(buffer)):
-            buffer[i] = q[row, i]
-        for k in range(0, len(calls), 2):
-            if not call(calls[k], calls[k + 1]):
-                return CALL_RAISED
+            if buffer[i] != q[row, i]:
+                fresh = False
+                buffer[i] = q[row, i]
+        if not fresh:
+            for k in range(0, len(calls), 2):
+                if not call(calls[k], calls[k + 1]):
+                    return CALL_RAISED
+            fresh = True
         homogeneous(frame, placed)
         homogeneous(carrier, carried)
         status, flags, _ = robot_impact(
@@ -206,6 +213,9 @@ def robot_impacts(
         if status > LOCKED:
             continue
         codes[row, 1] = flags
+        if len(numbers) > 0:
+            for i in range(SIZE):
+                numbers[row, i] = out[n + i]
         for j in range(n):
             after[row, j] = out[j]
         axes, p = out[n + AXES :], out[n + AFTER + 3 :]
