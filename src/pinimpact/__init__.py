@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .contact_space.solve import solve_impact
     from .errors import (
         InputError,
+        JointLimitWarning,
         LawError,
         ModelError,
         PinimpactError,
@@ -59,6 +60,7 @@ __all__ = [
     "Hits",
     "ImpactProblem",
     "InputError",
+    "JointLimitWarning",
     "JointPD",
     "LawError",
     "Method",
@@ -98,6 +100,7 @@ _HOMES = {
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
         "InputError",
+        "JointLimitWarning",
         "LawError",
         "ModelError",
         "PinimpactError",

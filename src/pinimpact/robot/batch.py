@@ -151,6 +151,9 @@ def impacts(
         InputError: Wrong shapes.
         UnknownNameError: A frame or joint that the model does not have.
         ModelError: The mass matrix is not positive definite.
+
+    Warns:
+        JointLimitWarning: A q lies beyond joint limits, as one in degrees does; told once for each Data.
     """
     model = model_of(model)
     cache = data_cache(model, data)
@@ -172,6 +175,9 @@ def impacts(
         e = np.zeros(count)
         for row in np.flatnonzero(usable):
             e[row] = restitution_of_approach(model, data, q[row], v[row], contact)
+    beyond = np.flatnonzero(((q < cache.bounds[0]) | (q > cache.bounds[1])).any(axis=1) & usable)
+    if len(beyond):
+        cache.warn_of_limits(q[beyond[0]], f" (row {beyond[0]}; {counted(len(beyond), 'row')} in all)")
     free_velocities(model, locked)
     rows = _Rows(model, q, v, contact, mu, e, usable, held, locked)
     if held or len(np.atleast_1d(np.asarray(locked, dtype=object))):
@@ -193,7 +199,7 @@ def _solve_by_kernel(
     codes[:] = _INVALID, 0
     stopped = kernel.robot_impacts(
         *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
-        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants),
+        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants, cache.bounds),
         *(rows.q, rows.v, rows.usable, rows.mu, rows.e, contact.law_code, after, impulses, codes, numbers),
     )
     if stopped == kernel.CALL_RAISED:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..errors import JointLimitWarning
+
 NO_BOUND = 1e300
 """A number at least this large is no bound."""
+
+SLACK = 1e-4
+"""How far [rad or m] a coordinate may be beyond a bound without a word: descriptions round, stops give."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,3 +65,29 @@ def bounds(model: pin.Model) -> NDArray[np.float64]:
     for limit in joint_limits(model):
         found[0 if limit.sign > 0.0 else 1, limit.index_q] = limit.bound
     return found
+
+
+def slack_bounds(model: pin.Model) -> NDArray[np.float64]:
+    """Return `bounds` with `SLACK`: beyond them there is something to warn of."""
+    return bounds(model) + np.array([[-SLACK], [SLACK]])
+
+
+def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklevel: int) -> None:
+    """Warn that a configuration (nq,) lies beyond the limits of a joint.
+
+    Args:
+        model: The robot.
+        q: The configuration.
+        rows: Goes after the name, where there are others: " in 3 rows".
+        stacklevel: As in `warnings.warn`.
+    """
+    low, high = bounds(model)
+    beyond = np.maximum(low - q, q - high)
+    i = int(np.argmax(beyond))
+    name = next(limit.name.rpartition(" ")[0] for limit in joint_limits(model) if limit.index_q == i)
+    degrees = "; angles are in radians, and these look like degrees" if abs(q[i]) > 2.0 * math.pi else ""
+    warnings.warn(
+        f"q: joint {name!r} is at {q[i]:.6g}, beyond its limits {low[i]:.6g} to {high[i]:.6g}{rows}{degrees}",
+        JointLimitWarning,
+        stacklevel=stacklevel,
+    )

@@ -168,6 +168,9 @@ def impact(
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
+
+    Warns:
+        JointLimitWarning: The q lies beyond joint limits, as one in degrees does; told once for each Data.
     """
     if type(model) is not _Model:
         model = model_of(model)
@@ -195,6 +198,7 @@ def impact(
         cache.parents,
         *kinematics(model, data, q_now, cache, contact),
         contact.constants,
+        cache.bounds,
         q_now,
         v_now,
         contact.friction,
@@ -209,6 +213,8 @@ def impact(
         finite_array("q", q, cache.q_shape)
         finite_array("v", v, cache.v_shape)
         solve_inputs(hit._inputs())
+    if numbers[-1] > 0.0:
+        cache.warn_of_limits(q_now)
     return hit
 
 
@@ -235,6 +241,9 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
+    q, cache = np.asarray(q, dtype=np.float64), data_cache(model, data)
+    if ((q < cache.bounds[0]) | (q > cache.bounds[1])).any():
+        cache.warn_of_limits(q, stacklevel=5)
     _check_at_rest(matrices, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
@@ -263,7 +272,7 @@ def _impact_in_steps(
             matrices.axes.ravel(),
             solution.velocity,
             solution.impulse,
-            [solution.compression_impulse, scale],
+            [solution.compression_impulse, scale, 0.0],
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)
