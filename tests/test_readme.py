@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -19,9 +20,12 @@ def test_the_example_runs_as_printed() -> None:
     (example,) = blocks("python")
     (promised,) = blocks("text")
     printed = io.StringIO()
+    names: dict[str, Any] = {}
     with contextlib.redirect_stdout(printed):
-        exec(compile(example, "README.md", "exec"), {})
+        exec(compile(example, "README.md", "exec"), names)
     assert printed.getvalue() == promised
+    robot = names["robot"]
+    assert abs(names["hand"].gap(robot.model, robot.data, names["q"])) < 1e-11  # it begins in contact
     assert example == (ROOT / "examples" / "first_impact.py").read_text(encoding="utf-8")
     assert len(example.splitlines()) <= 11
 

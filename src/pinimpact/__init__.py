@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .contact_space.solve import solve_impact
     from .errors import (
         InputError,
+        JointLimitWarning,
         LawError,
         ModelError,
         PinimpactError,
@@ -27,14 +28,16 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
+    from .robot.batch import Hits, impacts
     from .robot.contact import Contact
     from .robot.held import HeldContactWarning
+    from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
     from .robot.many_impact import ManyHit
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.plane import Plane
-    from .robot.robot_impact import Hit, Hits, impact, impacts
+    from .robot.robot_impact import Hit, impact
     from .robot.sphere import Sphere
     from .scene.controls import JointPD
     from .scene.events import Event
@@ -62,6 +65,7 @@ __all__ = [
     "Hits",
     "ImpactProblem",
     "InputError",
+    "JointLimitWarning",
     "JointPD",
     "LawError",
     "ManyHit",
@@ -88,6 +92,7 @@ __all__ = [
     "impact",
     "impacts",
     "load_robot",
+    "place_in_contact",
     "register_method",
     "replay",
     "simulate",
@@ -97,11 +102,13 @@ __all__ = [
 
 _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
+    "robot.batch": ("Hits", "impacts"),
     "robot.contact": ("Contact",),
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
         "InputError",
+        "JointLimitWarning",
         "LawError",
         "ModelError",
         "PinimpactError",
@@ -115,7 +122,8 @@ _HOMES = {
     "contact_space.problem": ("ImpactProblem",),
     "robot.held": ("HeldContactWarning",),
     "robot.many_impact": ("ManyHit",),
-    "robot.robot_impact": ("Hit", "Hits", "impact", "impacts"),
+    "robot.robot_impact": ("Hit", "impact"),
+    "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),
