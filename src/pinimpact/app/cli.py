@@ -104,7 +104,7 @@ def demo(robot: str, out: Path) -> None:
     title = f"{robot}: {contact.label}, μ = {contact.friction:g}, e = {e:g}"
     figure = save_figure(impact_figure(impact.problem, impact.solution, title), out / "hodograph.png")
     click.echo(f"Hodograph: {figure}")
-    page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=shown.contacts, speed=0.2)
+    page = replay(shown.robot, shown.trajectory, out / "replay.html", speed=0.2)
     click.echo(f"Replay (five times slower, open in a browser): {page}")
 
 
