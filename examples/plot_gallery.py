@@ -75,11 +75,9 @@ def replays(folder: Path) -> Iterator[Path]:
     if browser is None:
         return
     demo = run_demo("panda")
-    hit = demo.impact
-    for name, motion, place in (("replay", demo.trajectory, "impact=1"), ("replay_hit", hit, "film=4")):
-        page = pinimpact.replay(
-            demo.robot, motion, folder / f"{name}.html", contacts=demo.contacts, speed=0.2
-        )
+    shown = (("replay", demo.trajectory, "impact=1"), ("replay_hit", demo.impact, "film=4"))
+    for name, motion, place in shown:
+        page = pinimpact.replay(demo.robot, motion, folder / "x.html", contacts=demo.contacts, speed=0.2)
         open_page(browser, page, place, size=(1100, 680), screenshot=folder / f"{name}.png")
         Path(page).unlink()
         yield folder / f"{name}.png"

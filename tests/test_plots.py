@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -20,8 +22,8 @@ from scipy.integrate import solve_ivp
 
 import pinimpact
 from pinimpact.visual import plots
-from pinimpact.visual.plots.impacts import parts
-from pinimpact.visual.plots.regime_map import REGIMES
+from pinimpact.visual.plots.one_impact import parts
+from pinimpact.visual.plots.regimes import REGIMES
 from pinimpact.visual.smooth_path import invariant_directions, smooth_path
 
 matplotlib.use("Agg")
@@ -410,3 +412,17 @@ def test_plots_cost_nothing_until_they_are_drawn() -> None:
         "assert not {'matplotlib', 'meshcat'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_the_gallery_draws_what_the_page_shows() -> None:
+    root = Path(__file__).parents[1]
+    spec = importlib.util.spec_from_file_location("plot_gallery", root / "examples" / "plot_gallery.py")
+    gallery = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(gallery)
+    drawn = {f"plot_{name}.png" for name, _ in gallery.gallery()}
+    text = (root / "docs" / "seeing.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"\(figures/(.*?)\)", text))
+    assert shown == drawn | {"replay.png", "replay_hit.png"}
+    assert all((root / "docs" / "figures" / name).is_file() for name in shown)
+    for name in plots.__all__:
+        assert name in text or name.endswith("_figure")

@@ -7,10 +7,10 @@ beside or below the axes.
 from __future__ import annotations
 
 from .figures import energy_figure, forces_figure, impact_figure, save_figure
-from .impacts import energy_ledger, hodograph, impulses, velocities
-from .impulse_space import impulse_space
 from .motions import energy, forces, gaps, modes, overview
-from .regime_map import regime_map
+from .one_impact import energy_ledger, hodograph, impulses, velocities
+from .regimes import regime_map
+from .routh import impulse_space
 
 __all__ = [
     "energy",

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ...contact_space.problem import ImpactProblem
 from ...contact_space.solution import Solution
 from ...scene.trajectory import Trajectory
-from .impacts import Solved, energy_ledger, hodograph, velocities
 from .motions import energy, forces
+from .one_impact import Solved, energy_ledger, hodograph, velocities
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

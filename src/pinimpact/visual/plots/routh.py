@@ -11,7 +11,7 @@ from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ..impact_marks import OneImpact
 from ..smooth_path import smooth_path
-from .impacts import parts, solved
+from .one_impact import parts, solved
 from .style import BLACK, COMPRESSION, GREEN, RESTITUTION, STICK, axes_for, legend
 
 Array = NDArray[np.float64]

@@ -85,7 +85,7 @@ def regime_map(
         velocity[:, 0], velocity[:, 1] = speed * np.cos(all_other), speed * np.sin(all_other)
     restitution = float(problem.restitution) if turns else all_other
     batch = solve_impacts(np.tile(w, (count, 1, 1)), velocity, all_mu, restitution, law=problem.law)
-    codes, hatches = regimes(batch.status, batch.flags)
+    codes, hatches = classified(batch.status, batch.flags)
     shape = (resolution, resolution)
     shown = np.degrees(other) if turns else other
 
@@ -120,7 +120,7 @@ def regime_map(
     return ax
 
 
-def regimes(
+def classified(
     status: NDArray[np.int64], flags: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[NDArray[np.bool_]]]:
     """Return the place in `REGIMES` of each impact, and where each of `MARKED` holds.
