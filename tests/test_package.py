@@ -67,4 +67,6 @@ def test_the_wheel_holds_types_and_models(tmp_path: Path) -> None:
     assert "pinimpact/py.typed" in names
     for model in (ROOT / "models").glob("*.urdf"):
         assert f"pinimpact/models/{model.name}" in names
+    for part in ("page.html", "player.js", "drawing.js"):
+        assert f"pinimpact/visual/page/{part}" in names
     assert not any(name.startswith(("tests/", "examples/")) for name in names)
