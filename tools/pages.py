@@ -6,7 +6,8 @@ A page is run from its first block to its last, in one folder and one Python ses
 - ``xml`` and ``toml`` with a title are written to the file of that name;
 - ``text`` right after one of the first two is what that has to print, to the letter.
 
-python -m tools.pages [PAGE ...] runs all pages, or some, and copies the pictures they show to docs/figures/pages/.
+python -m tools.pages [PAGE ...] runs all pages, or some, and copies the pictures that they show to
+docs/figures/pages/.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def blocks_of(page: Path) -> list[Block]:
     return blocks
 
 
-class Failure(Exception):
+class PageError(Exception):
     """A block does not do what its page says."""
 
 
@@ -78,7 +79,7 @@ def run_page(page: Path, folder: Path) -> None:
     """Run a page in a folder.
 
     Raises:
-        Failure: A block that fails, or prints other than its page says.
+        PageError: A block that fails, or prints other than its page says.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     printed = ""
@@ -95,7 +96,7 @@ def run_page(page: Path, folder: Path) -> None:
             elif block.language == "sh":
                 printed = "".join(run_command(line, place) for line in commands_of(block.text))
             elif block.language == "text" and block.follows in ("python", "sh") and printed != block.text:
-                raise Failure(f"{place} promises\n{block.text}\nand this is printed:\n{printed}")
+                raise PageError(f"{place} promises\n{block.text}\nand this is printed:\n{printed}")
 
 
 @contextlib.contextmanager
@@ -122,7 +123,7 @@ def run_command(line: str, place: str) -> str:
 
     result = CliRunner().invoke(main, shlex.split(line)[1:], catch_exceptions=False)
     if result.exit_code:
-        raise Failure(f"{place}: {line!r} ends with {result.exit_code}:\n{result.output}")
+        raise PageError(f"{place}: {line!r} ends with {result.exit_code}:\n{result.output}")
     return result.stdout
 
 
