@@ -212,6 +212,14 @@ class SceneFile(_Table):
         return {"plane": self.plane, "sphere": self.sphere}
 
 
+def bundled_scenes() -> dict[str, Path]:
+    """Return the names and files of the scenes that come with pinimpact."""
+    package = Path(__file__).parents[1]
+    installed = package / "scenes"
+    folder = installed if installed.is_dir() else package.parents[1] / "examples" / "scenes"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
 def read_scene_file(path: Path) -> SceneFile:
     """Return the checked tables of a scene file; paths in it are as they stand there.
 
