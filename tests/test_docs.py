@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import pinimpact
-from pinimpact.app.scene_file import SceneFile
+from pinimpact.app.scene_file import SceneFile, bundled_scenes
 from tools import pages, scene_keys
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -153,3 +153,11 @@ def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
         assert set(rows) == keys
         for key in set(table.get("required", ())) & keys:
             assert "**must be given**" in rows[key]
+
+
+def test_every_example_is_listed() -> None:
+    text = (DOCS / "examples.md").read_text(encoding="utf-8")
+    for folder, kind in (("", "*.py"), ("notebooks/", "*.ipynb")):
+        for path in (ROOT / "examples" / folder).glob(kind):
+            assert f"/examples/{folder}{path.name})" in text, path.name
+    assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) == set(bundled_scenes())
