@@ -161,3 +161,10 @@ def test_every_example_is_listed() -> None:
         for path in (ROOT / "examples" / folder).glob(kind):
             assert f"/examples/{folder}{path.name})" in text, path.name
     assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) == set(bundled_scenes())
+
+
+@pytest.mark.parametrize("page", [page for page in pages.pages() if page.stem != "README"], ids=name_of)
+def test_code_is_no_wider_than_a_page(page: Path) -> None:
+    for block in pages.blocks_of(page):
+        if block.language != "text":
+            assert all(len(line) <= 100 for line in block.text.splitlines()), block
