@@ -11,6 +11,7 @@ import pytest
 
 import pinimpact
 from pinimpact.app.scene_file import SceneFile, bundled_scenes
+from pinimpact.scene.effects import DERIVED, SWITCHABLE
 from tools import pages, scene_keys
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -168,3 +169,9 @@ def test_code_is_no_wider_than_a_page(page: Path) -> None:
     for block in pages.blocks_of(page):
         if block.language != "text":
             assert all(len(line) <= 100 for line in block.text.splitlines()), block
+
+
+def test_every_effect_of_a_scene_is_told() -> None:
+    text = (DOCS / "effects.md").read_text(encoding="utf-8")
+    table = text.split("| effect |")[1].split("\n\n")[0]
+    assert tuple(re.findall(r"^\| ([a-z -]+) \|", table, re.MULTILINE)) == SWITCHABLE + DERIVED
