@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
-from pinimpact.app.cli import main
+import pinimpact
+from pinimpact.app.cli import RUN_FILES, main
 from pinimpact.app.demo import FIXED_BASE, FREE_BASE, SWINGS, run_demo
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
@@ -22,13 +29,13 @@ def call(*args: str):
 def test_help_names_the_verbs() -> None:
     result = call("--help")
     assert result.exit_code == 0
-    for verb in ("demo", "plan", "run", "cost"):
+    for verb in ("demo", "robots", "info", "plan", "run", "cost"):
         assert f"  {verb} " in result.output
 
 
 @pytest.mark.parametrize("robot", ["panda", "solo12"])
 def test_demo(robot: str, tmp_path: Path) -> None:
-    result = call("demo", "--robot", robot, "-o", str(tmp_path / "out"))
+    result = call("demo", robot, "-o", str(tmp_path / "out"))
     assert result.exit_code == 0, result.output
     for text in (
         "Contact velocity",
@@ -60,7 +67,7 @@ def test_every_robot_strikes_as_planned(robot: str) -> None:
 
 
 def test_demo_of_an_unknown_robot() -> None:
-    result = call("demo", "--robot", "pandaa")
+    result = call("demo", "pandaa")
     assert result.exit_code == 1
     assert "Error: robot: 'pandaa'" in result.output
     assert "'panda'" in result.output
@@ -119,6 +126,20 @@ def test_cost_answers_what_reaches_an_error(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cost.json", "cost.png"]
 
 
+def test_cost_sums_up_and_has_all_rows_on_demand(tmp_path: Path) -> None:
+    args = ("cost", "--robot", "two_link_arm", "--method", "exact", "--method", "rk4", "--time-cap", "0.01")
+    result = call(*args, "-o", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    rows = [line for line in result.stdout.splitlines() if line.startswith("  ")]
+    assert [row.split()[0] for row in rows] == ["method", "exact", "rk4"]
+    assert "over 1 problem " in result.stdout
+    assert max(map(len, result.stdout.splitlines())) <= 80 or "/" in result.stdout
+    every = call(*args, "--all", "--force", "-o", str(tmp_path))
+    assert every.stdout.count("rk4(steps=") > 5
+    figures = json.loads(call(*args, "--json", "--force", "-o", str(tmp_path)).stdout)
+    assert {point["method"] for point in figures["points"]} == {"exact", "rk4"}
+
+
 def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from rich.progress import Progress
 
@@ -130,3 +151,103 @@ def test_an_interrupted_run_is_written(tmp_path: Path, monkeypatch: pytest.Monke
     assert result.exit_code == 130, result.output
     assert "Interrupted" in result.output
     assert (tmp_path / "trajectory.npz").is_file()
+
+
+def test_an_interrupted_demo_or_measurement_ends_as_shells_have_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinimpact.app.demo.simulate", interrupt)
+    monkeypatch.setattr("pinimpact.studies.cost.run_cost", interrupt)
+    for verb in ("demo", "cost"):
+        result = call(verb, "-o", str(tmp_path))
+        assert result.exit_code == 130
+        assert result.output.endswith("Interrupted.\n")
+
+
+def test_what_an_earlier_run_has_written_is_not_written_over(tmp_path: Path, monkeypatch) -> None:
+    scene = str(SCENES / "ball_on_conveyor.toml")
+    (tmp_path / "replay.html").write_text("mine", encoding="utf-8")
+    result = call("run", scene, "-o", str(tmp_path))
+    assert result.exit_code == 1
+    assert "has replay.html already; give --force to write over it" in result.output
+    assert (tmp_path / "replay.html").read_text(encoding="utf-8") == "mine"
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "energy.png").write_text("mine", encoding="utf-8")
+    result = call("run", scene, "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+    assert (tmp_path / "out-2" / "replay.html").is_file()
+    assert (tmp_path / "out" / "energy.png").read_text(encoding="utf-8") == "mine"
+    assert call("run", scene, "--quiet", "--force").exit_code == 0
+    assert (tmp_path / "out" / "energy.png").stat().st_size > 10_000
+    assert set(RUN_FILES) == {path.name for path in (tmp_path / "out-2").iterdir()}
+
+
+def test_a_run_as_json(tmp_path: Path) -> None:
+    result = call("run", str(SCENES / "ball_on_conveyor.toml"), "--json", "-o", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+    trajectory = pinimpact.Trajectory.load(facts["files"]["Trajectory"])
+    assert facts["complete"]
+    assert [impact["time"] for impact in facts["impacts"]] == [impact.time for impact in trajectory.impacts]
+    assert len(facts["notes"]) == len(trajectory.notes)
+    assert facts["energy"]["not accounted for"] == trajectory.energy.residual[-1]
+
+
+def test_plan_as_json() -> None:
+    effects = json.loads(call("plan", str(SCENES / "ball_on_conveyor.toml"), "--json").stdout)
+    assert {effect["name"]: effect["on"] for effect in effects}["moving surfaces"] is True
+
+
+def test_robots_are_listed() -> None:
+    result = call("robots")
+    assert result.exit_code == 0
+    assert {"panda", "solo12", "two_link_arm", "talos_arm"} <= set(result.output.split())
+    assert max(map(len, result.output.splitlines())) <= 80
+    assert call("robots", "SOLO").output.split() == ["example-robot-data:", "solo12", "solo8"]
+    assert json.loads(call("robots", "rod", "--json").stdout)["pinimpact"] == ["rod"]
+
+
+def test_info_tells_joints_limits_and_frames() -> None:
+    result = call("info", "panda")
+    assert result.exit_code == 0, result.output
+    for text in ("panda_joint4", "-3.072", "-0.0698", "prismatic", "fixed base", "panda_hand_tcp"):
+        assert text in result.output
+    facts = json.loads(call("info", "solo12", "--json").stdout)
+    assert facts["free_base"]
+    assert facts["contact_frames"] == ["FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT"]
+    assert facts["joints"][0]["lower"] == [None] * 7
+    assert {frame["name"] for frame in facts["frames"]} >= {"FL_FOOT", "base_link"}
+    assert "panda_link0_to_panda_joint" not in call("info", "panda").output
+    assert call("info", "pandaa").exit_code == 1
+
+
+@pytest.mark.parametrize("columns", [72, 80])
+def test_tables_keep_their_numbers_whole(columns: int) -> None:
+    """Where room is short names are folded, not numbers cut."""
+    from pinimpact.app.report import _columns
+
+    names = ("left_gripper_of_the_humanoid_robot on the_table_in_the_kitchen",) * 2
+    rows = [("0.123456", names[0], -123.456789, 98765.4321, -0.123456, names[1])]
+    console = Console(width=columns, file=io.StringIO())
+    console.print(
+        _columns("Impacts", ("t [s]", "contact", "approach [m/s]", "impulse", "energy [J]", "x"), rows)
+    )
+    printed = console.file.getvalue()
+    for number in ("0.123456", "-123.456789", "+98765.432100", "-0.123456"):
+        assert number in printed
+    assert "…" not in printed
+
+
+def test_it_runs_as_a_module_too() -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "pinimpact", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ,
+    )
+    assert run.stdout == f"pinimpact, version {pinimpact.__version__}\n"

@@ -359,9 +359,9 @@ def test_bad_rows_spoil_no_other():
 @pytest.mark.parametrize(
     ("field", "arguments"),
     [
-        ("delassus", (W, [V], 0.3, 0.5)),
+        ("delassus", ([[W]], [V], 0.3, 0.5)),
         ("delassus", ([W, W], [V], 0.3, 0.5)),
-        ("velocity", ([W], V, 0.3, 0.5)),
+        ("velocity", ([W], [[V]], 0.3, 0.5)),
         ("friction", ([W], [V], [0.3, 0.4], 0.5)),
         ("restitution", ([W], [V], 0.3, [[0.5]])),
         ("velocity", ([W], [["a", "b", "c"]], 0.3, 0.5)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -38,6 +39,13 @@ def test_the_first_screen_says_what_for_whom_and_how() -> None:
     assert all(word in first for word in ("**What:**", "**For whom:**", "**How:**"))
     assert len(blocks("python")) == 1
     assert len(blocks("python")[0].splitlines()) <= 11
+
+
+def test_the_example_begins_in_contact(tmp_path: Path) -> None:
+    names = pages.run_page(ROOT / "README.md", tmp_path)
+    robot: Any = names["robot"]
+    hand: Any = names["hand"]
+    assert abs(hand.gap(robot.model, robot.data, names["q"])) < 1e-11
 
 
 def test_the_test_command_is_what_ci_runs() -> None:

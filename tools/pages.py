@@ -75,8 +75,8 @@ class PageError(Exception):
     """A block does not do what its page says."""
 
 
-def run_page(page: Path, folder: Path) -> None:
-    """Run a page in a folder.
+def run_page(page: Path, folder: Path) -> dict[str, object]:
+    """Run a page in a folder, and return the names that its Python leaves.
 
     Raises:
         PageError: A block that fails, or prints other than its page says.
@@ -97,6 +97,7 @@ def run_page(page: Path, folder: Path) -> None:
                 printed = "".join(run_command(line, place) for line in commands_of(block.text))
             elif block.language == "text" and block.follows in ("python", "sh") and printed != block.text:
                 raise PageError(f"{place} promises\n{block.text}\nand this is printed:\n{printed}")
+    return names
 
 
 @contextlib.contextmanager

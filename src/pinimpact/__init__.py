@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .contact_space.solve import solve_impact
     from .errors import (
         InputError,
+        JointLimitWarning,
         LawError,
         ModelError,
         PinimpactError,
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
+    from .robot.batch import Hits, impacts
     from .robot.contact import Contact
+    from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.plane import Plane
-    from .robot.robot_impact import HeldContactWarning, Hit, Hits, impact, impacts
+    from .robot.robot_impact import HeldContactWarning, Hit, impact
     from .robot.sphere import Sphere
     from .scene.controls import JointPD
     from .scene.events import Event
@@ -57,6 +60,7 @@ __all__ = [
     "Hits",
     "ImpactProblem",
     "InputError",
+    "JointLimitWarning",
     "JointPD",
     "LawError",
     "Method",
@@ -80,6 +84,7 @@ __all__ = [
     "impact",
     "impacts",
     "load_robot",
+    "place_in_contact",
     "register_method",
     "replay",
     "simulate",
@@ -89,11 +94,13 @@ __all__ = [
 
 _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
+    "robot.batch": ("Hits", "impacts"),
     "robot.contact": ("Contact",),
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
         "InputError",
+        "JointLimitWarning",
         "LawError",
         "ModelError",
         "PinimpactError",
@@ -105,7 +112,8 @@ _HOMES = {
     "contact_space.laws": ("LAWS",),
     "status": ("EFFECTS", "Flag", "Status"),
     "contact_space.problem": ("ImpactProblem",),
-    "robot.robot_impact": ("HeldContactWarning", "Hit", "Hits", "impact", "impacts"),
+    "robot.robot_impact": ("HeldContactWarning", "Hit", "impact"),
+    "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
     "robot.sphere": ("Sphere",),

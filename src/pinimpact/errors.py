@@ -24,6 +24,10 @@ class PinimpactError(Exception):
         return self.message
 
 
+class JointLimitWarning(UserWarning):
+    """A configuration lies beyond the limits of a joint, as one in degrees does."""
+
+
 class InputError(PinimpactError, ValueError):
     """A value that cannot be used: wrong shape, not finite, out of range."""
 

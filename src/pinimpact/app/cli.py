@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import functools
+import json
 import logging
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +16,30 @@ import click
 
 from .. import __version__
 from ..errors import PinimpactError, SimulationError
+from .output_folder import make_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
 OUT = click.option(
     "-o",
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("out"),
-    show_default=True,
-    help="Folder for the files, made if need be.",
+    type=click.Path(path_type=Path),
+    help="Folder for the files, made if need be.  [default: out, or out-2 and so on where that is taken]",
 )
+FORCE = click.option("-f", "--force", is_flag=True, help="Write over files of earlier runs.")
+JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object, in SI units, and no tables."
+)
+QUIET = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
+VECTOR = (float, float, float)
 
-
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+DEMO_FILES = ("hodograph.png", "replay.html")
+RUN_FILES = ("trajectory.npz", "energy.png", "forces.png", "impact.png", "replay.html")
+COST_FILES = ("cost.png", "cost.json")
 
 
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -36,12 +47,28 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        try:
-            return command(*args, **kwargs)
-        except (PinimpactError, OSError) as error:
-            raise click.ClickException(str(error)) from error
+        with _warnings_as_lines():
+            try:
+                return command(*args, **kwargs)
+            except (PinimpactError, OSError) as error:
+                raise click.ClickException(str(error)) from error
+            except KeyboardInterrupt:
+                click.echo("Interrupted.", err=True)
+                raise SystemExit(INTERRUPTED) from None
 
     return wrapped
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Tell of warnings in a line each, without the place in the source that gives them."""
+
+    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+        click.echo(f"Warning: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = tell
+        yield
 
 
 class _Shown(logging.Handler):
@@ -75,6 +102,32 @@ def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[No
         logger.propagate = propagates
 
 
+@contextmanager
+def _working(quiet: bool, what: str) -> Iterator[None]:
+    """Show on a terminal that something takes time, and what is compiled meanwhile."""
+    from rich.console import Console
+
+    console = Console(stderr=True, quiet=quiet)
+    with console.status(what) as status, compiling_shown(console, status.update):
+        yield
+
+
+def _tell(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
+    """Print what has come out: as JSON, as tables or text, or not at all."""
+    if quiet:
+        return
+    if as_json:
+        click.echo(json.dumps(facts(), ensure_ascii=False, allow_nan=False))
+        return
+    shown = tables()
+    if isinstance(shown, str):
+        click.echo(shown)
+    else:
+        from .report import wide_console
+
+        wide_console().print(shown)
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pinimpact")
 def main() -> None:
@@ -82,47 +135,134 @@ def main() -> None:
 
 
 @main.command()
-@click.option("--robot", default="panda", show_default=True, help="Name of a robot, or path of a URDF file.")
+@click.argument("robot", required=False)
+@click.option("--robot", "named", hidden=True)
+@click.option("--frame", help="What strikes, by name or id.  [default: a hand or a foot]")
+@click.option(
+    "--speed", type=float, help="Of the striking point at the touch [m/s].  [default: 1, or 2.1 in a fall]"
+)
+@click.option(
+    "--direction", type=VECTOR, help="Of its motion, x y z in the world.  [default: aslant, onto the table]"
+)
+@click.option("--normal", type=VECTOR, help="Of the table, x y z in the world.  [default: 0 0 1]")
+@click.option("--friction", type=float, help="Coulomb coefficient.  [default: 0.3]")
+@click.option("--restitution", type=float, help="Coefficient of the law, 0 to 1.  [default: 0.5]")
+@click.option(
+    "--law", default="poisson", show_default=True, help="Of restitution: poisson, energetic or newton."
+)
 @OUT
+@FORCE
+@JSON
+@QUIET
 @plain_errors
-def demo(robot: str, out: Path) -> None:
-    """Let a robot strike a table: print the impact, write a replay and a hodograph."""
-    from rich.console import Console
+def demo(
+    robot: str | None,
+    named: str | None,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    **how: Any,
+) -> None:
+    """Let a robot strike a table: print the impact, write a replay and a hodograph.
 
+    ROBOT is a name (`pinimpact robots` lists them) or the path of a file; panda if it is left out. A fixed
+    base swings what strikes onto the table, a free one falls onto it.
+    """
     from ..visual.html_replay import replay
     from ..visual.plots import impact_figure, save_figure
     from .demo import run_demo
-    from .report import impact_report
+    from .report import impact_facts, impact_report
 
-    out.mkdir(parents=True, exist_ok=True)
-    errors = Console(stderr=True)
-    with errors.status("simulating") as status, compiling_shown(errors, status.update):
-        shown = run_demo(robot)
-    impact = shown.impact
-    Console().print(impact_report(shown.robot.model, shown.contact, impact))
-    contact, e = shown.contact, impact.problem.restitution
-    title = f"{robot}: {contact.label}, μ = {contact.friction:g}, e = {e:g}"
-    figure = save_figure(impact_figure(impact.problem, impact.solution, title), out / "hodograph.png")
-    click.echo(f"Hodograph: {figure}")
-    page = replay(shown.robot, shown.trajectory, out / "replay.html", contacts=shown.contacts, speed=0.2)
-    click.echo(f"Replay (five times slower, open in a browser): {page}")
+    robot = robot or named or "panda"
+    folder = make_folder(out, DEMO_FILES, force)
+    with _working(quiet, "simulating"):
+        shown = run_demo(robot, **how)
+    impact, contact = shown.impact, shown.contact
+    remarks = []
+    if shown.frozen:
+        remarks.append(f"Held as they are, since they move no inertia: {', '.join(shown.frozen)}.")
+    if shown.stopped is not None:
+        remarks.append(f"The motion after the impact stops early: {shown.stopped}")
+    title = (
+        f"{Path(robot).stem}: {contact.label}, μ = {contact.friction:g}, e = {impact.problem.restitution:g}"
+    )
+    picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
+    page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], contacts=shown.contacts, speed=0.2)
+    _tell(
+        lambda: {
+            "robot": robot,
+            "contact": contact.label,
+            **impact_facts(shown.robot.model, contact, impact),
+            "remarks": remarks,
+            "files": {"hodograph": str(picture), "replay": str(page)},
+        },
+        lambda: impact_report(shown.robot.model, contact, impact, remarks),
+        as_json,
+        quiet,
+    )
+    if not (as_json or quiet):
+        click.echo(f"Hodograph: {picture}")
+        click.echo(f"Replay (five times slower, open in a browser): {page}")
+
+
+@main.command()
+@JSON
+@click.argument("word", required=False)
+@plain_errors
+def robots(word: str | None, as_json: bool) -> None:
+    """List the robots that can be named, or those with WORD in their names."""
+    from ..robot.loading import named_robots
+
+    found = {
+        source: [name for name in names if word is None or word.lower() in name.lower()]
+        for source, names in named_robots().items()
+    }
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    for source, names in found.items():
+        if names:
+            click.echo(f"{source}:")
+            click.echo(click.wrap_text(" ".join(names), 78, "  ", "  "))
+
+
+@main.command()
+@click.argument("robot")
+@click.option("--all", "every", is_flag=True, help="Show all frames.")
+@JSON
+@plain_errors
+def info(robot: str, every: bool, as_json: bool) -> None:
+    """Tell the joints of a robot with their limits, its frames, and which of them may touch something."""
+    from ..robot.loading import load_robot
+    from .report import robot_report
+    from .robot_info import robot_facts
+
+    facts = robot_facts(robot, load_robot(robot))
+    _tell(lambda: facts, lambda: robot_report(facts, every), as_json, False)
 
 
 @main.command()
 @click.argument("scene", type=click.Path(path_type=Path))
+@JSON
 @plain_errors
-def plan(scene: Path) -> None:
+def plan(scene: Path, as_json: bool) -> None:
     """Print which effects a scene file calls for, and why each other one is left out."""
     from .scene_loader import load_scene
 
-    click.echo(str(load_scene(scene).scene.plan()))
+    found = load_scene(scene).scene.plan()
+    _tell(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
 
 
 @main.command()
 @click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--all", "every", is_flag=True, help="Show every impact, mode and note.")
 @OUT
+@FORCE
+@JSON
+@QUIET
 @plain_errors
-def run(scene: Path, out: Path) -> None:
+def run(scene: Path, every: bool, out: Path | None, force: bool, as_json: bool, quiet: bool) -> None:
     """Simulate a scene file: print what happened, write trajectory, replay and pictures.
 
     Ctrl-C ends the run early, with exit status 130; what was computed until then is written all the same.
@@ -130,13 +270,13 @@ def run(scene: Path, out: Path) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
-    from .report import run_report
+    from .report import run_facts, run_report
     from .scene_loader import load_scene
 
     loaded = load_scene(scene)
-    out.mkdir(parents=True, exist_ok=True)
+    folder = make_folder(out, RUN_FILES, force)
     stopped: PinimpactError | None = None
-    with Progress(transient=True) as bar:
+    with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
         task = bar.add_task("simulating", total=loaded.file.duration)
         try:
             with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
@@ -145,9 +285,16 @@ def run(scene: Path, out: Path) -> None:
             if error.partial is None:
                 raise
             trajectory, stopped = error.partial, error
-    Console().print(run_report(trajectory))
-    for what, path in loaded.write(trajectory, out):
-        click.echo(f"{what}: {path}")
+    files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
+    _tell(
+        lambda: {**run_facts(trajectory), "files": files},
+        lambda: run_report(trajectory, every),
+        as_json,
+        quiet,
+    )
+    if not (as_json or quiet):
+        for what, path in files.items():
+            click.echo(f"{what}: {path}")
     if stopped is not None:
         raise stopped
     if not trajectory.complete:
@@ -171,27 +318,48 @@ def run(scene: Path, out: Path) -> None:
     show_default=True,
     help="Seconds.",
 )
+@click.option("--all", "every", is_flag=True, help="Print every point that was measured.")
 @OUT
+@FORCE
+@JSON
+@QUIET
 @plain_errors
 def cost(
-    robot: str | None, target: float | None, methods: tuple[str, ...], time_cap: float, out: Path
+    robot: str | None,
+    target: float | None,
+    methods: tuple[str, ...],
+    time_cap: float,
+    every: bool,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Measure error against time, method by method: a table, a diagram, the raw figures."""
+    """Measure error against time, method by method: a summary, a diagram, the raw figures."""
     from ..studies.cost import run_cost
 
-    out.mkdir(parents=True, exist_ok=True)
+    folder = make_folder(out, COST_FILES, force)
     problems = None
     if robot is not None:
         from .demo import run_demo
 
-        problems = {robot: run_demo(robot).impact.problem}
+        with _working(quiet, "simulating"):
+            problems = {robot: run_demo(robot).impact.problem}
     report = run_cost(
         problems,
         methods or None,
         time_cap=time_cap,
-        progress=lambda name: click.echo(f"measuring {name}", err=True),
+        progress=None if quiet else lambda name: click.echo(f"measuring {name}", err=True),
     )
-    click.echo(report.table() if target is None else report.advice(target))
-    report.plot(out / "cost.png")
-    report.save(out / "cost.json")
-    click.echo(f"Diagram: {out / 'cost.png'}\nFigures: {out / 'cost.json'}")
+
+    def words() -> str:
+        if target is not None:
+            return report.advice(target)
+        return report.table() if every else report.summary()
+
+    picture, figures = (folder / name for name in COST_FILES)
+    report.plot(picture)
+    report.save(figures)
+    _tell(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
+    if not (as_json or quiet):
+        click.echo(f"Diagram: {picture}\nFigures: {figures}")

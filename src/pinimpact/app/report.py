@@ -1,4 +1,4 @@
-"""Impacts and runs in words and tables, for the terminal."""
+"""Impacts, runs and robots in words and tables, for the terminal, and as plain data, for JSON."""
 
 from __future__ import annotations
 
@@ -7,21 +7,33 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from ..robot.contact import Contact
-from ..scene.records import ImpactRecord
+from ..robot.names import counted
+from ..scene.records import ImpactRecord, Note, group_notes
 from ..scene.trajectory import Trajectory
+from ..status import Flag
 
 CAUSES = ("compression", "restitution", "friction", "surface")
 WORKS = ("control", "joints", "friction", "surface", "impacts")
 LONGEST = 40
-"""Rows that a table shows at most."""
+"""Rows that a table shows at most, unless all are asked for."""
+WIDE = 160
+"""Columns that a page has which is not a terminal's."""
 
 
-def impact_report(model: pin.Model, contact: Contact, impact: ImpactRecord) -> RenderableType:
+def wide_console() -> Console:
+    """Return the console of stdout; a file or a pipe has room for long names."""
+    console = Console()
+    return console if console.is_terminal else Console(width=max(WIDE, console.width))
+
+
+def impact_report(
+    model: pin.Model, contact: Contact, impact: ImpactRecord, remarks: Sequence[str] = ()
+) -> RenderableType:
     """Return an impact as tables: velocities before and after, segments, impulse, energy, effects."""
     solution = impact.solution
     before = np.asarray(impact.problem.velocity)
@@ -49,36 +61,145 @@ def impact_report(model: pin.Model, contact: Contact, impact: ImpactRecord) -> R
         _columns("Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(impact.impulse_world)]),
         _energy(model, impact),
         Text("Effects computed: " + (", ".join(solution.effects) or "none")),
-        *(Text(sentence) for sentence in (str(solution.status), *solution.flags.describe())),
+        *(Text(sentence) for sentence in (str(solution.status), *solution.flags.describe(), *remarks)),
     )
 
 
-def run_report(trajectory: Trajectory) -> RenderableType:
-    """Return a run as tables: its impacts, its modes, its energy, and how it ended."""
-    energy = trajectory.energy
-    changes: list[tuple[Any, ...]] = [("kinetic and potential", energy.total[-1] - energy.total[0])]
-    changes += [(f"work of {name}", getattr(energy, name)[-1]) for name in WORKS]
-    changes.append(("not accounted for", energy.residual[-1]))
+def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> dict[str, Any]:
+    """Return an impact as plain data: what `impact_report` tells, in SI units and contact axes t₁, t₂, n."""
+    solution, work = impact.solution, impact.solution.work
+    return {
+        "time": impact.time,
+        "law": contact.law,
+        "friction": impact.problem.friction,
+        "restitution": impact.problem.restitution,
+        "velocity_before": np.asarray(impact.problem.velocity).tolist(),
+        "velocity_after": solution.velocity.tolist(),
+        "joints": list(velocity_names(model)),
+        "v_before": impact.v_before.tolist(),
+        "v_after": impact.v_after.tolist(),
+        "impulse": solution.impulse.tolist(),
+        "impulse_world": impact.impulse_world.tolist(),
+        "segments": [
+            {"mode": s.mode, "phase": s.phase, "start": s.start, "end": s.end} for s in solution.segments
+        ],
+        "work": {cause: getattr(work, cause) for cause in (*CAUSES, "total")},
+        "effects": list(solution.effects),
+        "status": solution.status.name.lower(),
+        "flags": [str(flag.name).lower() for flag in Flag if flag in solution.flags and flag],
+    }
+
+
+def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
+    """Return a run as tables: its impacts, its modes, its energy, what there is to remark, and how it ended.
+
+    Args:
+        trajectory: The run.
+        every: Whether all impacts, modes and notes are shown, not the first ones and notes in groups.
+    """
+    impacts, modes = trajectory.impacts, trajectory.modes
+    shown = None if every else LONGEST
     return Group(
         _columns(
-            f"Impacts: {len(trajectory.impacts)}" + _cut(trajectory.impacts),
+            f"Impacts: {len(impacts)}" + _cut(impacts, shown),
             ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]", "special"),
-            [_impact_row(impact) for impact in trajectory.impacts[:LONGEST]],
+            [_impact_row(impact) for impact in impacts[:shown]],
         ),
         _columns(
-            f"Sustained contact: {len(trajectory.modes)}" + _cut(trajectory.modes),
+            f"Sustained contact: {counted(len(modes), 'interval')}" + _cut(modes, shown),
             ("contact, limit or joint", "mode", "from [s]", "to [s]"),
-            [(i.source, i.mode, f"{i.start:.6f}", f"{i.end:.6f}") for i in trajectory.modes[:LONGEST]],
+            [(i.source, i.mode, f"{i.start:.6f}", f"{i.end:.6f}") for i in modes[:shown]],
         ),
-        _columns("Energy, change over the run [J]", ("", "J"), changes),
-        *(Text(f"t = {note.time:.4f} s: {note.text}") for note in trajectory.notes[:LONGEST]),
+        _columns("Energy, change over the run [J]", ("", "J"), _energy_changes(trajectory)),
+        *(Text(str(note)) for note in (trajectory.notes if every else group_notes(trajectory.notes))),
         *([Text("Switched off: " + ", ".join(trajectory.switched_off))] if trajectory.switched_off else []),
         Text(f"Ended at t = {trajectory.t[-1]:.4f} s: {trajectory.termination}", style="bold"),
     )
 
 
-def _cut(rows: Sequence[Any]) -> str:
-    return f", the first {LONGEST}" if len(rows) > LONGEST else ""
+def run_facts(trajectory: Trajectory) -> dict[str, Any]:
+    """Return a run as plain data, in SI units."""
+
+    def impact(record: ImpactRecord) -> dict[str, Any]:
+        _, source, approach, impulse, work, special = _impact_row(record)
+        return {
+            "time": record.time,
+            "source": source,
+            "approach": approach,
+            "impulse": impulse,
+            "work": work,
+            "special": special.split(", ") if special else [],
+        }
+
+    def note(record: Note) -> dict[str, Any]:
+        return {"time": record.time, "text": record.text}
+
+    return {
+        "duration": trajectory.duration,
+        "complete": trajectory.complete,
+        "termination": trajectory.termination,
+        "impacts": [impact(record) for record in trajectory.impacts],
+        "modes": [
+            {"source": i.source, "mode": i.mode, "start": i.start, "end": i.end} for i in trajectory.modes
+        ],
+        "energy": {name: float(change) for name, change in _energy_changes(trajectory)},
+        "notes": [note(record) for record in trajectory.notes],
+        "switched_off": list(trajectory.switched_off),
+        "statistics": trajectory.statistics,
+    }
+
+
+def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
+    """Return what `robot_facts` has to tell as tables.
+
+    Args:
+        facts: Of the robot.
+        every: Whether all frames are listed.
+    """
+    base = "free" if facts["free_base"] else "fixed"
+    heading = (
+        f"{facts['robot']}: {counted(facts['nv'], 'velocity')} (nq = {facts['nq']}), {base} base, "
+        f"{facts['mass']:.4g} kg; shapes to show: {facts['shapes']['visual']}"
+    )
+
+    def limits(joint: dict[str, Any]) -> tuple[str, str]:
+        low, high = joint["lower"], joint["upper"]
+        if len(low) != 1:
+            return "", ""
+        return tuple("none" if x is None else f"{x:.4g}" for x in (low[0], high[0]))  # type: ignore[return-value]
+
+    joints = [
+        (joint["name"], joint["kind"], str(joint["velocities"]), *limits(joint)) for joint in facts["joints"]
+    ]
+    suggested = [
+        facts["frames"][key]["name"] + f" (id {key})" if isinstance(key, int) else key
+        for key in facts["contact_frames"]
+    ]
+    parts: list[RenderableType] = [
+        Text(heading, style="bold"),
+        _columns(
+            "Joints, with their limits [rad or m]", ("joint", "kind", "velocities", "lower", "upper"), joints
+        ),
+        Text("Frames that may touch something: " + (", ".join(suggested) or "none, for no joint moves")),
+    ]
+    if every:
+        rows = [(str(f["id"]), f["name"], f["joint"], f["kind"]) for f in facts["frames"]]
+        parts.append(_columns("Frames", ("id", "frame", "joint", "kind"), rows))
+    else:
+        names = dict.fromkeys(frame["name"] for frame in facts["frames"][1:])
+        parts.append(Text(f"All frames (--all tells more of them): {', '.join(names)}"))
+    return Group(*parts)
+
+
+def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
+    energy = trajectory.energy
+    changes: list[tuple[Any, ...]] = [("kinetic and potential", energy.total[-1] - energy.total[0])]
+    changes += [(f"work of {name}", getattr(energy, name)[-1]) for name in WORKS]
+    return [*changes, ("not accounted for", energy.residual[-1])]
+
+
+def _cut(rows: Sequence[Any], shown: int | None) -> str:
+    return f", the first {shown}; --all shows all" if shown is not None and len(rows) > shown else ""
 
 
 def _impact_row(impact: ImpactRecord) -> tuple[Any, ...]:
@@ -106,7 +227,7 @@ def velocity_names(model: pin.Model) -> Iterator[str]:
 
 def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
     data = model.createData()
-    mass = pin.crba(model, data, impact.q)
+    mass = pin.crba(model, data, impact.q).reshape(model.nv, model.nv)
     mass = np.triu(mass) + np.triu(mass, 1).T
     kinetic = [0.5 * float(v @ mass @ v) for v in (impact.v_before, impact.v_after)]
     work = impact.solution.work
@@ -117,13 +238,30 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
 
 
 def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
-    """Return a table; cells are names, or numbers to be set to the right."""
+    """Return a table; numbers are set to the right and stay whole, names are folded where room is short."""
+    lines = [tuple(cell if isinstance(cell, str) else _number(cell) for cell in row) for row in rows]
     table = Table(title=Text(title), title_justify="left", min_width=min(len(title), 80))  # titles stay whole
-    for name in head:
-        table.add_column(Text(name))
-    for row in rows:
-        table.add_row(*(Text(c) if isinstance(c, str) else Text(_number(c), justify="right") for c in row))
+    for k, name in enumerate(head):
+        numbers = bool(lines) and all(_is_number(line[k]) for line in lines)
+        width = max([len(line[k]) for line in lines], default=0) if numbers else None
+        table.add_column(
+            Text(name),
+            justify="right" if numbers else "left",
+            overflow="fold",
+            no_wrap=False,
+            min_width=width,
+        )
+    for line in lines:
+        table.add_row(*map(Text, line))
     return table
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell == "none"
+    return True
 
 
 def _number(value: float) -> str:

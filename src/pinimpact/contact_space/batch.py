@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
+from ..status import Status
 from .inputs import Array
 from .laws import law_code
 from .solution import Work
@@ -68,6 +69,18 @@ class BatchSolution:
     def __len__(self) -> int:
         return len(self.velocity)
 
+    def __repr__(self) -> str:
+        return (
+            f"BatchSolution({len(self)} impact{'' if len(self) == 1 else 's'}: {status_counts(self.status)})"
+        )
+
+
+def status_counts(status: NDArray[np.int64]) -> str:
+    """Return how many rows have which status: "990 SEPARATED, 10 NO_IMPACT"."""
+    values, counts = np.unique(status, return_counts=True)
+    counted = zip(values.tolist(), counts.tolist(), strict=True)
+    return ", ".join(f"{count} {Status(value).name}" for value, count in counted)
+
 
 def solve_impacts(
     delassus: ArrayLike,
@@ -81,8 +94,8 @@ def solve_impacts(
     """Resolve N frictional impacts with the method "exact".
 
     Args:
-        delassus: (N, 3, 3) inverse inertias W [1/kg], formed in double precision.
-        velocity: (N, 3) pre-impact contact velocities [m/s].
+        delassus: (N, 3, 3) inverse inertias W [1/kg], formed in double precision, or (3, 3) one for all rows.
+        velocity: (N, 3) pre-impact contact velocities [m/s], or (3,) one for all rows.
         friction: Coefficient μ, a number or (N,).
         restitution: Coefficient e, a number or (N,).
         law: The restitution law of all of them.
@@ -99,11 +112,19 @@ def solve_impacts(
     """
     matrices = _numbers("delassus", delassus)
     velocities = _numbers("velocity", velocity)
-    if velocities.ndim != 2 or velocities.shape[1] != 3:
+    if velocities.ndim not in (1, 2) or velocities.shape[-1] != 3:
         raise InputError(
-            f"velocity: shape {velocities.shape} given, (N, 3) expected", field="velocity", value=velocity
+            f"velocity: shape {velocities.shape} given, (N, 3) or (3,) expected",
+            field="velocity",
+            value=velocity,
         )
-    count = len(velocities)
+    lengths = [len(a) for a, once in ((velocities, 1), (matrices, 2)) if a.ndim > once]
+    lengths += [np.size(a) for a in (friction, restitution) if np.ndim(a) == 1]
+    count = lengths[0] if lengths else 1
+    if velocities.ndim == 1:
+        velocities = np.tile(velocities, (count, 1))
+    if matrices.shape == (3, 3):
+        matrices = np.tile(matrices, (count, 1, 1))
     if matrices.shape != (count, 3, 3):
         raise InputError(
             f"delassus: shape {matrices.shape} given, ({count}, 3, 3) expected to match velocity",

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ..checks import finite_array
 from ..errors import InputError
+from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
 from .pinocchio_bridge import MassAndColumns
 
@@ -19,7 +20,16 @@ class DataCache:
     """What does not change about a model and its data from one call to the next; see `data_cache`."""
 
     __slots__ = (
-        *("columns", "contacts", "curved", "data", "forward_kinematics", "frames", "joint_jacobian"),
+        *(
+            "bounds",
+            "columns",
+            "contacts",
+            "curved",
+            "data",
+            "forward_kinematics",
+            "frames",
+            "joint_jacobian",
+        ),
         *("mass_matrix", "model", "nframes", "nv", "parents", "q_shape", "v_shape"),
     )
 
@@ -33,6 +43,7 @@ class DataCache:
         self.q_shape = (model.nq,)
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
+        self.bounds = slack_bounds(model)
         self.parents = np.array(tree.parents, dtype=np.int64)
         if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
             self.parents = np.arange(-1, model.nv - 1)
@@ -59,6 +70,15 @@ class DataCache:
             return found
 
         return checked
+
+    def warn_of_limits(self, q: np.ndarray, rows: str = "", stacklevel: int = 4) -> None:
+        """Warn of a configuration beyond joint limits, and of no other one from then on."""
+        self.ignore_limits()
+        warn_of_limits(self.model(), q, rows, stacklevel)
+
+    def ignore_limits(self) -> None:
+        """Warn of no configuration beyond joint limits."""
+        self.bounds = np.outer([-np.inf, np.inf], np.ones(self.q_shape))
 
     def frame(self, key: str | int, field: str = "frame") -> int:
         """Return the id of a frame given by name or id; see `frame_id`."""

@@ -24,6 +24,11 @@ def bundled_models() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.urdf"))}
 
 
+def named_robots() -> dict[str, list[str]]:
+    """Return the names that `load_robot` knows, by where their models come from."""
+    return {"pinimpact": list(bundled_models()), "example-robot-data": sorted(ROBOTS)}
+
+
 def load_robot(
     robot: str | Path,
     free_flyer: bool | None = None,
@@ -69,6 +74,8 @@ def load_robot(
             field="robot",
             value=robot,
         )
+    if wrapper.model.nv == 0:
+        raise ModelError(f"robot: {name} has no joint that moves", field="robot", value=name)
     if not any(inertia.mass > 0.0 for inertia in wrapper.model.inertias):
         raise ModelError(
             f"robot: {name} has no inertia: no link that a joint moves has a mass; give its links <inertial>",

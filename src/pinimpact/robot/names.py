@@ -12,6 +12,13 @@ import pinocchio as pin
 from ..errors import InputError, ModelError, UnknownNameError
 
 
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words: "1 impact", "2 impacts", "2 velocities"."""
+    if number == 1:
+        return f"{number} {what}"
+    return f"{number} {what[:-1]}ies" if what.endswith("y") else f"{number} {what}s"
+
+
 def near_matches(name: str, names: Iterable[str]) -> str:
     """Return a clause that offers the names closest to `name`, or how many there are if none is close."""
     names = sorted(set(names))

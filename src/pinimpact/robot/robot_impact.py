@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,10 @@ from ..contact_space.solve import solve_impact, solve_inputs
 from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
-from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
 from .data_cache import checked_configuration, data_cache
 from .matrices import ContactMatrices, contact_geometry, contact_matrices, kinematics
 from .names import model_of, singular_mass
-from .pinocchio_bridge import MassAndFrames, call_addresses
 
 LOCKED = int(Status.LOCKED)
 """The last status that is an answer."""
@@ -171,6 +168,9 @@ def impact(
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
+
+    Warns:
+        JointLimitWarning: The q lies beyond joint limits, as one in degrees does; told once for each Data.
     """
     if type(model) is not _Model:
         model = model_of(model)
@@ -190,7 +190,7 @@ def impact(
         checked_configuration(cache, model, q_now)
     restitution = contact.restitution
     if callable(restitution):
-        restitution = _restitution_of_approach(model, data, q_now, v_now, contact)
+        restitution = restitution_of_approach(model, data, q_now, v_now, contact)
     nv = cache.nv
     numbers = _empty(nv + SIZE)
     ended = _robot_impact(
@@ -198,6 +198,7 @@ def impact(
         cache.parents,
         *kinematics(model, data, q_now, cache, contact),
         contact.constants,
+        cache.bounds,
         q_now,
         v_now,
         contact.friction,
@@ -212,93 +213,12 @@ def impact(
         finite_array("q", q, cache.q_shape)
         finite_array("v", v, cache.v_shape)
         solve_inputs(hit._inputs())
+    if numbers[-1] > 0.0:
+        cache.warn_of_limits(q_now)
     return hit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hits:
-    """Many impacts of one robot, row by row.
-
-    Attributes:
-        v: (N, nv) post-impact velocities; NaN where the status is an error's.
-        impulse_world: (N, 3) impulses on the robot in world axes [N s]; NaN likewise.
-        status: (N,) integer values of `Status`.
-        flags: (N,) integer values of `Flag`.
-    """
-
-    v: Array
-    impulse_world: Array
-    status: NDArray[np.int64]
-    flags: NDArray[np.int64]
-
-
-def impacts(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contact,
-    friction: ArrayLike | None = None,
-    restitution: ArrayLike | None = None,
-) -> Hits:
-    """Resolve one contact's impact from many states, and with many coefficients.
-
-    Args:
-        model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
-        q: (N, nq) configurations, or (nq,) one for all rows.
-        v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
-        contact: The contact that collides.
-        friction: Scalar or (N,) to take instead of the contact's.
-        restitution: Scalar or (N,) to take instead of the contact's.
-
-    Returns:
-        Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
-        and spoils no other.
-
-    Raises:
-        InputError: Wrong shapes.
-        UnknownNameError: A frame that the model does not have.
-        ModelError: The mass matrix is not positive definite.
-    """
-    model = model_of(model)
-    cache = data_cache(model, data)
-    check_contact("contact", contact)
-    mu = contact.friction if friction is None else friction
-    law = contact.restitution if restitution is None else restitution
-    e = None if callable(law) else law
-    given = ((q, 1), (v, 1), (mu, 0), (e, 0))
-    count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
-    q = _per_row("q", q, count, cache.q_shape)
-    v = _per_row("v", v, count, cache.v_shape)
-    mu = _per_row("friction", mu, count)
-    e = None if e is None else _per_row("restitution", e, count)
-    after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
-    usable = np.array(np.isfinite(q).all(axis=1))
-    if cache.curved:
-        usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
-    if e is None:
-        e = np.zeros(count)
-        for row in np.flatnonzero(usable):
-            e[row] = _restitution_of_approach(model, data, q[row], v[row], contact)
-    frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
-    cache.mass_matrix(model, data, pin.neutral(model), _WORLD)  # says what is wrong with model or data
-    parts = MassAndFrames(model, data, frame, carrier)
-    codes = np.empty((count, 2), dtype=np.int64)
-    codes[:] = int(Status.INVALID_NUMBERS), 0
-    stopped = kernel.robot_impacts(
-        *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
-        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants),
-        *(q, v, usable, mu, e, contact.law_code, after, impulses, codes),
-    )
-    if stopped == kernel.CALL_RAISED:
-        raise_kept_error()
-    if stopped >= 0:
-        raise singular_mass(model, stopped)
-    return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy())
-
-
-def _restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
+def restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
     """Return e for the speed at which the contact approaches; 0 where v is not finite."""
     speed = -float(contact_geometry(model, data, q, contact).velocity(v)[2])
     return contact.restitution_at(max(speed, 0.0)) if speed < math.inf else 0.0
@@ -321,6 +241,9 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
+    q, cache = np.asarray(q, dtype=np.float64), data_cache(model, data)
+    if ((q < cache.bounds[0]) | (q > cache.bounds[1])).any():
+        cache.warn_of_limits(q, stacklevel=5)
     _check_at_rest(matrices, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
@@ -349,7 +272,7 @@ def _impact_in_steps(
             matrices.axes.ravel(),
             solution.velocity,
             solution.impulse,
-            [solution.compression_impulse, scale],
+            [solution.compression_impulse, scale, 0.0],
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)
@@ -368,10 +291,3 @@ def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array)
                 field="held",
                 value=anchor,
             )
-
-
-def _per_row(name: str, value: ArrayLike, count: int, shape: tuple[int, ...] = ()) -> Array:
-    """Return (count, *shape) of what is given for each row, or once for all."""
-    if np.ndim(value) == len(shape):
-        value = np.broadcast_to(float_array(name, value, shape) if shape else value, (count, *shape))
-    return float_array(name, value, (count, *shape))

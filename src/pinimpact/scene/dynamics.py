@@ -16,6 +16,7 @@ from ..robot._kernels import contact_kinematics, robot_impact
 from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
+from ..robot.joint_limits import JointLimit
 from ..robot.pinocchio_bridge import Call, RobotDynamics, call_addresses, robot_dynamics
 from ._kernels import (
     approach,
@@ -34,7 +35,7 @@ from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
-from .layout import JointLimit, SceneLayout
+from .layout import SceneLayout
 from .scene import Scene
 
 Array = NDArray[np.float64]

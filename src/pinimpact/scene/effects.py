@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
-from ..robot.names import near_matches
+from ..robot.names import counted, near_matches
 
 SWITCHABLE = (
     "gravity",
@@ -149,25 +149,22 @@ def make_plan(
     moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
     g = float(np.linalg.norm(model.gravity.linear))
 
-    def count(number: int, what: str) -> str:
-        return f"{number} {what}{'' if number == 1 else 's'}"
-
     called_for: dict[str, tuple[bool, str, str]] = {
         "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
         "control": (bool(control), control, "no control callback is given"),
         "joint damping": (
             bool(damping.any()),
-            f"{count(int((damping != 0).sum()), 'velocity')} damped".replace("velocitys", "velocities"),
+            f"{counted(int((damping != 0).sum()), 'velocity')} damped",
             "the model's damping is zero",
         ),
         "joint friction": (
             bool(dry.any()),
-            f"dry friction in {count(int((dry != 0).sum()), 'joint')}",
+            f"dry friction in {counted(int((dry != 0).sum()), 'joint')}",
             "the model's joint friction is zero",
         ),
         "rotor inertia": (
             bool(rotor.any()),
-            f"armature on {count(int((rotor != 0).sum()), 'joint')}",
+            f"armature on {counted(int((rotor != 0).sum()), 'joint')}",
             "the model's armature is zero",
         ),
         "contact friction": (
@@ -182,7 +179,7 @@ def make_plan(
         ),
         "contact guards": (
             watched > 0,
-            f"{count(watched, 'contact')} watched"
+            f"{counted(watched, 'contact')} watched"
             + (f"; out of reach and not watched: {', '.join(unreachable)}" if unreachable else ""),
             f"out of reach of their surfaces: {', '.join(unreachable)}"
             if unreachable
@@ -200,7 +197,7 @@ def make_plan(
         ),
         "joint limits": (
             limits > 0,
-            f"{count(limits, 'finite bound')}, one-sided impacts with e = {limit_restitution:g}",
+            f"{counted(limits, 'finite bound')}, one-sided impacts with e = {limit_restitution:g}",
             "no joint has a finite bound",
         ),
         "held contacts": (

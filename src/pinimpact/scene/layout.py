@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,28 +11,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..robot.contact import Contact, contact_constants
+from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import frame_id
 from ..robot.pinocchio_bridge import RobotDynamics
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
-
-
-@dataclass(frozen=True, slots=True)
-class JointLimit:
-    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0.
-
-    Attributes:
-        name: "joint_name lower" or "joint_name upper".
-        index_q, index_v: Where the coordinate stands in q and in v.
-        sign: 1 for a lower bound, −1 for an upper one.
-        bound: Its value [rad or m].
-    """
-
-    name: str
-    index_q: int
-    index_v: int
-    sign: float
-    bound: float
 
 
 class SceneLayout:
@@ -78,24 +60,7 @@ class SceneLayout:
     @cached_property
     def limits(self) -> tuple[JointLimit, ...]:
         """The finite bounds of the coordinates that are plain numbers."""
-        model = self._model
-        joints = zip(model.names, model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True)
-        lowest, highest = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
-        found = []
-        for label, nq, nv, first_q, first_v in list(joints)[1:]:
-            if nq != nv:
-                continue
-            for k in range(nq):
-                i, j = first_q + k, first_v + k
-                name = label + (f"[{k}]" if nq > 1 else "")
-                lower, upper = lowest[i], highest[i]
-                if lower == upper == 0.0:
-                    continue  # as Pinocchio fills in where a description gives none
-                if abs(lower) < 1e300:
-                    found.append(JointLimit(f"{name} lower", i, j, 1.0, lower))
-                if abs(upper) < 1e300:
-                    found.append(JointLimit(f"{name} upper", i, j, -1.0, upper))
-        return tuple(found)
+        return joint_limits(self._model)
 
     @cached_property
     def extent(self) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any
@@ -113,6 +114,39 @@ class Note:
 
     time: float
     text: str
+
+    def __str__(self) -> str:
+        return f"t = {self.time:.4f} s: {self.text}"
+
+
+@dataclass(frozen=True, slots=True)
+class NoteGroup:
+    """Notes that say the same, but for the numbers in them.
+
+    Attributes:
+        text: The first of them.
+        times: When [s], in order.
+    """
+
+    text: str
+    times: tuple[float, ...]
+
+    def __str__(self) -> str:
+        first, last = self.times[0], self.times[-1]
+        if len(self.times) == 1:
+            return f"t = {first:.4f} s: {self.text}"
+        return f"t = {first:.4f} to {last:.4f} s, {len(self.times)} times: {self.text}"
+
+
+def group_notes(notes: Sequence[Note]) -> tuple[NoteGroup, ...]:
+    """Return notes in groups, one for each contact and kind of remark, in the order of their first ones."""
+    groups: dict[str, list[Note]] = {}
+    for note in notes:
+        groups.setdefault(_NUMBER.sub("#", note.text), []).append(note)
+    return tuple(NoteGroup(same[0].text, tuple(n.time for n in same)) for same in groups.values())
+
+
+_NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(\.\d*)?(e[-+]?\d+)?(?= (m|s|N|rad|J)\b)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

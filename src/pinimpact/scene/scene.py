@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from ..checks import above_zero, at_least_zero, coefficient
 from ..errors import InputError
 from ..robot.contact import Contact, check_contact
+from ..robot.joint_limits import JointLimit
 from ..robot.names import frame_id, free_velocities, model_of
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
-from .layout import JointLimit, SceneLayout
+from .layout import SceneLayout
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,12 @@ from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import PinimpactError, SimulationError
 from ..robot.contact import Contact
+from ..robot.data_cache import data_cache
+from ..robot.joint_limits import JointLimit
 from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
-from .layout import JointLimit
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -77,6 +78,7 @@ class SceneImpacts:
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
         self._plastic: dict[int, Contact] = {}
+        data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
         """Have compiled whatever impacts may come to need, once, by impacts at rest that change nothing.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
 from ..robot.contact import Contact
+from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, TOUCHING
 from ._kernels.contact_forces import SLIP
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
+
+START_ROUNDING = 2e-9
+"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
 
 HELD_GAP = 1e-3
 """Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
@@ -62,6 +66,7 @@ class SimulationState:
     def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
         without = scene.without
         self.t, self.q, self.v = 0.0, q, v
+        self._model, self._data = model, data
         layout = scene.layout()
         unreachable = layout.unreachable
         watched = () if "contact guards" in without else scene.contacts
@@ -258,11 +263,25 @@ class SimulationState:
 
     # ---- the start
 
+    def _begin_at(self, numbers: NDArray[np.int64]) -> None:
+        """Put the start onto the surfaces and limits that it is off by rounding."""
+        dynamics, count = self.dynamics, len(self.dynamics.contacts)
+        self.q = self.q.copy()
+        for limit in (dynamics.limits[i - count] for i in numbers if i >= count):
+            self.q[limit.index_q] = limit.bound
+        contacts = [dynamics.contacts[i] for i in numbers if i < count]
+        if contacts:
+            self.q = closed_by_rounding(self._model, self._data, self.q, contacts)
+
     def _check_start(self, held_count: int, extent: float) -> None:
         dynamics = self.dynamics
         count = len(dynamics.contacts)
         free = count - held_count
         gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
+        acting = np.append(np.arange(free), np.arange(count, len(gaps)))
+        if ((gaps[acting] < -dynamics.work.touching_gap) & (gaps[acting] >= -START_ROUNDING)).any():
+            self._begin_at(acting[np.abs(gaps[acting]) <= START_ROUNDING])
+            gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
         for i, gap in enumerate(gaps.tolist()):
             if gap >= -dynamics.work.touching_gap or free <= i < count:
                 continue

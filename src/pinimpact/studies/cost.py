@@ -44,6 +44,9 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 """How methods, and other models, are drawn."""
 
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
+"""Errors that a summary tells the cost of."""
+
 BATCH = 2e-4
 """Seconds that one timing lasts at least; shorter calls are repeated."""
 
@@ -159,6 +162,39 @@ class Report:
                 f"  {c.problem:<26}{c.solver:<8}{c.velocity:>10.1e}{c.impulse:>10.1e}  {c.turned}"
                 for c in self.contrasts
             ]
+        return "\n".join(lines)
+
+    def summary(self) -> str:
+        """Return as text the least cost of coming within an error, by method, and what other models do."""
+        count = len(self.problems)
+        lines = [
+            f"Least time to come within an error, median over {count} problem{'' if count == 1 else 's'} "
+            "(of how many, where not of all)",
+            f"  {'method':<14}" + "".join(f"{target:>16.0e}" for target in TARGETS),
+        ]
+        for method in dict.fromkeys(point.method for point in self.points):
+            cells = []
+            for target in TARGETS:
+                costs = []
+                for problem in self.problems:
+                    good = [
+                        point.cost
+                        for point in self.points
+                        if (point.problem, point.method) == (problem, method) and point.error <= target
+                    ]
+                    costs += [min(good)] if good else []
+                part = "" if len(costs) in (0, count) else f" ({len(costs)}/{count})"
+                cells.append(f"{duration(float(np.median(costs))) if costs else '–'}{part}")
+            lines.append(f"  {method:<14}" + "".join(f"{cell:>16}" for cell in cells))
+        for solver in dict.fromkeys(contrast.solver for contrast in self.contrasts):
+            off = [max(c.velocity, c.impulse) for c in self.contrasts if c.solver == solver]
+            lines.append(
+                f"Another model: Pinocchio's {solver.upper()} at e = 0 is off the end of the path by "
+                f"{min(off):.1e} to {max(off):.1e}"
+            )
+        lines.append(
+            f"{len(self.points)} points were measured; --all prints them, --target what reaches an error."
+        )
         return "\n".join(lines)
 
     def cheapest(self, target: float) -> tuple[Point | None, ...]:

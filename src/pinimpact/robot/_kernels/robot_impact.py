@@ -12,9 +12,10 @@ from .contact_kinematics import jacobian
 from .python_calls import call
 from .tree import factor, solve, solve_transposed
 
-DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SIZE = 0, 6, 9, 12, 21, 28, 29
+DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, BEYOND, SIZE = 0, 6, 9, 12, 21, 28, 29, 30
 """Where `robot_impact` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
-velocity, the contact axes, v⁺, P and the compression impulse, and the scale of v."""
+velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, and how many coordinates are
+beyond their bounds."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
@@ -49,6 +50,7 @@ def dot(x, y):
     FLOAT_COLUMNS,
     FLOATS,
     READONLY,
+    FLOAT_ROWS,
     FLOATS,
     FLOATS,
     float,
@@ -65,6 +67,7 @@ def robot_impact(
     columns,
     signs,
     constants,
+    bounds,
     q,
     v,
     mu,
@@ -82,7 +85,8 @@ def robot_impact(
         columns: See there.
         signs: See there.
         constants: See there.
-        q: (nq,), only looked through for numbers that are not finite.
+        bounds: (2, nq) the least and the greatest value of each coordinate, see `BEYOND`.
+        q: (nq,), only looked through for numbers that are not finite, or beyond these.
         v: (nv,) pre-impact velocity.
         mu: Friction.
         e: Restitution.
@@ -93,6 +97,10 @@ def robot_impact(
         status, flags and iterations; or `SINGULAR_MASS` and the velocity at which the factorization stops.
     """
     n = len(v)
+    beyond = 0.0
+    for i in range(len(q)):
+        if q[i] < bounds[0, i] or q[i] > bounds[1, i]:
+            beyond += 1.0
     if not (all_finite(q) and all_finite(v)):
         return INVALID_NUMBERS, 0, 0
     scratch = np.empty((n + 4, n))
@@ -122,7 +130,7 @@ def robot_impact(
     rest = (
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
         *geometry[:9],
-        *(a1, a2, a3, p1, p2, p3, pc, scale),
+        *(a1, a2, a3, p1, p2, p3, pc, scale, beyond),
     )
     for i in range(SIZE):
         out[n + i] = rest[i]
@@ -148,6 +156,7 @@ def robot_impacts(
     columns,
     signs,
     constants,
+    bounds,
     q,
     v,
     usable,
@@ -157,6 +166,7 @@ def robot_impacts(
     after,
     impulses,
     codes,
+    numbers,
 ):
     """Resolve one contact's impact from N states.
 
@@ -171,6 +181,7 @@ def robot_impacts(
         columns: See `robot_impact`.
         signs: See there.
         constants: See there.
+        bounds: See there.
         q: (N, nq).
         v: (N, nv).
         usable: (N,) whether a row's q is a configuration; the others are passed by.
@@ -180,24 +191,30 @@ def robot_impacts(
         after: (N, nv) takes v⁺.
         impulses: (N, 3) takes the impulses in world axes.
         codes: (N, 2) takes status and flags.
+        numbers: (N, SIZE) takes what `robot_impact` has beyond v⁺; (0, SIZE) where that is not wanted.
 
     Returns:
         `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.
     """
     n = v.shape[1]
     out, placed, carried = np.empty(n + SIZE), np.eye(4), np.eye(4)
+    fresh = False
     for row in range(len(v)):
         if not usable[row]:
             continue
         for i in range(len(buffer)):
-            buffer[i] = q[row, i]
-        for k in range(0, len(calls), 2):
-            if not call(calls[k], calls[k + 1]):
-                return CALL_RAISED
+            if buffer[i] != q[row, i]:
+                fresh = False
+                buffer[i] = q[row, i]
+        if not fresh:
+            for k in range(0, len(calls), 2):
+                if not call(calls[k], calls[k + 1]):
+                    return CALL_RAISED
+            fresh = True
         homogeneous(frame, placed)
         homogeneous(carrier, carried)
         status, flags, _ = robot_impact(
-            *(mass, parents, placed, carried, columns, signs, constants),
+            *(mass, parents, placed, carried, columns, signs, constants, bounds),
             *(q[row], v[row], mu[row], e[row], law, out),
         )
         if status == SINGULAR_MASS:
@@ -206,6 +223,9 @@ def robot_impacts(
         if status > LOCKED:
             continue
         codes[row, 1] = flags
+        if len(numbers) > 0:
+            for i in range(SIZE):
+                numbers[row, i] = out[n + i]
         for j in range(n):
             after[row, j] = out[j]
         axes, p = out[n + AXES :], out[n + AFTER + 3 :]

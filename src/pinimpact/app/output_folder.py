@@ -1,0 +1,64 @@
+"""The folder that a command writes to: made, or refused, before anything is computed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import InputError
+
+DEFAULT = Path("out")
+
+
+def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Path:
+    """Return the folder to write to, which exists then.
+
+    Args:
+        out: The folder that is asked for; None for "out" or, where that has such files already, "out-2" and
+            so on.
+        names: What will be written.
+        force: Whether files of these names may be written over.
+
+    Raises:
+        InputError: It cannot be made, or it has such files already.
+    """
+    if out is None:
+        out = DEFAULT
+        if not force:
+            numbered = itertools.chain([out], (Path(f"{out}-{k}") for k in itertools.count(2)))
+            out = next(folder for folder in numbered if not _taken(folder, names))
+    elif not force and (taken := _taken(out, names)):
+        raise InputError(
+            f"out: {out} has {_listed(taken)} already; give --force to write over "
+            f"{'it' if len(taken) == 1 else 'them'}, or another folder with -o",
+            field="out",
+            value=str(out),
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".pinimpact"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(
+            f"out: nothing can be written to the folder {out}: {_reason(out, error)}; give another with -o",
+            field="out",
+            value=str(out),
+        ) from error
+    return out
+
+
+def _taken(folder: Path, names: Sequence[str]) -> list[str]:
+    return [name for name in names if (folder / name).exists()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _reason(folder: Path, error: OSError) -> str:
+    file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
+    if file is not None:
+        return f"{file} is a file"
+    return (error.strerror or str(error)).lower()

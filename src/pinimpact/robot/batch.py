@@ -1,0 +1,277 @@
+"""Many impacts of one robot at once."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import float_array
+from ..contact_space.batch import BatchSolution, solve_impacts, status_counts
+from ..contact_space.solution import Work
+from ..status import Status
+from ._kernels import robot_impact as kernel
+from ._kernels.python_calls import raise_kept_error
+from .contact import Contact, check_contact, check_held
+from .data_cache import DataCache, data_cache
+from .matrices import contact_matrices
+from .names import counted, free_velocities, model_of, singular_mass
+from .pinocchio_bridge import MassAndFrames, call_addresses
+from .robot_impact import HELD_TOLERANCE, HeldContactWarning, Hit, impact, restitution_of_approach
+
+Array = NDArray[np.float64]
+_WORLD = pin.Convention.WORLD
+_INVALID = int(Status.INVALID_NUMBERS)
+
+
+class _Rows:
+    """What was asked: model, (N, nq) q, (N, nv) v, contact, (N,) μ and e, what is held and locked."""
+
+    def __init__(
+        self,
+        model: pin.Model,
+        q: Array,
+        v: Array,
+        contact: Contact,
+        mu: Array,
+        e: Array,
+        usable: NDArray[np.bool_],
+        held: tuple[Contact, ...],
+        locked: Sequence[str | int],
+    ) -> None:
+        self.model, self.q, self.v, self.contact = model, q, v, contact
+        self.mu, self.e, self.usable, self.held, self.locked = mu, e, usable, held, locked
+
+
+class Hits:
+    """Many impacts of one robot, row by row; ``hits[i]`` is the `Hit` of a row.
+
+    Attributes:
+        v: (N, nv) post-impact velocities; NaN where the status is an error's.
+        impulse_world: (N, 3) impulses on the robot in world axes [N s]; NaN likewise.
+        status: (N,) integer values of `Status`.
+        flags: (N,) integer values of `Flag`.
+    """
+
+    def __init__(
+        self,
+        v: Array,
+        impulse_world: Array,
+        status: NDArray[np.int64],
+        flags: NDArray[np.int64],
+        rows: _Rows,
+        contact_space: tuple[BatchSolution, Array] | None = None,
+    ) -> None:
+        self.v = v
+        self.impulse_world = impulse_world
+        self.status = status
+        self.flags = flags
+        self._rows = rows
+        self._data: pin.Data | None = None
+        if contact_space is not None:
+            self.__dict__["_contact_space"] = contact_space
+
+    def __len__(self) -> int:
+        return len(self.v)
+
+    def __getitem__(self, row: int) -> Hit:
+        """Return the `Hit` of a row, resolved anew; raise what `impact` raises where there is none."""
+        try:
+            i = range(len(self))[row]
+        except (TypeError, IndexError):
+            what = f"row: {row!r} given, a whole number from 0 to {len(self) - 1} expected"
+            raise (IndexError if isinstance(row, (int, np.integer)) else TypeError)(what) from None
+        asked = self._rows
+        if self._data is None:
+            self._data = asked.model.createData()
+        contact = asked.contact
+        if contact.friction != asked.mu[i] or contact.restitution != asked.e[i]:
+            contact = replace(contact, friction=asked.mu[i], restitution=asked.e[i])
+        state = asked.q[i], asked.v[i]
+        return impact(asked.model, self._data, *state, contact, held=asked.held, locked=asked.locked)
+
+    @cached_property
+    def work(self) -> Work:
+        """The `Work` ledgers, arrays (N,) [J], NaN where the status is an error's; made on first access."""
+        batch, surfaces = self._contact_space
+        work = batch.work
+        return replace(work, surface=np.einsum("ij,ij->i", batch.impulse, surfaces))
+
+    @cached_property
+    def _contact_space(self) -> tuple[BatchSolution, Array]:
+        """The rows solved in contact space, and the velocities (N, 3) of the surfaces."""
+        asked, model = self._rows, self._rows.model
+        numbers = np.full((len(self), kernel.SIZE), np.nan)
+        _solve_by_kernel(data_cache(model, data := model.createData()), data, asked, numbers)
+        return _solve(asked, numbers)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_data": None}
+
+    def __repr__(self) -> str:
+        return f"Hits({counted(len(self), 'impact')}: {status_counts(self.status)})"
+
+
+def impacts(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    friction: ArrayLike | None = None,
+    restitution: ArrayLike | None = None,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+) -> Hits:
+    """Resolve one contact's impact from many states, and with many coefficients.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data; what changes is told in `contact_matrices`.
+        q: (N, nq) configurations, or (nq,) one for all rows.
+        v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
+        contact: The contact that collides.
+        friction: Scalar or (N,) to take instead of the contact's.
+        restitution: Scalar or (N,) to take instead of the contact's.
+        held: Contacts that hold during the impact, as in `impact`. A row in which one moves has bad numbers.
+        locked: Joints, by name or id, whose velocity the impact does not change.
+
+    Returns:
+        Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
+        and spoils no other. Where held contacts would have to pull, a `HeldContactWarning` says in how many
+        rows.
+
+    Raises:
+        InputError: Wrong shapes.
+        UnknownNameError: A frame or joint that the model does not have.
+        ModelError: The mass matrix is not positive definite.
+
+    Warns:
+        JointLimitWarning: A q lies beyond joint limits, as one in degrees does; told once for each Data.
+    """
+    model = model_of(model)
+    cache = data_cache(model, data)
+    check_contact("contact", contact)
+    held = check_held(held)
+    mu = contact.friction if friction is None else friction
+    law = contact.restitution if restitution is None else restitution
+    e = None if callable(law) else law
+    given = ((q, 1), (v, 1), (mu, 0), (e, 0))
+    count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
+    q = _per_row("q", q, count, cache.q_shape)
+    v = _per_row("v", v, count, cache.v_shape)
+    mu = _per_row("friction", mu, count)
+    e = None if e is None else _per_row("restitution", e, count)
+    usable = np.array(np.isfinite(q).all(axis=1))
+    if cache.curved:
+        usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
+    if e is None:
+        e = np.zeros(count)
+        for row in np.flatnonzero(usable):
+            e[row] = restitution_of_approach(model, data, q[row], v[row], contact)
+    beyond = np.flatnonzero(((q < cache.bounds[0]) | (q > cache.bounds[1])).any(axis=1) & usable)
+    if len(beyond):
+        cache.warn_of_limits(q[beyond[0]], f" (row {beyond[0]}; {counted(len(beyond), 'row')} in all)")
+    free_velocities(model, locked)
+    rows = _Rows(model, q, v, contact, mu, e, usable, held, locked)
+    if held or len(np.atleast_1d(np.asarray(locked, dtype=object))):
+        return _in_steps(data, rows)
+    codes, after, impulses = _solve_by_kernel(cache, data, rows, np.empty((0, kernel.SIZE)))
+    return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
+
+
+def _solve_by_kernel(
+    cache: DataCache, data: pin.Data, rows: _Rows, numbers: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return status and flags (N, 2), v⁺ and impulses; `numbers` takes what `robot_impact` has beyond v⁺."""
+    model, contact, count = rows.model, rows.contact, len(rows.q)
+    after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
+    frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
+    cache.mass_matrix(model, data, pin.neutral(model), _WORLD)  # says what is wrong with model or data
+    parts = MassAndFrames(model, data, frame, carrier)
+    codes = np.empty((count, 2), dtype=np.int64)
+    codes[:] = _INVALID, 0
+    stopped = kernel.robot_impacts(
+        *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
+        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants, cache.bounds),
+        *(rows.q, rows.v, rows.usable, rows.mu, rows.e, contact.law_code, after, impulses, codes, numbers),
+    )
+    if stopped == kernel.CALL_RAISED:
+        raise_kept_error()
+    if stopped >= 0:
+        raise singular_mass(model, stopped)
+    return codes, after, impulses
+
+
+def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
+    """Return the solutions in contact space for what `robot_impact` has written, and surface velocities."""
+    upper = numbers[:, kernel.DELASSUS : kernel.DELASSUS + 6]
+    delassus = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    velocity = numbers[:, kernel.VELOCITY : kernel.VELOCITY + 3]
+    surface = numbers[:, kernel.SURFACE : kernel.SURFACE + 3]
+    scale = numbers[:, kernel.SCALE]
+    return solve_impacts(delassus, velocity, rows.mu, rows.e, rows.contact.law, scale), surface
+
+
+def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
+    """Go by way of `contact_matrices`, made once for each q that follows another, and `solve_impacts`."""
+    model, contact, count, nv = rows.model, rows.contact, len(rows.q), rows.model.nv
+    delassus, velocity, scale = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count)
+    response, surface, axes = np.zeros((count, nv, 3)), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    pulls: list[tuple[int, Any]] = []
+    found: Any = None
+    last = -1
+    finite = np.isfinite(rows.v).all(axis=1)
+    for row in np.flatnonzero(rows.usable & finite).tolist():
+        if last < 0 or not np.array_equal(rows.q[row], rows.q[last]):
+            found, last = contact_matrices(model, data, rows.q[row], contact, rows.held, rows.locked), row
+        v = rows.v[row]
+        if any(_moves(anchor, v) for anchor in found.held):
+            continue
+        delassus[row], velocity[row] = found.delassus, found.velocity(v)
+        scale[row] = found.velocity_scale(v)
+        response[row], surface[row], axes[row] = found.response, found.surface_velocity, found.axes
+        pulls.append((row, found))
+    batch = solve_impacts(delassus, velocity, rows.mu, rows.e, contact.law, scale)
+    after = rows.v + np.einsum("ijk,ik->ij", response, batch.impulse)
+    _warn_of_pull(rows, batch, pulls)
+    world = np.einsum("ik,ikj->ij", batch.impulse, axes)
+    return Hits(after, world, batch.status, batch.flags, rows, (batch, surface))
+
+
+def _moves(anchor: Any, v: Array) -> bool:
+    """Whether a held contact moves against its surface."""
+    speed = float(np.linalg.norm(anchor.velocity(v)))
+    scale = float(np.linalg.norm(np.abs(anchor.jacobian) @ np.abs(v)))
+    return speed > HELD_TOLERANCE * (scale + float(np.linalg.norm(anchor.surface_velocity)))
+
+
+def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]]) -> None:
+    """Say in how many rows each held contact would have to pull."""
+    counts = dict.fromkeys((anchor.label for anchor in rows.held), 0)
+    for row, found in pulls:
+        impulses = found.held_response @ batch.impulse[row]
+        for anchor, geometry, impulse in zip(rows.held, found.held, impulses, strict=True):
+            pull = -float(geometry.axes[2] @ impulse)
+            counts[anchor.label] += pull > 1e-12 * float(np.linalg.norm(batch.impulse[row]))
+    for label, count in counts.items():
+        if count:
+            warnings.warn(
+                f"held: {label!r} would have to pull to hold in {counted(count, 'row')} of {len(rows.q)}; if "
+                "it can lift off, leave it out of held",
+                HeldContactWarning,
+                stacklevel=4,
+            )
+
+
+def _per_row(name: str, value: ArrayLike, count: int, shape: tuple[int, ...] = ()) -> Array:
+    """Return (count, *shape) of what is given for each row, or once for all."""
+    if np.ndim(value) == len(shape):
+        value = np.broadcast_to(float_array(name, value, shape) if shape else value, (count, *shape))
+    return float_array(name, value, (count, *shape))

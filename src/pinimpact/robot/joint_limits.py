@@ -1,0 +1,93 @@
+"""The bounds of a model's joints, as far as they are bounds of single coordinates."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import JointLimitWarning
+
+NO_BOUND = 1e300
+"""A number at least this large is no bound."""
+
+SLACK = 1e-4
+"""How far [rad or m] a coordinate may be beyond a bound without a word: descriptions round, stops give."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimit:
+    """One bound of one joint coordinate: sign · (q[index_q] − bound) ≥ 0.
+
+    Attributes:
+        name: "joint_name lower" or "joint_name upper".
+        index_q, index_v: Where the coordinate stands in q and in v.
+        sign: 1 for a lower bound, −1 for an upper one.
+        bound: Its value [rad or m].
+    """
+
+    name: str
+    index_q: int
+    index_v: int
+    sign: float
+    bound: float
+
+
+def joint_limits(model: pin.Model) -> tuple[JointLimit, ...]:
+    """Return the finite bounds of the coordinates that are plain numbers."""
+    joints = zip(model.names, model.nqs, model.nvs, model.idx_qs, model.idx_vs, strict=True)
+    lowest, highest = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
+    found = []
+    for label, nq, nv, first_q, first_v in list(joints)[1:]:
+        if nq != nv:
+            continue
+        for k in range(nq):
+            i, j = first_q + k, first_v + k
+            name = label + (f"[{k}]" if nq > 1 else "")
+            lower, upper = lowest[i], highest[i]
+            if lower == upper == 0.0:
+                continue  # as Pinocchio fills in where a description gives none
+            if abs(lower) < NO_BOUND:
+                found.append(JointLimit(f"{name} lower", i, j, 1.0, lower))
+            if abs(upper) < NO_BOUND:
+                found.append(JointLimit(f"{name} upper", i, j, -1.0, upper))
+    return tuple(found)
+
+
+def bounds(model: pin.Model) -> NDArray[np.float64]:
+    """Return (2, nq) the least and the greatest value of each coordinate, infinite where there is none."""
+    found = np.full((2, model.nq), np.inf)
+    found[0] = -np.inf
+    for limit in joint_limits(model):
+        found[0 if limit.sign > 0.0 else 1, limit.index_q] = limit.bound
+    return found
+
+
+def slack_bounds(model: pin.Model) -> NDArray[np.float64]:
+    """Return `bounds` with `SLACK`: beyond them there is something to warn of."""
+    return bounds(model) + np.array([[-SLACK], [SLACK]])
+
+
+def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklevel: int) -> None:
+    """Warn that a configuration (nq,) lies beyond the limits of a joint.
+
+    Args:
+        model: The robot.
+        q: The configuration.
+        rows: Goes after the name, where there are others: " in 3 rows".
+        stacklevel: As in `warnings.warn`.
+    """
+    low, high = bounds(model)
+    beyond = np.maximum(low - q, q - high)
+    i = int(np.argmax(beyond))
+    name = next(limit.name.rpartition(" ")[0] for limit in joint_limits(model) if limit.index_q == i)
+    degrees = "; angles are in radians, and these look like degrees" if abs(q[i]) > 2.0 * math.pi else ""
+    warnings.warn(
+        f"q: joint {name!r} is at {q[i]:.6g}, beyond its limits {low[i]:.6g} to {high[i]:.6g}{rows}{degrees}",
+        JointLimitWarning,
+        stacklevel=stacklevel,
+    )

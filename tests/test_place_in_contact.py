@@ -1,0 +1,159 @@
+"""Configurations in contact: against a general optimizer, closed forms, and the bounds of reach."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import minimize
+
+import pinimpact
+
+from . import robot_cases
+
+FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+
+
+def test_an_arm_comes_as_little_as_possible_from_where_it_was():
+    """Against scipy's SLSQP on the same problem, whose variables are all the coordinates."""
+    robot = pinimpact.load_robot("panda")
+    model, data = robot.model, robot.data
+    hand = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(point=(0, 0, 0.6), normal=(0.1, 0.3, 1)))
+    assert abs(hand.gap(model, data, robot.q0)) > 0.05
+    q = pinimpact.place_in_contact(model, data, robot.q0, hand)
+    assert abs(hand.gap(model, data, q)) < 1e-11
+    best = minimize(
+        lambda x: float(np.sum((x - robot.q0) ** 2)),
+        robot.q0,
+        constraints={"type": "eq", "fun": lambda x: hand.gap(model, data, x)},
+        bounds=list(zip(model.lowerPositionLimit, model.upperPositionLimit, strict=True)),
+        tol=1e-12,
+    )
+    assert np.linalg.norm(q - robot.q0) == pytest.approx(np.sqrt(best.fun), rel=1e-6)
+    np.testing.assert_allclose(q, best.x, atol=1e-5)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_a_quadruped_stands_on_its_feet(slope):
+    robot = pinimpact.load_robot("solo12")
+    ground = pinimpact.Plane(normal=(np.sin(slope), 0, np.cos(slope)))
+    feet = [pinimpact.Contact(foot, ground, radius=0.01) for foot in FEET]
+    q0 = robot.q0.copy()
+    q0[:3] += 0.4, -0.2, 1.5
+    q0[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, -0.2, 1.0)).coeffs()
+    q = pinimpact.place_in_contact(robot, robot.data, q0, feet)
+    assert max(abs(foot.gap(robot, robot.data, q)) for foot in feet) < 1e-11
+    assert pin.isNormalized(robot.model, q)
+    # no displacement along the surfaces of contact would bring it closer: the gradient is normal to them
+    x = pin.difference(robot.model, q0, q)
+    closer = pin.dDifference(robot.model, q0, q, pin.ArgumentPosition.ARG1).T @ x
+    rows = [
+        pin.computeFrameJacobian(
+            robot.model, robot.data, q, robot.model.getFrameId(foot), pin.LOCAL_WORLD_ALIGNED
+        )[:3].T
+        @ ground.normal
+        for foot in FEET
+    ]
+    along = closer - np.linalg.lstsq(np.array(rows).T, closer, rcond=None)[0] @ np.array(rows)
+    assert np.linalg.norm(along) < 1e-5 * np.linalg.norm(closer)
+
+
+def test_joint_limits_are_kept_to():
+    """The elbow alone would do; with its range cut, the shoulder has to help."""
+    robot = pinimpact.load_robot("two_link_arm")
+    model = robot.model.copy()
+    table = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)))
+    data = model.createData()
+    free = pinimpact.place_in_contact(model, data, robot.q0, table)
+    model.lowerPositionLimit = np.array([-1.0, -0.02])
+    model.upperPositionLimit = np.array([1.0, 0.02])
+    q = pinimpact.place_in_contact(model, data, robot.q0, table)
+    assert abs(free[1]) > 0.05
+    assert abs(q[1]) == pytest.approx(0.02, abs=1e-12)
+    assert abs(table.gap(model, data, q)) < 1e-11
+
+
+@pytest.mark.parametrize(("height", "left"), [(5.0, 3.0), (-5.0, 3.0), (0.5, None)])
+def test_what_cannot_be_reached_is_told_with_the_distance_left(height, left):
+    """Two links of 1 m each about the origin reach 2 m; a plane of the arm's own swing is never met."""
+    robot = pinimpact.load_robot("two_link_arm")
+    normal, left = ((0, 0, 1), left) if left else ((0, 1, 0), height)
+    plane = pinimpact.Plane(point=height * np.array(normal), normal=normal)
+    with pytest.raises(
+        pinimpact.InputError, match=rf"'tip on plane' cannot .*: {left:g} m are left"
+    ) as caught:
+        pinimpact.place_in_contact(robot, robot.data, robot.q0, pinimpact.Contact("tip", plane))
+    assert caught.value.field == "contacts"
+    assert caught.value.value == pytest.approx(left, rel=1e-5)
+
+
+def test_two_that_exclude_each_other_are_told():
+    robot = pinimpact.load_robot("two_link_arm")
+    low = pinimpact.Contact("tip", pinimpact.Plane(), name="low")
+    high = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)), name="high")
+    with pytest.raises(pinimpact.InputError, match=r"2 contacts .* 0\.25 m are left at '(low|high)'"):
+        pinimpact.place_in_contact(robot, robot.data, robot.q0, [low, high])
+    with pytest.raises(pinimpact.InputError, match="none given"):
+        pinimpact.place_in_contact(robot, robot.data, robot.q0, [])
+
+
+@pytest.mark.parametrize("name", ["panda", "kinova", "solo12", "talos", "double_pendulum_continuous"])
+def test_any_robot_meets_a_surface_that_it_can_reach(name):
+    """A surface through a place where the frame has been, from another configuration; also a carried ball."""
+    rng = np.random.default_rng(7)
+    model, data = robot_cases.load(name)
+    low, high = np.maximum(model.lowerPositionLimit, -2), np.minimum(model.upperPositionLimit, 2)
+    for surface in ("plane", "sphere"):
+        there, start = (pin.randomConfiguration(model, low, np.maximum(low, high)) for _ in range(2))
+        frame = model.getFrameId(robot_cases.FRAMES[name])
+        pin.framesForwardKinematics(model, data, there)
+        place = data.oMf[frame].translation.copy()
+        if surface == "plane":
+            contact = pinimpact.Contact(frame, pinimpact.Plane(point=place, normal=rng.normal(size=3)))
+        else:
+            contact = pinimpact.Contact(frame, pinimpact.Sphere(center=place, radius=0.02), radius=0.01)
+        q = pinimpact.place_in_contact(model, data, start, contact)
+        assert abs(contact.gap(model, data, q)) < 1e-10
+        for joint in range(1, model.njoints):
+            if model.nqs[joint] == 1:
+                i = model.idx_qs[joint]
+                assert model.lowerPositionLimit[i] <= q[i] <= model.upperPositionLimit[i]
+
+
+# ---- starts within rounding
+
+
+def standing(shift):
+    robot = pinimpact.load_robot("solo12")
+    feet = [pinimpact.Contact(foot, pinimpact.Plane(), friction=0.8, radius=0.01) for foot in FEET]
+    q = pinimpact.place_in_contact(robot, robot.data, robot.q0, feet)
+    q[2] += shift
+    hold = pinimpact.JointPD(kp=20.0, kd=0.5, q_ref=q)
+    return robot, pinimpact.Scene(robot, feet, control=hold), q
+
+
+def test_a_start_within_rounding_below_a_plane_rests_on_it():
+    robot, scene, q = standing(-1e-9)
+    assert scene.contacts[0].gap(robot, robot.data, q) < -9e-10
+    trajectory = pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05)
+    gaps = [contact.gap(robot, robot.data, trajectory.q[0]) for contact in scene.contacts]
+    assert np.abs(gaps).max() < 1e-12
+    assert np.abs(trajectory.q[0] - q).max() < 1e-8
+    assert {trajectory.mode_at(contact.label, 0.02) for contact in scene.contacts} == {"stick"}
+    assert not trajectory.impacts
+
+
+def test_a_start_further_below_is_an_error_still():
+    robot, scene, q = standing(-1e-8)
+    with pytest.raises(pinimpact.InputError, match=r"starts 1e-08 m below its surface"):
+        pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05)
+
+
+def test_a_start_within_rounding_beyond_a_joint_limit_is_at_it():
+    robot = pinimpact.load_robot("panda")
+    q = robot.q0.copy()
+    q[3] = robot.model.upperPositionLimit[3] + 5e-10
+    scene = pinimpact.Scene(robot, control=lambda t, q, v: pin.rnea(robot.model, robot.data, q, v, 0 * v))
+    trajectory = pinimpact.simulate(scene, q, np.zeros(9), 0.01)
+    assert trajectory.q[0, 3] == robot.model.upperPositionLimit[3]
+    q[3] += 1e-8
+    with pytest.raises(pinimpact.InputError, match="beyond its limit"):
+        pinimpact.simulate(scene, q, np.zeros(9), 0.01)
