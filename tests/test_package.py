@@ -80,6 +80,8 @@ def test_the_wheel_holds_types_models_and_scenes(built: Path) -> None:
         assert f"pinimpact/models/{model.name}" in names
     for file in (ROOT / "examples" / "scenes").iterdir():
         assert f"pinimpact/scenes/{file.name}" in names
+    for part in ("page.html", "player.js", "drawing.js"):
+        assert f"pinimpact/visual/page/{part}" in names
     assert all(name.startswith(("pinimpact/", "pinimpact-")) for name in names)
 
 

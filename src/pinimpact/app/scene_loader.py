@@ -110,7 +110,7 @@ class LoadedScene:
         if output.replay:
             page = folder / "replay.html"
             speed = output.replay_speed
-            yield "Replay", replay(self.robot, trajectory, page, contacts=self.scene.contacts, speed=speed)
+            yield "Replay", Path(replay(self.robot, trajectory, page, speed=speed))
 
 
 def load_scene(path: str | Path) -> LoadedScene:

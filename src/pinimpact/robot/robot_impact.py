@@ -90,6 +90,11 @@ class Hit:
         return self._part(kernel.AXES, 9).reshape(3, 3)
 
     @property
+    def contact(self) -> Contact:
+        """The contact that collided."""
+        return self._contact
+
+    @property
     def problem(self) -> ImpactProblem:
         """The contact-space problem that was solved."""
         w11, w12, w13, w22, w23, w33, *velocity = self._part(kernel.DELASSUS, 9).tolist()
