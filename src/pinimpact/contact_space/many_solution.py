@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..status import Flag, Status
+from ..status import EFFECTS, Flag, Status
 from .inputs import Array
-from .solution import Segment, Work
+from .solution import Path, Segment, Solution, Work
 
 RESTS = 1e-9
 """Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
@@ -95,11 +95,57 @@ class ManySolution:
         """How the impact ended: the least of `statuses`, so separated if any contact has."""
         return min(self.statuses, default=Status.NO_IMPACT)
 
+    def part(self, j: int) -> Solution:
+        """Return what contact j has come to, by the names that the `Solution` of one contact has."""
+        return PartSolution(self, j)
+
     def __repr__(self) -> str:
         return (
             f"ManySolution({self.simultaneous}: velocity={self.velocity.tolist()}, "
             f"impulse={self.impulse.tolist()}, status={self.status.name}, events={self.events})"
         )
+
+
+class PartSolution(Solution):
+    """What an impact at many contacts came to at one of them. It ended when all did.
+
+    Its path is in its own P₃; where only others are pressed, P₃ stands still.
+    """
+
+    def __init__(self, whole: ManySolution, j: int) -> None:
+        status = whole.statuses[j]
+        own = (status, whole.flags, whole.iterations, *whole.velocity[j].tolist(), *whole.impulse[j].tolist())
+        result = (*own, float(whole.compression_impulse[j]))
+        unused = (0.0,) * 11
+        super().__init__(result, (*unused, 0, 0.0), method=whole.simultaneous)
+        self.part_of = whole
+        work = whole.work
+        # instead of what would be found by solving again
+        self.__dict__["segments"] = whole.segments[j]
+        self.__dict__["work"] = Work(
+            *(float(part[j]) for part in (work.compression, work.restitution, work.friction, work.surface))
+        )
+        if whole.path is not None:
+            impulse = whole.path.impulse[:, j]
+            self.path = Path(impulse[:, 2].copy(), whole.path.velocity[:, j].copy(), impulse.copy())
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that were computed, of the vocabulary `pinimpact.EFFECTS`."""
+        tangential = bool(self.impulse[:2].any())
+        modes = {segment.mode for segment in self.segments}
+        computed = (
+            tangential,
+            any(segment.phase == "restitution" for segment in self.segments),
+            True,
+            tangential,
+            "stick" in modes,
+            False,
+            False,
+            Flag.SECOND_COMPRESSION in self.flags,
+            self.path is not None,
+        )
+        return tuple(name for name, present in zip(EFFECTS, computed, strict=True) if present)
 
 
 def segments_of(rows: Array, count: int, impulse_scale: float) -> tuple[tuple[Segment, ...], ...]:

@@ -120,15 +120,21 @@ def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: 
     return np.array(np.broadcast_to(array, (n,)))
 
 
-def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
-    """Resolve an impact at n contacts; see `solve_impact`."""
-    policy = POLICIES.get(simultaneous)
+def find_policy(name: str) -> Policy:
+    """Return the policy of that name, or raise `UnknownNameError`."""
+    policy = POLICIES.get(name)
     if policy is None:
         raise UnknownNameError(
-            f"simultaneous: {simultaneous!r} is not a policy; they are {', '.join(map(repr, POLICIES))}",
+            f"simultaneous: {name!r} is not a policy; they are {', '.join(map(repr, POLICIES))}",
             field="simultaneous",
-            value=simultaneous,
+            value=name,
         )
+    return policy
+
+
+def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
+    """Resolve an impact at n contacts; see `solve_impact`."""
+    policy = find_policy(simultaneous)
     for name in options:
         if name not in policy.options:
             raise UnknownNameError(

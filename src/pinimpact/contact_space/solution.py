@@ -89,6 +89,8 @@ class Solution:
         self._method = method
         self._options = options
         self._surface_velocity = surface_velocity
+        self.part_of: Any = None
+        """The `ManySolution` that this is one contact's part of, or None."""
         self.path: Path | None = path
         """The recorded `Path`, or None where ``record=True`` was not asked for."""
 

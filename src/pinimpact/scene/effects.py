@@ -31,7 +31,7 @@ SWITCHABLE = (
 )
 """Effects that can be switched off by name."""
 
-DERIVED = ("normal-tangential coupling", "spatial slip")
+DERIVED = ("normal-tangential coupling", "spatial slip", "simultaneous impacts")
 """Effects that each impact decides from its own W and v; they cannot be switched off."""
 
 
@@ -123,6 +123,7 @@ def make_plan(
     locked: Sequence[str | int],
     resting_speed: float,
     record: bool,
+    simultaneous: str,
     events: Sequence[str],
     without: Sequence[str],
 ) -> Plan:
@@ -139,6 +140,7 @@ def make_plan(
         locked: Joints that are locked during impacts.
         resting_speed: Bounce speed below which a contact is taken as resting [m/s].
         record: Whether paths of impacts are recorded.
+        simultaneous: Policy for impacts at one instant.
         events: Names of the user's events.
         without: Effects to leave out.
     """
@@ -242,4 +244,15 @@ def make_plan(
                 else "no contact can touch",
             )
         )
+    stops = limits if "joint limits" not in without else 0
+    several = (watched if "contact guards" not in without else 0) + stops > 1
+    effects.append(
+        Effect(
+            "simultaneous impacts",
+            several,
+            f"what collides or rests at one instant and feels each other is resolved by {simultaneous!r}"
+            if several
+            else "no two contacts or joint limits can touch at one instant",
+        )
+    )
     return Plan(tuple(effects), resting_speed, unreachable)

@@ -31,6 +31,8 @@ class ImpactRecord:
         simultaneous: Other impacts took place at the same instant.
         record: Whether the solution has a path.
         contact_space: Makes `problem` and `impulse_world`, which few ask for.
+        group: Of an impact at several contacts at once the problem of all, this one's place in it, and the
+            policy. Then v_before and v_after are those of all together, and `problem` is its own part.
     """
 
     time: float
@@ -42,6 +44,7 @@ class ImpactRecord:
     simultaneous: bool
     record: bool
     contact_space: Callable[[], tuple[ImpactProblem, Array]]
+    group: tuple[ImpactProblem, int, str] | None = None
 
     @cached_property
     def _contact_space(self) -> tuple[ImpactProblem, Array]:
@@ -59,7 +62,10 @@ class ImpactRecord:
 
     @cached_property
     def solution(self) -> Solution:
-        """The full solution of the impact, made on first access."""
+        """The full solution of the impact, made on first access; of several at once, this one's part."""
+        if self.group is not None:
+            problem, place, policy = self.group
+            return solve_impact(problem, record=True, simultaneous=policy).part(place)
         return solve_impact(self.problem, record=self.record)
 
     def __getstate__(self) -> dict[str, Any]:

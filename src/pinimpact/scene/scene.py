@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..checks import above_zero, at_least_zero, coefficient
+from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
@@ -46,6 +47,8 @@ class Scene:
         period: Where the control is sampled: it is called once at each of the times 0, T, 2T, … of this
             period T [s], in their order, after what happens then, and its force is held until the next one
             acts. It may keep a state of its own.
+        simultaneous: Policy for contacts, joint limits among them, that collide or rest at one instant and
+            feel each other; see `POLICIES`.
         delay: Time [s] from when a sampled control is asked to when its force acts; no force acts before.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
@@ -76,6 +79,7 @@ class Scene:
     events: Sequence[Event | Guard] = ()
     period: float | None = None
     delay: float = 0.0
+    simultaneous: str = "propagate"
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
@@ -100,6 +104,7 @@ class Scene:
                 value=self.control,
             )
         self._check_sampling()
+        find_policy(self.simultaneous)
         assign(self, "limit_restitution", coefficient("limit_restitution", self.limit_restitution))
         if self.resting_speed is not None and not at_least_zero("resting_speed", self.resting_speed) > 0.0:
             raise InputError(
@@ -176,6 +181,7 @@ class Scene:
             control=self._control_in_words(),
             locked=self.locked,
             resting_speed=self.rest,
+            simultaneous=self.simultaneous,
             record=self.record,
             events=[event.label for event in as_events(self.events)],
             without=self.without,

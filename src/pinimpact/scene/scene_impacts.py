@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,7 @@ from ..errors import PinimpactError, SimulationError
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.joint_limits import JointLimit
-from ..robot.matrices import contact_matrices
+from ..robot.matrices import contact_matrices, many_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
@@ -46,8 +46,34 @@ class Impact(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+class Group(NamedTuple):
+    """What several contacts and limits at one instant come to.
+
+    Attributes:
+        v: (nv,) velocity after it.
+        sources: Which have had an impulse.
+        resting: Of these, whether the bounce would have been slower than the resting speed.
+        contact_space: Of these, what makes the problem and the impulse in world axes.
+        places: Of these, in the problem.
+        problem: That of all.
+        notes: What a reader should know of it.
+    """
+
+    v: Array
+    sources: tuple[int, ...]
+    resting: tuple[bool, ...]
+    contact_space: tuple[Callable[[], tuple[ImpactProblem, Array]], ...]
+    places: tuple[int, ...]
+    problem: ImpactProblem
+    notes: tuple[str, ...]
+
+
+COUPLED = 1e-12
+"""Part of what two contacts feel of themselves below which they do not feel each other."""
+
+
 class SceneImpacts:
-    """Resolves the impacts of a scene one by one.
+    """Resolves the impacts of a scene.
 
     Args:
         scene: The scene.
@@ -56,6 +82,10 @@ class SceneImpacts:
         dynamics: The scene's contacts and limits.
         held: Contacts that hold throughout.
         resting_speed: That of the scene [m/s].
+
+    Attributes:
+        policy: For what collides or rests at one instant.
+        together: Whether it takes all of them at once.
     """
 
     def __init__(
@@ -78,6 +108,8 @@ class SceneImpacts:
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
         self._plastic: dict[int, Contact] = {}
+        self.policy = scene.simultaneous
+        self.together = scene.simultaneous != "sequence"
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
 
     def compile_kernels(self, q: Array) -> None:
@@ -154,6 +186,82 @@ class SceneImpacts:
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
+    def resolve_group(
+        self, q: Array, v: Array, first: int, touching: Sequence[int], rates: Array
+    ) -> Group | None:
+        """Resolve the impact of all that touches and feels what collides; None if nothing does.
+
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity before it.
+            first: The contact or limit that collides.
+            touching: All that touch, `first` among them, contacts before limits.
+            rates: (n + nl,) rates of all gaps.
+        """
+        count = len(self._dynamics.contacts)
+        contacts = [self._dynamics.contacts[i] for i in touching if i < count]
+        limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
+        rows = np.zeros((len(limits), self._model.nv))
+        for row, limit in zip(rows, limits, strict=True):
+            row[limit.index_v] = limit.sign
+        matrices = many_matrices(
+            self._model, self._data, q, contacts, self._held, self._locked, joint_rows=rows
+        )
+        chosen = _coupled(matrices.delassus, list(touching).index(first))
+        if len(chosen) == 1:
+            return None
+        places = (3 * chosen[:, None] + np.arange(3)).ravel()
+        delassus = np.ascontiguousarray(matrices.delassus[np.ix_(places, places)])
+        velocity = matrices.velocity(v)[chosen]
+        sources = [touching[k] for k in chosen]
+        struck = [self._dynamics.contacts[i] if i < count else None for i in sources]
+        e = np.array([self._restitution(c, rates[i]) for i, c in zip(sources, struck, strict=True)])
+        stiffness = _stiffness(struck, np.diag(delassus)[2::3])
+        friction = np.array([0.0 if contact is None else contact.friction for contact in struck])
+        laws = {contact.law for contact in struck if contact is not None}
+        resting = np.zeros(len(chosen), dtype=bool)
+        while True:
+            problem = ImpactProblem(
+                *(delassus, velocity, friction, np.where(resting, 0.0, e)),
+                min(laws) if len(laws) == 1 else "energetic",
+                matrices.surface_velocity[chosen],
+                stiffness=stiffness,
+            )
+            solution = solve_impact(problem, simultaneous=self.policy)
+            bounce = solution.velocity[:, 2]
+            slow = (solution.impulse[:, 2] > 0.0) & (bounce > 0.0) & (bounce < self._resting_speed)
+            more = slow & (e > 0.0) & ~resting
+            if not more.any():
+                break
+            resting |= more
+        after = v + matrices.response[:, places] @ solution.impulse.ravel()
+        axes = [g.axes for g in matrices.contacts]
+        notes = solution.notes
+        hit = [k for k in range(len(chosen)) if solution.impulse[k, 2] > 0.0]
+        return Group(
+            after,
+            tuple(sources[k] for k in hit),
+            tuple(bool(resting[k]) for k in hit),
+            tuple(
+                partial(
+                    _given,
+                    _own_problem(problem, k),
+                    solution.impulse[k] @ axes[chosen[k]] if chosen[k] < len(contacts) else np.zeros(3),
+                )
+                for k in hit
+            ),
+            tuple(hit),
+            problem,
+            notes,
+        )
+
+    def _restitution(self, contact: Contact | None, rate: float) -> float:
+        """Return the restitution of a contact, or of a limit, in an impact at many."""
+        approach = max(-float(rate), 0.0)
+        if self._sustained and approach <= self._resting_speed:
+            return 0.0
+        return self._limit_restitution if contact is None else contact.restitution_at(approach)
+
     def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
         """Return M⁻¹ with what is held and locked projected out."""
         nv = self._model.nv
@@ -197,6 +305,43 @@ class SceneImpacts:
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))
+
+
+def _coupled(delassus: Array, first: int) -> NDArray[np.int64]:
+    """Return the contacts that feel each other and `first`, in their order."""
+    n = len(delassus) // 3
+    sizes = np.abs(delassus).reshape(n, 3, n, 3).max(axis=(1, 3))
+    own = np.sqrt(np.diag(sizes))
+    feels = sizes > COUPLED * own[:, None] * own
+    found = np.zeros(n, dtype=bool)
+    found[first] = True
+    for _ in range(n):
+        found |= feels[found].any(axis=0)
+    return np.flatnonzero(found)
+
+
+def _stiffness(struck: Sequence[Contact | None], inverse_masses: Array) -> Array:
+    """Return relative stiffnesses; of joint limits such that κ W is the mean of the contacts'."""
+    given = [np.nan if contact is None else contact.stiffness for contact in struck]
+    stiffness = np.array(given, dtype=float)
+    stops = np.isnan(stiffness)
+    mean = float(np.mean((stiffness * inverse_masses)[~stops])) if not stops.all() else 1.0
+    usable = np.where(inverse_masses > 0.0, inverse_masses, 1.0)
+    stiffness[stops] = (mean if mean > 0.0 else 1.0) / usable[stops]
+    return stiffness
+
+
+def _own_problem(problem: ImpactProblem, k: int) -> ImpactProblem:
+    """Return what one contact's own part of a problem of many is."""
+    rows = slice(3 * k, 3 * k + 3)
+    return ImpactProblem(
+        np.asarray(problem.delassus)[rows, rows],
+        np.asarray(problem.velocity)[k],
+        float(problem.friction[k]),
+        float(problem.restitution[k]),
+        problem.law,
+        np.asarray(problem.surface_velocity)[k],
+    )
 
 
 def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:

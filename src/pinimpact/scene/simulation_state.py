@@ -124,7 +124,7 @@ class SimulationState:
     def settle(self, arriving: int | None = None, starting: bool = False) -> None:
         """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
 
-        Of contacts that approach together the fastest is resolved first, and again, until none approaches
+        All that touches and feels what collides takes part, by the scene's policy; until nothing approaches
         faster than the resting speed.
 
         Args:
@@ -141,7 +141,7 @@ class SimulationState:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             if i >= 0 and len(resolved) < MAX_ROUNDS:
                 where[i] = TOUCHING
-                resolved.append(self._collide(i, -rate))
+                resolved += self._collide_together(i) or [self._collide(i, -rate)]
                 continue
             if i >= 0:
                 self.note(
@@ -172,11 +172,51 @@ class SimulationState:
         for text in impact.notes:
             self.note(text)
         if impact.resting:
-            self.note(
-                f"{self.names[i]} is taken as resting: it would bounce slower than "
-                f"{self._resting_speed:.3g} m/s."
-            )
+            self._note_rest(i)
         return self._take_over(i, impact)
+
+    def _collide_together(self, first: int) -> list[dict[str, Any]]:
+        """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
+        contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
+        touching = [
+            i for i in np.flatnonzero(self._where != APART).tolist() if i >= contacts or not bilateral[i]
+        ]
+        if len(touching) < 2 or not self._impacts.together:
+            return []
+        rates = self.dynamics.gaps_at(self.q, self.v)[:, 1]
+        group = self._impacts.resolve_group(self.q, self.v, first, touching, rates)
+        if group is None:
+            return []
+        for text in group.notes:
+            self.note(text)
+        before = self.v
+        self.change_velocity(group.v)
+        self._where[list(group.sources)] = TOUCHING
+        found = []
+        for i, resting, make, place in zip(
+            group.sources, group.resting, group.contact_space, group.places, strict=True
+        ):
+            if resting:
+                self._note_rest(i)
+            found.append(
+                {
+                    "time": self.t,
+                    "source": self.names[i],
+                    "q": self.q,
+                    "v_before": before,
+                    "v_after": group.v,
+                    "contact_space": make,
+                    "resting": resting,
+                    "record": self._record and i < contacts,
+                    "group": (group.problem, place, self._impacts.policy),
+                }
+            )
+        return found
+
+    def _note_rest(self, i: int) -> None:
+        self.note(
+            f"{self.names[i]} is taken as resting: it would bounce slower than {self._resting_speed:.3g} m/s."
+        )
 
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
         """Take over the velocity after an impact; return the fields of its record."""

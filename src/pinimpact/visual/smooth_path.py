@@ -31,6 +31,8 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
         solution: Its answer; one without a path is solved once more with ``record=True``, by "exact".
     """
     recorded = solution.path
+    if recorded is not None and solution.part_of is not None:
+        return recorded  # other contacts have a part in it; its points are close enough
     if recorded is None:
         recorded = solve_impact(problem, record=True).path
         assert recorded is not None  # it was asked for
