@@ -121,6 +121,8 @@ class ContactTable(_Table):
     """Coefficient of the law, from 0 to 1."""
     law: str = "poisson"
     """``"poisson"``, ``"energetic"`` or ``"newton"``."""
+    stiffness: float = 1.0
+    """Relative normal stiffness, above 0; counts where several contacts collide at one instant."""
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     """Of the point from the frame's origin, in the frame's axes."""
     radius: Length = 0.0
@@ -193,6 +195,9 @@ class SceneFile(_Table):
     """Joints whose velocity no impact changes, as under stiff position control."""
     limit_restitution: float = 0.0
     """Restitution of the joint limits, from 0 to 1."""
+    simultaneous: str = "propagate"
+    """Policy for contacts and joint limits that collide or rest at one instant: ``"propagate"``,
+    ``"sequence"``, ``"together"``, ``"reflect"`` or ``"any"``."""
     resting_speed: Speed | None = None
     """A bounce slower than this is taken as rest. Left out: 10⁻⁴ √(g L), with the size L of the robot; see
     [Impacts and rest](scenes.md#impacts-and-rest)."""

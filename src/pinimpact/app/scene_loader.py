@@ -140,6 +140,7 @@ def load_scene(path: str | Path) -> LoadedScene:
         locked=file.locked,
         limit_restitution=file.limit_restitution,
         resting_speed=file.resting_speed,
+        simultaneous=file.simultaneous,
         record=file.output.plots,
         without=file.without,
     )

@@ -30,6 +30,9 @@ FORMAT = 1
 SURFACES: dict[str, type[Plane] | type[Sphere]] = {"plane": Plane, "sphere": Sphere}
 """What a surface's `kind` stands for."""
 
+GROUP = ("delassus", "velocity", "friction", "restitution", "law", "surface_velocity", "stiffness")
+"""What is stored of the problem of several contacts."""
+
 FORCE_TABLES = ("force_rows", "force_world", "force_points", "force_normals", "force_joints", "force_unique")
 
 
@@ -54,6 +57,10 @@ def write_trajectory(
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
+    groups: list[ImpactProblem] = []
+    for impact in impacts:
+        if impact.group is not None and all(impact.group[0] is not known for known in groups):
+            groups.append(impact.group[0])
     nq, nv = q.shape[1], v.shape[1]
     meta = {
         "format": FORMAT,
@@ -78,6 +85,13 @@ def write_trajectory(
                 i.simultaneous,
                 i.record,
             ]
+            for i in impacts
+        ],
+        "groups": [{name: _plain(getattr(group, name)) for name in GROUP} for group in groups],
+        "in_group": [
+            None
+            if i.group is None
+            else [next(k for k, known in enumerate(groups) if known is i.group[0]), *i.group[1:]]
             for i in impacts
         ],
     }
@@ -148,6 +162,11 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         segment.end = end
         segments.append(segment)
+    groups = [
+        ImpactProblem(**{name: _numbers(value) for name, value in group.items()})
+        for group in meta.get("groups", ())
+    ]
+    in_group = meta.get("in_group", [None] * len(meta["impacts"]))
     scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
     impacts = [
         ImpactRecord(
@@ -166,6 +185,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
                 (mu, e, law),
                 None if np.isnan(scales[i]) else float(scales[i]),
             ),
+            None if in_group[i] is None else (groups[in_group[i][0]], *in_group[i][1:]),
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]
@@ -208,6 +228,15 @@ def _surface_fields(surface: Surface) -> dict[str, Any]:
 
 def _surface(kind: str, **fields: Any) -> Surface:
     return SURFACES[kind](**fields)
+
+
+def _plain(value: Any) -> Any:
+    """Return an array as nested lists, whose numbers JSON keeps to the last digit."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _numbers(value: Any) -> Any:
+    return np.array(value) if isinstance(value, list) else value
 
 
 def _contact_space(
