@@ -1,0 +1,447 @@
+"""Impacts at many contacts in contact space: closed forms, another integration, symmetries, energy."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pinimpact
+from pinimpact import Flag, ImpactProblem, InputError, LawError, Status, solve_impact
+
+CRADLE = (-0.130261695064521, 0.150229569434774, 0.980032125629747)
+
+
+def row_of_balls(count, masses=None):
+    """J (3n, balls) and M⁻¹ of balls in a row."""
+    jacobian = np.zeros((3 * (count - 1), count))
+    for j in range(count - 1):
+        jacobian[3 * j + 2, j : j + 2] = -1.0, 1.0
+    return jacobian, np.eye(count) if masses is None else np.diag(1.0 / np.asarray(masses, dtype=float))
+
+
+def collide(jacobian, inverse, u, friction=0.0, restitution=0.0, **options):
+    """Return the solution and u⁺."""
+    problem = ImpactProblem(
+        jacobian @ inverse @ jacobian.T,
+        (jacobian @ u).reshape(-1, 3),
+        friction,
+        restitution,
+        "energetic",
+        stiffness=options.pop("stiffness", None),
+    )
+    solution = solve_impact(problem, **options)
+    return solution, u + inverse @ jacobian.T @ solution.impulse.ravel()
+
+
+def planar_body(points, mass, inertia):
+    """J and M⁻¹ of a body in the plane (vx, vz, ω), touched at points (x, z) relative to its centre."""
+    rows = [row for x, z in points for row in ([1.0, 0.0, -z], [0.0, 0.0, 0.0], [0.0, 1.0, x])]
+    return np.array(rows), np.diag([1.0 / mass, 1.0 / mass, 1.0 / inertia])
+
+
+def turning_about(corner, omega):
+    """Velocity (vx, vz, ω) of a body whose corner (x, z) is at rest."""
+    return np.array([omega * corner[1], -omega * corner[0], omega])
+
+
+@pytest.mark.parametrize(
+    ("e", "after", "digits"),
+    [
+        (1.0, CRADLE, 1e-14),
+        (0.9, (-0.0653045867, 0.1671929516, 0.8981116351), 1e-10),
+        (0.5, (0.1827348569, 0.2339841796, 0.5832809634), 1e-10),
+        (0.0, (1 / 3, 1 / 3, 1 / 3), 1e-14),
+    ],
+)
+def test_three_balls_in_a_row(e, after, digits):
+    # the numbers of the notes on this model, found there by another program
+    _, found = collide(*row_of_balls(3), np.array([1.0, 0.0, 0.0]), restitution=e)
+    assert found == pytest.approx(after, abs=digits)
+
+
+def test_three_elastic_balls_by_their_two_modes():
+    # δ₁ ± δ₂ swing with 1 and √3: the first contact opens where sin t + sin(√3 t)/√3 is zero, then the
+    # second one springs back alone, as an oscillator of frequency √2
+    low, high = 2.0, 3.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (
+            (middle, high)
+            if math.sin(middle) + math.sin(math.sqrt(3) * middle) / math.sqrt(3) > 0
+            else (low, middle)
+        )
+    t = low
+    d2 = 0.5 * (math.sin(t) - math.sin(math.sqrt(3) * t) / math.sqrt(3))
+    p1 = 0.5 * ((1 - math.cos(t)) + (1 - math.cos(math.sqrt(3) * t)) / 3)
+    p2 = 0.5 * ((1 - math.cos(t)) - (1 - math.cos(math.sqrt(3) * t)) / 3)
+    rate = (p1 - p2) - p2  # of δ₂
+    amplitude = math.hypot(d2, rate / math.sqrt(2))
+    phase = math.atan2(d2, rate / math.sqrt(2))
+    p2 += (amplitude / math.sqrt(2)) * (math.cos(phase) + 1)
+    _, found = collide(*row_of_balls(3), np.array([1.0, 0.0, 0.0]), restitution=1.0)
+    assert found == pytest.approx([1 - p1, p1 - p2, p2], abs=1e-14)
+
+
+def test_hertzian_rows_of_balls():
+    _, three = collide(
+        *row_of_balls(3), np.array([1.0, 0, 0]), restitution=1.0, exponent=1.5, simultaneous="propagate"
+    )
+    assert three == pytest.approx((-0.0709524, 0.0764030, 0.9945493), abs=5e-8)
+    start = np.zeros(10)
+    start[0] = 1.0
+    _, ten = collide(*row_of_balls(10), start, restitution=1.0, exponent=1.5, simultaneous="propagate")
+    expected = (-0.0710850, -0.0302738, -0.0158334, -0.0088857, -0.0051266)
+    expected += (-0.0029860, -0.0017377, 0.0026720, 0.1473903, 0.9858659)
+    assert ten == pytest.approx(expected, abs=1e-7)
+
+
+def test_limits_of_stiffness_ratios():
+    soft, hard = (
+        collide(*row_of_balls(3), np.array([1.0, 0, 0]), restitution=1.0, stiffness=(1.0, ratio))[1]
+        for ratio in (1e-8, 1e4)
+    )
+    assert soft == pytest.approx((0, 0, 1), abs=1e-3)  # one after the other
+    assert hard == pytest.approx((-1 / 3, 2 / 3, 2 / 3), abs=0.02)  # the last two are one
+
+
+@pytest.mark.parametrize(("e", "after"), [(1.0, (-0.2, 0.6, 0.3464102)), (0.5, (0.1, 0.45, 0.2598076))])
+def test_a_ball_between_two(e, after):
+    jacobian = np.zeros((6, 6))
+    for j, side in enumerate((1.0, -1.0)):
+        normal = np.array([math.cos(math.pi / 6), side * math.sin(math.pi / 6)])
+        jacobian[3 * j + 2, :2] = -normal
+        jacobian[3 * j + 2, 2 * j + 2 : 2 * j + 4] = normal
+    _, u = collide(jacobian, np.eye(6), np.array([1.0, 0, 0, 0, 0, 0]), restitution=e)
+    assert u[:4] == pytest.approx([after[0], 0.0, *after[1:]], abs=5e-8)
+    assert u[4:] == pytest.approx([u[2], -u[3]], abs=1e-14)
+
+
+@pytest.mark.parametrize("slenderness", [4.0, 2.0, 1.0, 1 / math.sqrt(2)])
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.5])
+def test_a_rocking_block_turns_about_one_corner(slenderness, e):
+    height = slenderness
+    corners = (-1.0, -height), (1.0, -height)
+    jacobian, inverse = planar_body(corners, 1.0, (1 + height**2) / 3)
+    start = turning_about(corners[0], -1.0)
+    _, after = collide(jacobian, inverse, start, friction=100.0, restitution=e)
+    alpha = math.atan2(1.0, height)
+    assert after[2] / -1.0 == pytest.approx(1 - 1.5 * (1 + e) * math.sin(alpha) ** 2, abs=1e-12)
+
+
+def test_a_flat_block_lands():
+    corners = (-0.5, -0.25), (0.5, -0.25)
+    jacobian, inverse = planar_body(corners, 1.0, (1 + 0.25) / 12)
+    start = turning_about(corners[0], -1.0)
+    solution, after = collide(jacobian, inverse, start, friction=100.0, restitution=0.0)
+    assert after == pytest.approx(np.zeros(3), abs=1e-12)
+    assert solution.impulse[:, 2] == pytest.approx((0.0833333, 0.4166667), abs=1e-7)
+    _, bounced = collide(jacobian, inverse, start, friction=100.0, restitution=0.5)
+    assert bounced[2] / -1.0 == pytest.approx(-0.298915, abs=1e-6)
+
+
+def test_a_bar_lands_flat_and_does_not_turn():
+    jacobian, inverse = planar_body([(-0.5, 0.0), (0.5, 0.0)], 1.0, 1 / 12)
+    solution, after = collide(jacobian, inverse, np.array([0.0, -1.0, 0.0]), restitution=0.6)
+    assert after == pytest.approx([0.0, 0.6, 0.0], abs=1e-14)
+    assert solution.statuses == (Status.SEPARATED, Status.SEPARATED)
+
+
+@pytest.mark.parametrize(("alpha", "inertia"), [(0.3, 0.4), (0.2, 0.1)])
+def test_two_feet_of_a_rimless_wheel(alpha, inertia):
+    feet = (-math.sin(alpha), -math.cos(alpha)), (math.sin(alpha), -math.cos(alpha))
+    jacobian, inverse = planar_body(feet, 1.0, inertia)
+    _, after = collide(jacobian, inverse, turning_about(feet[0], -1.0), friction=100.0, restitution=0.0)
+    assert after[2] / -1.0 == pytest.approx((math.cos(2 * alpha) + inertia) / (1 + inertia), abs=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_contact_is_what_it_is_alone(seed):
+    rng = np.random.default_rng(seed)
+    compared = 0
+    for _ in range(200):
+        factor = rng.normal(size=(3, 5))
+        v, mu, e = rng.normal(size=3), rng.uniform(0, 1.5), rng.uniform(0, 1)
+        v[2] = -abs(v[2])
+        w = factor @ factor.T
+        alone = solve_impact(ImpactProblem(w, v, mu, e, "energetic"))
+        if Flag.SECOND_COMPRESSION in alone.flags:
+            continue  # after partial restitution the contact is stiffer here
+        of_many = solve_impact(ImpactProblem(w, v[None], mu, e, "energetic"))
+        assert of_many.velocity[0] == pytest.approx(alone.velocity, abs=1e-10 * np.abs(v).max())
+        assert of_many.work.friction[0] == pytest.approx(alone.work.friction, abs=1e-9)
+        compared += 1
+    assert compared > 180
+
+
+def by_scipy(w, v, e, stiffness, exponent):
+    """v₃⁺ of n frictionless contacts, by scipy from event to event."""
+    n = len(v)
+    d, deepest, loading = np.zeros(n), np.zeros(n), v < 0
+    v = v.copy()
+    while True:
+        force_of = lambda d: stiffness * np.where(loading | (d > 0), np.maximum(d, 0.0), 0.0) ** exponent  # noqa: E731
+        modes = [("C" if loading[j] else ("R" if deepest[j] > 0 else "O")) for j in range(n)]
+        rho = np.array([1 / e[j] ** 2 if modes[j] == "R" else 1.0 for j in range(n)])
+
+        def rates(s, y, rho=rho, force_of=force_of):
+            return np.concatenate([w @ force_of(y[n:]), -rho * y[:n]])
+
+        events = []
+        for j in range(n):
+            if modes[j] == "C":
+                events.append((lambda s, y, j=j: y[j], 1, j, "peak"))
+            elif modes[j] == "R":
+                events.append((lambda s, y, j=j: y[n + j], -1, j, "open"))
+                events.append(
+                    (lambda s, y, j=j, top=deepest[j]: y[n + j] - top * (1 + 1e-13), 1, j, "deeper")
+                )
+            else:
+                events.append((lambda s, y, j=j: y[n + j], 1, j, "close"))
+        for event in events:
+            event[0].__dict__.update(terminal=True, direction=event[1])
+        if not (d > 1e-13).any() and not (loading & (v < 0)).any():
+            closing = [j for j in range(n) if v[j] < -1e-12]
+            if not closing:
+                return v
+        run = solve_ivp(
+            rates,
+            (0, 500),
+            np.concatenate([v, d]),
+            "DOP853",
+            events=[x[0] for x in events],
+            rtol=1e-12,
+            atol=1e-14,
+        )
+        v, d = run.y[:n, -1].copy(), run.y[n:, -1].copy()
+        happened = [k for k, times in enumerate(run.t_events) if len(times)]
+        if not happened:
+            return v
+        for k in happened:
+            _, _, j, kind = events[k]
+            if kind == "peak":
+                v[j], deepest[j], loading[j] = 0.0, d[j], False
+            elif kind == "open":
+                d[j], deepest[j] = 0.0, 0.0
+            elif kind == "deeper":
+                loading[j] = True
+            else:
+                d[j], loading[j] = 0.0, True
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize("seed", range(6))
+def test_against_an_integration_by_scipy(seed, exponent):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    factor = rng.normal(size=(n, n + 1))
+    normal = factor @ factor.T
+    v, e, stiffness = -rng.uniform(0.2, 1.0, n), rng.uniform(0.3, 1.0, n), rng.uniform(0.5, 2.0, n)
+    w = np.zeros((3 * n, 3 * n))
+    w[2::3, 2::3] = normal
+    velocity = np.zeros((n, 3))
+    velocity[:, 2] = v
+    problem = ImpactProblem(w, velocity, 0.0, e, "energetic", stiffness=stiffness)
+    found = solve_impact(problem, simultaneous="propagate", exponent=exponent)
+    scaled = stiffness / np.max(stiffness * np.diag(normal))
+    expected = by_scipy(normal, v / np.abs(v).max(), e, scaled, exponent) * np.abs(v).max()
+    assert found.velocity[:, 2] == pytest.approx(expected, abs=1e-8)
+
+
+def draw(seed, flat=False):
+    """A random robot with n contacts: J, M⁻¹, u, μ, e."""
+    rng = np.random.default_rng(seed)
+    n, dofs = int(rng.integers(2, 5)), int(rng.integers(4, 15))
+    jacobian, u = rng.normal(size=(3 * n, dofs)), rng.normal(size=dofs)
+    if rng.random() < 0.3:
+        jacobian, u = np.round(2 * jacobian) / 2, np.round(2 * u) / 2
+    inverse = np.diag(np.exp(rng.normal(size=dofs)))
+    mu = rng.choice([0.0, 0.3, 0.6, rng.uniform(0, 1.2)], n)
+    e = rng.choice([0.0, 0.5, 1.0, rng.uniform(0.05, 1)], n)
+    return jacobian, inverse, u, mu, e
+
+
+def test_invariants_of_random_problems():
+    moved = []
+    for seed in range(300):
+        jacobian, inverse, u, mu, e = draw(seed)
+        n = len(mu)
+        v = (jacobian @ u).reshape(n, 3)
+        solution, after = collide(jacobian, inverse, u, friction=mu, restitution=e)
+        scale = np.abs(v).max()
+        assert (jacobian @ after).reshape(n, 3) == pytest.approx(solution.velocity, abs=1e-6 * scale)
+        p = solution.impulse
+        assert (np.hypot(p[:, 0], p[:, 1]) <= mu * p[:, 2] * (1 + 1e-6) + 1e-9 * np.abs(p).max()).all(), seed
+        assert (p[:, 2] >= -1e-12 * np.abs(p).max()).all(), seed
+        assert (solution.velocity[:, 2] >= -1e-6 * scale).all(), seed
+        before, later = 0.5 * u @ (u / np.diag(inverse)), 0.5 * after @ (after / np.diag(inverse))
+        assert later <= before * (1 + 1e-9), seed
+        assert later - before == pytest.approx(solution.work.total.sum(), abs=1e-6 * before), seed
+        order = np.random.default_rng(seed).permutation(n)
+        rows = (3 * order[:, None] + np.arange(3)).ravel()
+        other, _ = collide(jacobian[rows], inverse, u, friction=mu[order], restitution=e[order])
+        moved.append(np.abs(other.velocity - solution.velocity[order]).max() / scale)
+    # ties that rounding decides differ where the map jumps; the rest does not
+    assert np.quantile(moved, 0.97) < 1e-9
+
+
+def test_scaling_of_speeds_and_masses():
+    jacobian, inverse, u, mu, e = draw(11)
+    _, after = collide(jacobian, inverse, u, friction=mu, restitution=e)
+    _, faster = collide(jacobian, inverse, 7.0 * u, friction=mu, restitution=e)
+    _, heavier = collide(jacobian, inverse / 13.0, u, friction=mu, restitution=e)
+    assert faster == pytest.approx(7.0 * after, rel=1e-10)
+    assert heavier == pytest.approx(after, rel=1e-9)
+
+
+def test_a_contact_split_in_two_is_one():
+    jacobian, inverse, u, mu, e = draw(5)
+    mu, e = mu[:2], np.array([0.5, 0.7])
+    whole, after = collide(jacobian[:6], inverse, u, friction=mu, restitution=e)
+    rows = np.vstack([jacobian[:6], jacobian[:3]])
+    _, split = collide(
+        *(rows, inverse, u),
+        friction=mu[[0, 1, 0]],
+        restitution=e[[0, 1, 0]],
+        stiffness=(0.5, 1.0, 0.5),
+    )
+    assert split == pytest.approx(after, abs=1e-9)
+    assert whole.events > 0
+
+
+def test_what_does_not_feel_each_other_does_not_meet():
+    first, second = draw(21), draw(22)
+    together = [
+        np.block([[a, np.zeros((len(a), b.shape[1]))], [np.zeros((len(b), a.shape[1])), b]])
+        for a, b in zip(first[:2], second[:2], strict=True)
+    ]
+    joined = [np.concatenate([a, b]) for a, b in zip(first[2:], second[2:], strict=True)]
+    one = collide(first[0], first[1], first[2], friction=first[3], restitution=first[4])[1]
+    other = collide(second[0], second[1], second[2], friction=second[3], restitution=second[4])[1]
+    both = collide(together[0], together[1], joined[0], friction=joined[1], restitution=joined[2])[1]
+    assert both == pytest.approx(np.concatenate([one, other]), abs=1e-9)
+
+
+def test_error_falls_with_rtol():
+    jacobian, inverse, u, mu, e = draw(3)
+    exact, _ = collide(jacobian, inverse, u, friction=mu, restitution=e)
+    errors = []
+    for rtol in (1e-2, 1e-5, 1e-9):
+        found, _ = collide(
+            jacobian, inverse, u, friction=mu, restitution=e, simultaneous="propagate", rtol=rtol
+        )
+        errors.append(np.abs(found.velocity - exact.velocity).max())
+    assert errors[0] < 1e-1
+    assert errors[1] < 1e-3
+    assert errors[2] < 1e-8
+
+
+def test_story_and_path_of_each_contact():
+    jacobian, inverse = row_of_balls(3)
+    solution, _ = collide(jacobian, inverse, np.array([1.0, 0, 0]), restitution=0.5, record=True)
+    for j, segments in enumerate(solution.segments):
+        assert segments[0].start == 0.0
+        assert segments[-1].end == pytest.approx(solution.impulse[j, 2], rel=1e-12)
+        assert {segment.phase for segment in segments} == {"compression", "restitution"}
+        w = solution.work
+        assert w.restitution[j] == pytest.approx(-0.25 * w.compression[j], rel=1e-9)  # the energetic law
+    path = solution.path
+    assert path.velocity[0] == pytest.approx((jacobian @ [1.0, 0, 0]).reshape(-1, 3), abs=0)
+    assert path.velocity[-1] == pytest.approx(solution.velocity, abs=1e-12)
+    assert path.impulse[-1] == pytest.approx(solution.impulse, abs=1e-12)
+    assert (np.diff(path.normal_impulse, axis=0) >= -1e-14).all()
+    part = solution.part(1)
+    assert part.impulse == pytest.approx(solution.impulse[1], abs=0)
+    assert part.work.total == pytest.approx(solution.work.total[1], abs=0)
+
+
+def test_the_other_policies():
+    problem = ImpactProblem(*_cradle_of("poisson"))
+    assert _balls_after(solve_impact(problem, simultaneous="together")) == pytest.approx(
+        (-1 / 3, 2 / 3, 2 / 3), abs=1e-9
+    )
+    assert _balls_after(solve_impact(problem, simultaneous="sequence")) == pytest.approx((0, 0, 1), abs=1e-14)
+    assert _balls_after(solve_impact(problem, simultaneous="reflect")) == pytest.approx((0, 0, 1), abs=1e-9)
+    one, other = (solve_impact(problem, simultaneous="any", seed=seed) for seed in (3, 3))
+    assert np.array_equal(one.impulse, other.impulse)
+
+
+def _cradle_of(law):
+    jacobian, _ = row_of_balls(3)
+    return jacobian @ jacobian.T, (jacobian @ [1.0, 0, 0]).reshape(2, 3), 0.0, 1.0, law
+
+
+def _balls_after(solution):
+    return np.array([1.0, 0, 0]) + row_of_balls(3)[0].T @ solution.impulse.ravel()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_together_meets_coulombs_law(seed):
+    jacobian, inverse, u, mu, _ = draw(seed)
+    n = len(mu)
+    w = jacobian @ inverse @ jacobian.T
+    v = (jacobian @ u).reshape(n, 3)
+    solution = solve_impact(ImpactProblem(w, v, mu, 0.0), simultaneous="together")
+    p, after = solution.impulse, solution.velocity
+    scale = np.abs(v).max()
+    assert (after[:, 2] > -1e-6 * scale).all()
+    assert np.abs(p[:, 2] * after[:, 2]).max() < 1e-5 * scale * max(np.abs(p).max(), 1e-300)
+    slides = np.hypot(after[:, 0], after[:, 1])
+    for j in range(n):
+        if slides[j] > 1e-4 * scale and p[j, 2] > 1e-4 * np.abs(p).max():
+            assert p[j, :2] == pytest.approx(
+                -mu[j] * p[j, 2] * after[j, :2] / slides[j], abs=1e-3 * np.abs(p).max()
+            )
+
+
+def test_a_law_that_waves_do_not_have_is_told():
+    solution = solve_impact(ImpactProblem(*_cradle_of("poisson")))
+    assert solution.law == "energetic"
+    assert "poisson" in solution.notes[0]
+    assert _balls_after(solution) == pytest.approx(CRADLE, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"friction": (0.1, 0.2, 0.3)}, InputError, r"friction: shape \(3,\) given, a number or \(2,\)"),
+        ({"restitution": (0.5, 1.5)}, InputError, r"restitution: 1.5 given"),
+        ({"stiffness": (1.0, 0.0)}, InputError, r"stiffness: 0.0 given, a finite number > 0"),
+        ({"friction": -0.1}, InputError, r"friction: -0.1 given"),
+        ({"delassus": np.eye(5)}, InputError, r"delassus: shape \(5, 5\) given, \(6, 6\)"),
+        ({"delassus": -np.eye(6)}, InputError, r"delassus: W must be positive semidefinite"),
+        ({"velocity": [[0, 0, np.nan], [0, 0, 0]]}, InputError, r"velocity: .* not finite"),
+        ({"law": "soft"}, pinimpact.UnknownNameError, r"law: 'soft'"),
+    ],
+)
+def test_bad_input(change, error, words):
+    numbers = {
+        "delassus": np.eye(6),
+        "velocity": [[0, 0, -1.0], [0, 0, -1.0]],
+        "friction": 0.5,
+        "restitution": 0.5,
+    }
+    with pytest.raises(error, match=words):
+        solve_impact(ImpactProblem(**(numbers | change)))
+
+
+def test_bad_policies():
+    problem = ImpactProblem(*_cradle_of("energetic"))
+    with pytest.raises(pinimpact.UnknownNameError, match="simultaneous: 'all' is not a policy"):
+        solve_impact(problem, simultaneous="all")
+    with pytest.raises(LawError, match='"together" can take'):
+        solve_impact(problem, simultaneous="together")
+    with pytest.raises(pinimpact.UnknownNameError, match="seed: 'propagate' has no such option"):
+        solve_impact(problem, simultaneous="propagate", seed=1)
+    with pytest.raises(InputError, match=r"exponent: 2 given"):
+        solve_impact(problem, simultaneous="propagate", exponent=2)
+    rough = ImpactProblem(np.eye(6), [[0, 0, -1.0], [0, 0, -1.0]], 0.5, 0.5)
+    with pytest.raises(InputError, match='"reflect" knows none'):
+        solve_impact(rough, simultaneous="reflect")
+
+
+def test_an_approach_that_nothing_can_stop():
+    w = np.zeros((6, 6))
+    w[2, 2] = 1.0
+    with pytest.raises(pinimpact.UnstoppableApproachError, match="contact"):
+        solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))

@@ -1,0 +1,190 @@
+"""Robots and scenes that touch at several points at one instant."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Contact, InputError, Plane, Scene, simulate
+
+FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+
+
+def mirrored(inertia):
+    """The inertia of what a mirror in the plane y = 0 shows."""
+    flip = np.diag([1.0, -1.0, 1.0])
+    return pin.Inertia(inertia.mass, flip @ inertia.lever, flip @ inertia.inertia @ flip)
+
+
+@pytest.fixture(scope="module")
+def quadruped():
+    """solo12 with its right side made the image of its left one, above its feet."""
+    robot = pinimpact.load_robot("solo12")
+    model = robot.model.copy()
+    for left, right in (("FL", "FR"), ("HL", "HR")):
+        for joint in ("HAA", "HFE", "KFE"):
+            i, j = model.getJointId(f"{left}_{joint}"), model.getJointId(f"{right}_{joint}")
+            model.inertias[j] = mirrored(model.inertias[i])
+            place = model.jointPlacements[i].copy()
+            place.translation = place.translation * [1, -1, 1]
+            model.jointPlacements[j] = place
+        i, j = model.getFrameId(f"{left}_FOOT"), model.getFrameId(f"{right}_FOOT")
+        place = model.frames[i].placement.copy()
+        place.translation = place.translation * [1, -1, 1]
+        model.frames[j].placement = place
+    base = model.inertias[1]
+    lever = base.lever * [1, 0, 1]
+    model.inertias[1] = pin.Inertia(base.mass, lever, 0.5 * (base.inertia + mirrored(base).inertia))
+    return model, robot.q0.copy()
+
+
+def feet(**how):
+    return [Contact(foot, Plane(), **{"friction": 0.7, "law": "energetic"} | how) for foot in FEET]
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_a_landing_is_mirror_symmetric_in_any_numbering(quadruped, e):
+    model, q = quadruped
+    v = np.zeros(model.nv)
+    v[[0, 2, 4]] = 0.3, -1.0, 0.2
+    hit = pinimpact.impact(model, model.createData(), q, v, feet(restitution=e))
+    image = hit.impulses_world[[1, 0, 3, 2]] * [1, -1, 1]
+    assert np.abs(hit.impulses_world - image).max() < 1e-10 * np.abs(hit.impulses_world).max()
+    for order in ([3, 1, 0, 2], [2, 3, 1, 0]):
+        other = pinimpact.impact(model, model.createData(), q, v, [feet(restitution=e)[i] for i in order])
+        assert other.v == pytest.approx(hit.v, abs=1e-11)
+        assert other.impulses_world == pytest.approx(hit.impulses_world[order], abs=1e-11)
+
+
+def test_momentum_and_energy(quadruped):
+    model, q = quadruped
+    data = model.createData()
+    v = np.random.default_rng(1).normal(size=model.nv)
+    v[2] = -2.0
+    hit = pinimpact.impact(model, data, q, v, feet(restitution=0.4))
+    mass = pin.crba(model, data, q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    assert (mass @ (hit.v - v))[:3] == pytest.approx(hit.impulses_world.sum(axis=0), abs=1e-10)
+    change = 0.5 * hit.v @ mass @ hit.v - 0.5 * v @ mass @ v
+    assert change == pytest.approx(hit.solution.work.total.sum(), abs=1e-10)
+    assert change < 0.0
+
+
+def test_one_contact_in_a_list_is_what_it_is_alone(quadruped):
+    model, q = quadruped
+    v = np.random.default_rng(2).normal(size=model.nv)
+    v[2] = -2.0
+    alone = pinimpact.impact(model, model.createData(), q, v, feet(restitution=0.3)[0])
+    listed = pinimpact.impact(model, model.createData(), q, v, feet(restitution=0.3)[:1])
+    assert listed.v == pytest.approx(alone.v, abs=1e-10)
+    assert listed.impulses_world[0] == pytest.approx(alone.impulse_world, abs=1e-10)
+
+
+def test_locked_joints_and_held_contacts(quadruped):
+    model, q = quadruped
+    v = np.zeros(model.nv)
+    v[2] = -1.0
+    hit = pinimpact.impact(
+        model, model.createData(), q, v, feet(restitution=0.2), locked=("FL_HAA", "FR_HAA")
+    )
+    for name in ("FL_HAA", "FR_HAA"):
+        assert hit.v[model.joints[model.getJointId(name)].idx_v] == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(InputError, match=r"held: .* moves at"):
+        pinimpact.impact(model, model.createData(), q, v, feet()[:2], held=feet()[2:])
+
+
+def test_a_standing_quadruped_that_is_struck(quadruped):
+    # resting feet take part: they push, never pull, and those that are not pressed lift
+    model, q = quadruped
+    v = np.zeros(model.nv)
+    v[model.joints[model.getJointId("FL_HFE")].idx_v] = -3.0
+    hit = pinimpact.impact(model, model.createData(), q, v, feet())
+    assert (hit.impulses_world[:, 2] >= 0.0).all()
+    assert (hit.solution.velocity[:, 2] >= -1e-9).all()
+
+
+def test_bad_lists(quadruped):
+    model, q = quadruped
+    v = np.zeros(model.nv)
+    with pytest.raises(InputError, match="contact: no contact"):
+        pinimpact.impact(model, model.createData(), q, v, [])
+    with pytest.raises(InputError, match="contact: 'FL_FOOT' is not a Contact"):
+        pinimpact.impact(model, model.createData(), q, v, ["FL_FOOT"])
+    with pytest.raises(InputError, match=r"stiffness: 0.0 given; it must be above 0"):
+        Contact("FL_FOOT", Plane(), stiffness=0.0)
+    with pytest.raises(pinimpact.UnknownNameError, match="simultaneous: 'waves' is not a policy"):
+        Scene(model, simultaneous="waves")
+
+
+# ---- scenes
+
+
+def height_of_feet(model, q):
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return min(data.oMf[model.getFrameId(foot)].translation[2] for foot in FEET)
+
+
+@pytest.fixture(scope="module")
+def landing(quadruped):
+    model, q = quadruped
+    q = q.copy()
+    q[2] += 0.05 - height_of_feet(model, q)
+    return model, q
+
+
+def test_a_flat_landing_stays_symmetric(landing):
+    model, q = landing
+    scene = Scene(model, contacts=feet(restitution=0.5))
+    motion = simulate(scene, q, np.zeros(model.nv), 0.13)
+    assert len(motion.impacts) >= 4
+    first = motion.impacts[:4]
+    assert {impact.source for impact in first} == {contact.label for contact in scene.contacts}
+    assert len({impact.time for impact in first}) == 1
+    assert all(impact.simultaneous for impact in first)
+    assert np.abs(motion.q[-1][[1]]).max() < 1e-9  # no way to the side
+    assert np.abs(motion.v[-1][[1, 3, 5]]).max() < 1e-7
+    assert np.abs(motion.energy.residual).max() < 1e-8
+
+
+def test_records_of_an_impact_at_many(landing, tmp_path):
+    model, q = landing
+    motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.11)
+    mass = pin.crba(model, model.createData(), motion.impacts[0].q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    one = motion.impacts[0]
+    change = (mass @ (one.v_after - one.v_before))[:3]
+    assert change == pytest.approx(sum(impact.impulse_world for impact in motion.impacts[:4]), abs=1e-10)
+    energy = 0.5 * one.v_after @ mass @ one.v_after - 0.5 * one.v_before @ mass @ one.v_before
+    assert energy == pytest.approx(sum(i.solution.work.total for i in motion.impacts[:4]), abs=1e-10)
+    motion.save(tmp_path / "landing.npz")
+    again = pinimpact.Trajectory.load(tmp_path / "landing.npz")
+    for here, there in zip(motion.impacts, again.impacts, strict=True):
+        assert np.array_equal(here.solution.impulse, there.solution.impulse)
+        assert here.solution.segments == there.solution.segments
+        assert np.array_equal(here.impulse_world, there.impulse_world)
+
+
+def test_what_is_far_apart_is_resolved_alone():
+    # two balls in one model that feel nothing of each other
+    model = pin.Model()
+    for name in ("one", "other"):
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"{name}_ball", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    contacts = [Contact(f"{name}_ball", Plane(), restitution=0.5) for name in ("one", "other")]
+    motion = simulate(Scene(model, contacts=contacts), [0, 0, 1.0, 3, 0, 1.0], np.zeros(6), 0.6)
+    assert [impact.group for impact in motion.impacts] == [None, None]
+    assert motion.v[-1][2] == pytest.approx(motion.v[-1][5], abs=1e-12)
+
+
+def test_policies_of_scenes_differ(landing):
+    model, q = landing
+    after = {}
+    for policy in ("propagate", "sequence"):
+        scene = Scene(model, contacts=feet(restitution=0.5), simultaneous=policy)
+        motion = simulate(scene, q, np.zeros(model.nv), 0.102)
+        after[policy] = motion.v[-1]
+        assert repr(policy) in str(scene.plan())
+    assert np.abs(after["propagate"][[1, 3, 5]]).max() < 1e-9
+    assert np.abs(after["sequence"][[1, 3, 5]]).max() > 1e-4  # one foot after the other
