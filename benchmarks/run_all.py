@@ -15,7 +15,16 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-NAMES = ("speed", "startup", "exchange_rate", "other_model", "scene_cost", "scene_ladder", "sustained")
+NAMES = (
+    "speed",
+    "many_contacts",
+    "startup",
+    "exchange_rate",
+    "other_model",
+    "scene_cost",
+    "scene_ladder",
+    "sustained",
+)
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 

@@ -20,7 +20,7 @@ REPETITIONS, SETTLED = 500, 1e-12
 @ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @separate
 def plastic_impulses(w, v, friction, given, shift, impulse):
-    """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ (v + shift n), |P_t| ≤ μ P₃, P₃ ≥ given. (12.9)
+    """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ (v + shift n), |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
 
     Args:
         w: (3n, 3n) W.
@@ -76,7 +76,7 @@ def impulses_together(w, v, friction, given, impulse):
     """Fill the impulses (3n,) of Coulomb's law on impulses: sliding contacts neither part nor approach.
 
     The least power of `plastic_impulses` lets what slides part at μ |v_t|; the shift that takes this away is
-    found by repetition. (12.10)
+    found by repetition. (14.7)
 
     Returns:
         What the last repetition has changed, in parts of the largest velocity.

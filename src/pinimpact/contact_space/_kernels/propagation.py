@@ -1,6 +1,6 @@
 """An impact at many contacts: forces that follow from indentations, along a clock that all share.
 
-(theory.md, section 12)
+(theory.md, section 14)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which of the contacts that do not slip hold, and which begin to: a convex program. (theory.md, 12)"""
+"""Which of the contacts that do not slip hold, and which begin to: a convex program. (theory.md, 14)"""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ def _admit(system, state, unit, cap, p, heaviest, forces):
 def _hold_plane(system, state, forces):
     """Fill in the friction of contacts that do not slip, for known normal forces; return what it changes.
 
-    Of all within their bounds, those at which the least power is left. (12.6)
+    Of all within their bounds, those at which the least power is left. (14.3)
     """
     w, friction = system.w, system.friction
     n = len(friction)

@@ -1,4 +1,4 @@
-"""Power series of an impact at many contacts between two events. (theory.md, section 12)
+"""Power series of an impact at many contacts between two events. (theory.md, section 14)
 
 Everything is a series in the clock s, or, where a contact of Hertz's kind begins to load, in τ with s = τ².
 """

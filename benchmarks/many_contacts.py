@@ -1,0 +1,67 @@
+"""Impacts at many contacts: what an accuracy of "propagate" costs, and the other policies beside it.
+
+python -m benchmarks.many_contacts
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from benchmarks.timing import best_of, keep
+
+import pinimpact
+from pinimpact.studies.cost import duration
+
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-12, 1e-16)
+
+
+def cradle() -> pinimpact.ImpactProblem:
+    """Return a row of five balls."""
+    jacobian = np.zeros((12, 5))
+    for j in range(4):
+        jacobian[3 * j + 2, j : j + 2] = -1.0, 1.0
+    velocity = (jacobian @ [1.0, 0, 0, 0, 0]).reshape(4, 3)
+    return pinimpact.ImpactProblem(jacobian @ jacobian.T, velocity, 0.0, 0.9, "energetic")
+
+
+def feet() -> pinimpact.ImpactProblem:
+    """Return four feet of a quadruped that lands while it turns and drifts."""
+    robot = pinimpact.load_robot("solo12")
+    v = np.zeros(robot.model.nv)
+    v[:6] = 0.4, 0.1, -1.0, 0.3, 0.2, 0.1
+    contacts = [
+        pinimpact.Contact(foot, pinimpact.Plane(), friction=0.4, restitution=0.5, law="energetic")
+        for foot in ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+    ]
+    return pinimpact.impact(robot.model, robot.data, robot.q0, v, contacts).problem
+
+
+def main() -> None:
+    """Measure and publish."""
+    lines, figures = [], {}
+    for name, problem in (("five balls, no friction", cradle()), ("four feet, friction", feet())):
+        exact = pinimpact.solve_impact(problem).velocity
+        calls = {
+            f"propagate, rtol {rtol:.0e}": (
+                lambda problem=problem, rtol=rtol: pinimpact.solve_impact(
+                    problem, simultaneous="propagate", rtol=rtol
+                )
+            )
+            for rtol in TOLERANCES
+        }
+        calls |= {
+            policy: (
+                lambda problem=problem, policy=policy: pinimpact.solve_impact(problem, simultaneous=policy)
+            )
+            for policy in ("sequence", "any")
+        }
+        seconds = best_of(calls, rounds=30)
+        lines.append(f"{name:<36}{'time':>10}{'difference from propagate, 1e-16':>36}")
+        for what, taken in seconds.items():
+            error = float(np.abs(calls[what]().velocity - exact).max() / np.abs(exact).max())
+            lines.append(f"  {what:<34}{duration(taken):>10}{error:>36.1e}")
+            figures[f"{name}: {what}"] = {"seconds": taken, "difference": error}
+    keep("many_contacts", "\n".join(lines) + "\n", {"rows": figures})
+
+
+if __name__ == "__main__":
+    main()
