@@ -182,3 +182,24 @@ def test_a_pushed_quadruped_slips_and_stands_again(tmp_path: Path, capsys) -> No
     assert all(trajectory.mode_at(foot, end) == "stick" for foot in push.FEET)
     weight = 9.81 * pin.computeTotalMass(load_robot("solo12").model)
     assert sum(trajectory.forces(foot, end)[2] for foot in push.FEET) == pytest.approx(weight, rel=1e-3)
+
+
+def test_a_break_is_its_own_mirror_image_and_loses_energy(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("billiard_break", tmp_path, monkeypatch, capsys)
+    assert (tmp_path / "billiard_break.png").is_file()
+    assert out.count("31 contacts") == 2
+    table = example("billiard_break")
+    places = table.rack()
+    velocity, solution = table.blow(places, 0.0)
+    image = [int(np.argmin(np.linalg.norm(places - place * [1, -1], axis=1))) for place in places]
+    assert velocity[image] * [1, -1] == pytest.approx(velocity, abs=1e-11)
+    assert velocity.sum(axis=0) == pytest.approx([1.0, 0.0], abs=1e-12)  # momentum
+    assert -0.5 < solution.work.total.sum() < 0.0
+
+
+def test_a_flat_landing_and_a_tilted_one(capsys) -> None:
+    landing = example("flat_landing")
+    landing.main()
+    assert "propagate, flat: 4 impulses at 1 instants" in capsys.readouterr().out
+    _, flat = landing.land(0.0)
+    assert np.abs(flat[[1, 3, 5]]).max() < 1e-3  # the robot's two sides differ by 1e-6 of their masses
