@@ -29,11 +29,14 @@ from .plastic import end_plastically
 from .propagation_friction import AT_BOUND, SLIP, settle, unknown_after
 from .propagation_series import TIED, State, System, expand, loads, natural_pace, new_series
 
-ORDER, SHORT = np.int64(24), np.int64(2)
-"""Of the series, and what is left of it where a slip runs straight at zero."""
+ORDER, SHORT, FIRST = np.int64(24), np.int64(2), np.int64(1)
+"""Of the series; what is left of it where a slip runs straight at zero; what tells the pace of slips."""
 
 TINY = 1e-14
 """Velocities, indentations and forces below this part of the largest are zero."""
+
+AT_REST = 1e-11
+"""A tangential velocity below this part of the largest is rounding of what a robot's is formed from."""
 
 TIE = 1e-11
 """Events closer to each other than this, in the clock, are one."""
@@ -41,8 +44,11 @@ TIE = 1e-11
 STOPS = 1e-7
 """A slip below this speed that runs straight at zero is taken there in one step."""
 
+REACH = 20.0
+"""Steps within which a slip that runs straight at zero is there."""
+
 LONGEST = 1e3
-"""The longest step, in the clock."""
+"""The longest step, in units of the pace."""
 
 MOVED = 1e-10
 """A speed at which what was thought to be held is not."""
@@ -134,11 +140,12 @@ def propagate(
         unknown, inverse, weight = settle(system, state, series)
         turns = _presses_and_slips(state)
         while True:  # steps, up to the next event
-            pace = natural_pace(state)
             if turns:
                 unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
+            expand(system, state, unknown, inverse, FIRST, 1.0, series)
+            pace = natural_pace(state, series)
             root = expand(system, state, unknown, inverse, ORDER, pace, series)
-            h = _step_length(series, n, accuracy, LONGEST / pace)
+            h = _step_length(series, n, accuracy, LONGEST)
             first, degree = _find_events(
                 system, state, series, h, 0.0 if at_once <= 2 * n else TIE / pace, roots, guard, work
             )
@@ -195,8 +202,11 @@ def _close(system, state, j):
     state.deepest[j] = 0.0
     state.tangent[j] = FREE
     if system.friction[j] > 0.0:
-        slips = math.hypot(state.v[3 * j], state.v[3 * j + 1]) > TINY
-        state.tangent[j] = SLIPPING if slips else STUCK
+        state.tangent[j] = SLIPPING
+        if math.hypot(state.v[3 * j], state.v[3 * j + 1]) <= AT_REST:
+            state.tangent[j] = STUCK
+            state.v[3 * j] = 0.0
+            state.v[3 * j + 1] = 0.0
 
 
 @inner
@@ -347,7 +357,8 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                     roots[j, 2] = time
             elif speed < STOPS and state.fresh[j] != TIED:
                 along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
-                straight = along < 0.0 and across * speed <= TINY * -along
+                near = speed <= REACH * h * -along  # else something else happens long before
+                straight = along < 0.0 and near and across * speed <= TINY * -along
                 if state.fresh[j] != 0:  # it has just begun
                     straight = straight and speed < 0.5 * SLIP
                 if straight or (state.fresh[j] == 0 and speed < 10.0 * TINY and across > 0.1 * along):

@@ -332,12 +332,20 @@ def _turn(system, state, series, k, pace, ties, answers):
 
 
 @inner
-def natural_pace(state):
-    """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows."""
+def natural_pace(state, series):
+    """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows.
+
+    Args:
+        state: Where the motion is.
+        series: Of order 1 in the clock itself, from there on.
+    """
     pace = 1.0
     for j in range(len(state.tangent)):
         if state.tangent[j] == SLIPPING and state.fresh[j] != TIED:
-            pace = min(pace, max(10.0 * math.hypot(state.v[3 * j], state.v[3 * j + 1]), 1e-14))
+            speed = math.hypot(state.v[3 * j], state.v[3 * j + 1])
+            change = math.hypot(series.v[1, 3 * j], series.v[1, 3 * j + 1])
+            if change > 10.0 * speed:
+                pace = min(pace, 10.0 * speed / change)
     return pace
 
 
