@@ -103,6 +103,28 @@ def test_a_standing_quadruped_that_is_struck(quadruped):
     assert (hit.solution.velocity[:, 2] >= -1e-9).all()
 
 
+@pytest.mark.parametrize("friction", [0.1, 0.6, 1.0])
+@pytest.mark.parametrize("e", [0.0, 0.2, 0.8])
+def test_a_rigid_body_on_four_feet(quadruped, friction, e):
+    # twelve rows of rank six: forces are not unique, the outcome is, and it is its own mirror image
+    model, q = quadruped
+    v = np.zeros(model.nv)
+    v[2] = -1.0
+    outcomes = []
+    for pitch in (0.5, -0.5):
+        v[4] = pitch
+        contacts = feet(friction=friction, restitution=e)
+        hit = pinimpact.impact(model, model.createData(), q, v, contacts, locked=list(model.names)[2:])
+        assert hit.solution.notes == ()
+        assert np.abs(hit.v[[1, 3, 5]]).max() < 1e-8
+        p = hit.impulses_world
+        assert p[[0, 2], 2] == pytest.approx(p[[1, 3], 2], abs=1e-8)
+        assert (np.hypot(p[:, 0], p[:, 1]) <= friction * p[:, 2] * (1 + 1e-9)).all()
+        outcomes.append(hit.v)
+    assert outcomes[0][0] * outcomes[1][0] < 0.0
+    assert outcomes[0][2] == pytest.approx(outcomes[1][2], abs=1e-2)
+
+
 def test_bad_lists(quadruped):
     model, q = quadruped
     v = np.zeros(model.nv)

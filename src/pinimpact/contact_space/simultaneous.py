@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -148,6 +148,9 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
 # ---- propagate
 
 
+MISSED = 1e-6
+"""Part of velocities and works that may be missed or gained, before waves count as lost."""
+
 MOST_STEPS = 5000
 """Steps after which what is left of an impact is resolved at once, and that is noted."""
 
@@ -187,6 +190,13 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
     if not stopped or not (np.isfinite(after).all() and np.isfinite(impulses).all()):
         _refuse(inputs)
     works *= scale * scale
+    change = after.ravel() - inputs.velocity.ravel() - inputs.delassus @ impulses.ravel()
+    allowed = max(MISSED, 100.0 * rtol)
+    missed, gained = np.abs(change).max(initial=0.0) / scale, works.sum() / max(np.abs(works).sum(), 1e-300)
+    if max(missed, gained) > allowed:  # never a wrong answer without a word
+        plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
+        told = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
+        return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, told))
     segments = segments_of(rows[: counts[2]], n, scale)
     notes = _of_law(inputs)
     if counts[4] == 2:

@@ -51,7 +51,7 @@ LONGEST = 1e3
 """The longest step, in units of the pace."""
 
 MOVED = 1e-10
-"""A speed at which what was thought to be held is not."""
+"""A speed at which what was thought to be held is not, and from which on what slips beside it is."""
 
 RESTING = 1e-10
 """A speed of approach, in parts of the largest velocity, below which all that is left is a plastic impact."""
@@ -204,9 +204,15 @@ def _close(system, state, j):
     if system.friction[j] > 0.0:
         state.tangent[j] = SLIPPING
         if math.hypot(state.v[3 * j], state.v[3 * j + 1]) <= AT_REST:
-            state.tangent[j] = STUCK
-            state.v[3 * j] = 0.0
-            state.v[3 * j + 1] = 0.0
+            _stick(state, j)
+
+
+@inner
+def _stick(state, j):
+    """Let the slip of a contact be at its end."""
+    state.tangent[j] = STUCK
+    state.v[3 * j] = 0.0
+    state.v[3 * j + 1] = 0.0
 
 
 @inner
@@ -440,9 +446,11 @@ def _apply(system, state, series, roots, first, tie):
         state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
         normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
         if tangent and state.tangent[j] == SLIPPING:
-            state.v[3 * j] = 0.0
-            state.v[3 * j + 1] = 0.0
-            state.tangent[j] = STUCK
+            _stick(state, j)
+            for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
+                speed = math.hypot(state.v[3 * other], state.v[3 * other + 1])
+                if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= MOVED:
+                    _stick(state, other)
         elif tangent:
             fx, fy = value(series.force[:, z - 2], ORDER, first), value(series.force[:, z - 1], ORDER, first)
             length = math.hypot(fx, fy)
