@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +17,8 @@ from matplotlib.figure import Figure
 from pinimpact import load_robot
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
 
 
 def example(name):
@@ -20,6 +26,120 @@ def example(name):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_is_short_and_begins_at_main(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    assert len(text.splitlines()) < 100
+    assert ast.get_docstring(tree)
+    assert "main" in [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+    assert tree.body[-1].test.left.id == "__name__"
+
+
+def printed_by(name: str, tmp_path: Path, monkeypatch, capsys) -> str:
+    """Run an example in an empty folder and return what it prints."""
+    monkeypatch.chdir(tmp_path)
+    example(name).main()
+    return capsys.readouterr().out
+
+
+def test_the_arm_sticks_to_an_inclined_wall_over_a_range_of_tilts(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("inclined_wall", tmp_path, monkeypatch, capsys)
+    assert "slips, then sticks" in out
+    assert "sticks, then slips" in out
+    assert (tmp_path / "inclined_wall.png").is_file()
+
+
+def test_an_inclined_wall_is_struck_by_a_robot_of_ones_own(tmp_path, monkeypatch) -> None:
+    wall = example("inclined_wall")
+    robot = load_robot(EXAMPLES.parent / "models" / "two_link_arm.urdf")
+    frame = robot.model.frames[robot.model.nframes - 1].name
+    hit = wall.strike(robot, frame, 0.0)
+    assert hit.axes[2] == pytest.approx([-1.0, 0.0, 0.0])
+    monkeypatch.chdir(tmp_path)
+    wall.main(EXAMPLES.parent / "models" / "two_link_arm.urdf", frame)
+
+
+@pytest.mark.slow
+def test_a_landed_quadruped_bears_its_weight(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("quadruped_landing", tmp_path, monkeypatch, capsys)
+    weight = 9.81 * pin.computeTotalMass(load_robot("solo12").model)
+    assert out.count("N in the end") == 4
+    assert float(out.split("sum ")[1].split(" N")[0]) == pytest.approx(weight, rel=1e-3)
+    assert (tmp_path / "quadruped_landing.png").is_file()
+
+
+def test_a_control_loop_touches_down_and_stays_on_the_table(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("control_loop", tmp_path, monkeypatch, capsys)
+    assert "impulse" in out
+    assert abs(float(out.split("gap ")[1].split(" mm")[0])) < 0.5
+
+
+@pytest.mark.slow
+def test_an_environment_in_the_manner_of_gymnasium(tmp_path, monkeypatch, capsys) -> None:
+    gym = example("gym_style_loop")
+    environment = gym.Hop()
+    first, _ = environment.reset(seed=3)
+    observation, reward, terminated, truncated, info = environment.step(np.zeros(12))
+    assert observation.shape == first.shape == (37,)
+    assert 0.1 < reward < 0.5
+    assert not terminated
+    assert not truncated
+    assert info["impacts"] > 0  # it stands 1 mm above the floor at first
+    again, _ = environment.reset(seed=3)
+    np.testing.assert_array_equal(first, again)
+    gym.main()
+    assert "return" in capsys.readouterr().out
+
+
+def test_two_robots_share_an_impulse(tmp_path, monkeypatch, capsys) -> None:
+    both = example("two_robots")
+    model, split = both.both()
+    assert model.nv == split + 9
+    out = printed_by("two_robots", tmp_path, monkeypatch, capsys)
+    free, locked, _ = out.splitlines()
+    assert "Panda 0.000 N m s" in locked
+    assert "Panda 0.000 N m s" not in free
+
+
+def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
+    kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])
+            for line in out.splitlines() if line.startswith("Kane")}  # fmt: skip
+    assert kept["newton"] > 100.0 > kept["energetic"]
+    assert kept["poisson"] < 100.0
+    assert (tmp_path / "comparing_laws.png").is_file()
+
+
+def test_kanes_puzzle_is_told(tmp_path, monkeypatch, capsys) -> None:
+    lines = printed_by("kane_puzzle", tmp_path, monkeypatch, capsys).splitlines()
+    assert [line.split()[0] for line in lines if "energy created" in line] == ["newton"]
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_kept_without_its_output(notebook: Path) -> None:
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        assert not cell.get("outputs")
+        assert cell.get("execution_count") is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(notebook: Path, tmp_path: Path) -> None:
+    pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    run = "import sys, nbformat, nbclient\nbook = nbformat.read(sys.argv[1], 4)\n"
+    run += "nbclient.NotebookClient(book, timeout=300).execute()\nnbformat.write(book, sys.argv[2])"
+    done = tmp_path / "done.ipynb"
+    command = [sys.executable, "-c", run, str(notebook), str(done)]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    cells = json.loads(done.read_text(encoding="utf-8"))["cells"]
+    shown = [output for cell in cells for output in cell.get("outputs", [])]
+    assert any("image/png" in output.get("data", {}) for output in shown)
+    assert not any(output["output_type"] == "error" for output in shown)
 
 
 @pytest.fixture(scope="module")

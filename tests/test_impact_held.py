@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
+from pinimpact.robot.held import HeldContactWarning
 from pinimpact.robot.matrices import contact_geometry
-from pinimpact.robot.robot_impact import HeldContactWarning
 
 from . import robot_cases as cases
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import email
+import re
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import pytest
 import pinimpact
 
 ROOT = Path(__file__).parents[1]
+PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def modules_after(statements: str) -> set[str]:
@@ -58,13 +62,67 @@ def test_no_module_bears_the_name_of_a_public_function() -> None:
     assert not modules & set(pinimpact.__all__)
 
 
-def test_the_wheel_holds_types_and_models(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    """Return a folder with the wheel and the source distribution."""
     pytest.importorskip("hatchling")
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
+    return folder
+
+
+def test_the_wheel_holds_types_models_and_scenes(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     assert "pinimpact/py.typed" in names
     for model in (ROOT / "models").glob("*.urdf"):
         assert f"pinimpact/models/{model.name}" in names
-    assert not any(name.startswith(("tests/", "examples/")) for name in names)
+    for file in (ROOT / "examples" / "scenes").iterdir():
+        assert f"pinimpact/scenes/{file.name}" in names
+    for part in ("page.html", "player.js", "drawing.js"):
+        assert f"pinimpact/visual/page/{part}" in names
+    assert all(name.startswith(("pinimpact/", "pinimpact-")) for name in names)
+
+
+def test_the_source_distribution_holds_what_its_tests_need(built: Path) -> None:
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as packed:
+        names = {name.partition("/")[2] for name in packed.getnames()}
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    wanted = [name for name in tracked.stdout.splitlines() if not name.startswith((".github", ".pre-commit"))]
+    assert set(wanted) <= names
+    assert {"mkdocs.yml", "tools/pages.py", "examples/arm.urdf", "pyproject.toml"} <= names
+
+
+def test_the_metadata_is_complete(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        (path,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
+        metadata = email.message_from_bytes(archive.read(path))
+    assert metadata["Name"] == "pinimpact"
+    assert metadata["Version"] == pinimpact.__version__
+    assert metadata["License-Expression"] == "BSD-3-Clause"
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    urls = dict(line.split(", ", 1) for line in metadata.get_all("Project-URL"))
+    assert {"Documentation", "Source", "Issues", "Changelog"} <= set(urls)
+    assert "# pinimpact" in metadata.get_payload()
+    assert {"bench", "dev", "docs"} == set(metadata.get_all("Provides-Extra"))
+
+
+def test_versions_agree() -> None:
+    version = f"version: {pinimpact.__version__}\n"
+    assert version in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    oldest, newest = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', PYPROJECT)[::4]
+    assert f'requires-python = ">={oldest}"' in PYPROJECT
+    workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    assert f'"{oldest}"' in workflow
+    assert f'"{newest}"' in workflow
+
+
+def test_the_oldest_versions_that_are_tested_are_those_that_are_asked_for() -> None:
+    workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    for name in ("pin", "numba", "numpy"):
+        asked = re.search(rf'"{name}>=([\d.]+)"', PYPROJECT)
+        assert asked is not None
+        assert re.search(rf"\b{name}=={re.escape(asked[1])}\b", workflow), name

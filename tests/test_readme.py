@@ -1,45 +1,79 @@
-"""The README's example and commands are those that are tested."""
+"""The README: its example is run in `test_docs`; its commands, links and first screen are looked at here."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+import pytest
+
+from tools import pages
+
+ROOT = pages.ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+REPOSITORY = "https://github.com/pinimpact/pinimpact"
+RAW = "https://raw.githubusercontent.com/pinimpact/pinimpact/main/"
+SITE = "https://pinimpact.github.io/pinimpact/"
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def local_file(link: str) -> Path | None:
+    """Return the file of the repository that a link of the project leads to; None for another's page."""
+    link = link.partition("#")[0]
+    for start in (f"{REPOSITORY}/blob/main/", f"{REPOSITORY}/tree/main/", RAW):
+        if link.startswith(start):
+            return ROOT / link.removeprefix(start)
+    if link.startswith(SITE):
+        name = link.removeprefix(SITE).strip("/") or "index"
+        return ROOT / "docs" / f"{name}.md"
+    return None
 
 
 def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+    return [block.text for block in pages.blocks_of(ROOT / "README.md") if block.language == language]
 
 
-def test_the_example_runs_as_printed() -> None:
-    (example,) = blocks("python")
-    (promised,) = blocks("text")
-    printed = io.StringIO()
-    names: dict[str, Any] = {}
-    with contextlib.redirect_stdout(printed):
-        exec(compile(example, "README.md", "exec"), names)
-    assert printed.getvalue() == promised
-    robot = names["robot"]
-    assert abs(names["hand"].gap(robot.model, robot.data, names["q"])) < 1e-11  # it begins in contact
-    assert example == (ROOT / "examples" / "first_impact.py").read_text(encoding="utf-8")
-    assert len(example.splitlines()) <= 11
+def test_the_first_screen_says_what_for_whom_and_how() -> None:
+    first = README[: README.index("```")]
+    assert all(word in first for word in ("**What:**", "**For whom:**", "**How:**"))
+    assert len(blocks("python")) == 1
+    assert len(blocks("python")[0].splitlines()) <= 11
 
 
-def test_the_second_command_is_what_ci_runs() -> None:
-    run, test = blocks("sh")
+def test_the_example_begins_in_contact(tmp_path: Path) -> None:
+    names = pages.run_page(ROOT / "README.md", tmp_path)
+    robot: Any = names["robot"]
+    hand: Any = names["hand"]
+    assert abs(hand.gap(robot.model, robot.data, names["q"])) < 1e-11
+
+
+def test_the_test_command_is_what_ci_runs() -> None:
+    from_index, run, test = blocks("sh")
+    assert from_index == "python -m pip install pinimpact\n"
     assert "pinimpact demo" in run
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     for step in test.strip().split(" && "):
         assert step.replace("pip install -e", "pip install -q -e") in ci
 
 
-def test_linked_files_exist() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert target.startswith("https://") or (ROOT / target).is_file(), target
-    for target in re.findall(r"examples/[\w/.]+\.toml", README):
-        assert (ROOT / target).is_file(), target
+def test_links_are_absolute_for_the_package_index() -> None:
+    links = LINK.findall(README)
+    assert len(links) > 15
+    for link in links:
+        assert link.startswith("https://"), link
+
+
+@pytest.mark.parametrize("page", pages.pages(), ids=lambda page: page.stem)
+def test_links_into_the_project_lead_somewhere(page: Path) -> None:
+    for link in LINK.findall(page.read_text(encoding="utf-8")):
+        file = local_file(link)
+        assert file is None or file.exists(), link
+
+
+def test_named_scenes_come_with_pinimpact() -> None:
+    from pinimpact.app.scene_file import bundled_scenes
+
+    named = re.findall(r"pinimpact (?:run|plan) (\w+)", README)
+    assert named
+    assert set(named) <= set(bundled_scenes())

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact.scene._kernels import step_radau
+from pinimpact.scene._kernels import radau, step_radau
 
 from .scene_models import G, free_body, run, slider, unbounded
 
@@ -103,7 +103,7 @@ def test_a_rod_on_two_tips_slips_when_no_forces_hold_it_any_more():
 
 
 def test_the_coefficients_are_those_of_radau_iia():
-    nodes, matrix, s = step_radau.ABSCISSAE, step_radau.MATRIX, step_radau.STAGES
+    nodes, matrix, s = radau.ABSCISSAE, radau.MATRIX, radau.STAGES
     for k in range(2 * s - 1):
         assert matrix[-1] @ nodes**k == pytest.approx(1 / (k + 1), abs=1e-14)
     for k in range(s):

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .contact_space.batch import BatchSolution, solve_impacts
     from .contact_space.laws import LAWS
+    from .contact_space.many_solution import ManyPath, ManySolution
     from .contact_space.methods import METHODS, Method, register_method
     from .contact_space.problem import ImpactProblem
+    from .contact_space.simultaneous import POLICIES
     from .contact_space.solution import Path, Segment, Solution, Work
     from .contact_space.solve import solve_impact
     from .errors import (
@@ -28,12 +30,14 @@ if TYPE_CHECKING:
     )
     from .robot.batch import Hits, impacts
     from .robot.contact import Contact
+    from .robot.held import HeldContactWarning
     from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
+    from .robot.many_impact import ManyHit
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.plane import Plane
-    from .robot.robot_impact import HeldContactWarning, Hit, impact
+    from .robot.robot_impact import Hit, impact
     from .robot.sphere import Sphere
     from .scene.controls import JointPD
     from .scene.events import Event
@@ -50,6 +54,7 @@ __all__ = [
     "EFFECTS",
     "LAWS",
     "METHODS",
+    "POLICIES",
     "BatchSolution",
     "Contact",
     "ContactMatrices",
@@ -63,6 +68,9 @@ __all__ = [
     "JointLimitWarning",
     "JointPD",
     "LawError",
+    "ManyHit",
+    "ManyPath",
+    "ManySolution",
     "Method",
     "ModelError",
     "Path",
@@ -112,7 +120,9 @@ _HOMES = {
     "contact_space.laws": ("LAWS",),
     "status": ("EFFECTS", "Flag", "Status"),
     "contact_space.problem": ("ImpactProblem",),
-    "robot.robot_impact": ("HeldContactWarning", "Hit", "impact"),
+    "robot.held": ("HeldContactWarning",),
+    "robot.many_impact": ("ManyHit",),
+    "robot.robot_impact": ("Hit", "impact"),
     "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
@@ -122,6 +132,8 @@ _HOMES = {
     "scene.scene": ("Scene",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
+    "contact_space.many_solution": ("ManyPath", "ManySolution"),
+    "contact_space.simultaneous": ("POLICIES",),
     "contact_space.solve": ("solve_impact",),
     "scene.stepper": ("Stepper",),
     "scene.trajectory": ("Trajectory",),

@@ -103,15 +103,13 @@ EFFECTS = (
 )
 """Vocabulary of `Solution.effects`, in the order in which they are listed.
 
-============================  ==================================================================
-friction                      μ > 0 and the contact slips or may slip
-restitution                   e > 0: a restitution phase was computed
-normal-tangential coupling    b ≠ 0: normal impulse changes the tangential velocity
-spatial slip                  the direction of slip turns and had to be integrated
-stick                         a phase of stick was computed
-resumed slip                  slip resumed along the diverging invariant direction
-jam                           dv₃/dP₃ < 0 during some slip
-second compression            a second compression phase was computed
-recorded path                 the path was recorded
-============================  ==================================================================
+- friction: μ > 0 and the contact slips or may slip
+- restitution: e > 0: a restitution phase was computed
+- normal-tangential coupling: b ≠ 0: normal impulse changes the tangential velocity
+- spatial slip: the direction of slip turns and had to be integrated
+- stick: a phase of stick was computed
+- resumed slip: slip resumed along the diverging invariant direction
+- jam: dv₃/dP₃ < 0 during some slip
+- second compression: a second compression phase was computed
+- recorded path: the path was recorded
 """

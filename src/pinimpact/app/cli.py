@@ -188,7 +188,7 @@ def demo(
         f"{Path(robot).stem}: {contact.label}, μ = {contact.friction:g}, e = {impact.problem.restitution:g}"
     )
     picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
-    page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], contacts=shown.contacts, speed=0.2)
+    page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], speed=0.2)
     _tell(
         lambda: {
             "robot": robot,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -24,7 +25,7 @@ else:
 
 
 def _of(kind: str) -> BeforeValidator:
-    return BeforeValidator(lambda value: quantity(value, kind))
+    return BeforeValidator(partial(quantity, kind=kind))
 
 
 Length = Annotated[float, _of("length")]
@@ -37,9 +38,12 @@ FrameKey = str | int
 
 
 class _Table(BaseModel):
-    """A table of the file: unknown keys are refused, and nothing is converted silently."""
+    """A table of the file: unknown keys are refused, and nothing is converted silently.
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    What is said of a key stands in docs/scene-files.md too; ``python -m tools.scene_keys`` puts it there.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
 
 
 class RobotTable(_Table):
@@ -50,13 +54,21 @@ class RobotTable(_Table):
     """
 
     name: str | None = None
+    """A robot that comes with pinimpact or with example-robot-data. Give this or ``urdf``."""
     urdf: str | None = None
+    """Path of a URDF file, from the folder of the scene file."""
     free_flyer: bool | None = None
+    """Whether the base flies freely. Left out: as the named robot comes, and fixed for a file."""
     prefix: str = ""
+    """Goes before the names of this robot's joints and frames."""
     position: tuple[Length, Length, Length] | None = None
+    """Where the base stands, or starts. Left out: as the robot comes."""
     rpy: tuple[Angle, Angle, Angle] | None = None
+    """Roll, pitch and yaw of the base."""
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    """Of a free base at the start."""
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
+    """Of a free base at the start."""
 
 
 class SurfaceTable(_Table):
@@ -64,81 +76,113 @@ class SurfaceTable(_Table):
 
     kind: ClassVar[type[Surface]]
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    """Of the surface's material at its point or centre, within the surface: a belt."""
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
+    """Of the surface's material: a turntable, a ball that spins."""
     body: FrameKey | None = None
+    """Frame that carries the surface, by name or number. Left out: the world."""
 
 
 class PlaneTable(SurfaceTable):
-    """``[plane.NAME]``: see `Plane`."""
+    """``[plane.NAME]``: a plane; see `Plane`."""
 
     kind = Plane
     point: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    """A point of the plane, in world axes or those of ``body``."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Points from the surface into free space; any length but zero."""
 
 
 class SphereTable(SurfaceTable):
-    """``[sphere.NAME]``: see `Sphere`."""
+    """``[sphere.NAME]``: a ball or the head of a post; see `Sphere`."""
 
     kind = Sphere
     center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    """Its centre, in world axes or those of ``body``."""
     radius: Length
+    """Above zero."""
 
 
 class ContactTable(_Table):
-    """``[[contact]]``: a point of a robot and the surface it may meet, its ``plane``; see `Contact`.
+    """``[[contact]]``: a point of a robot and the surface it may meet; see `Contact`.
 
     Without a name it is called "frame on surface", by their names in the file.
     """
 
     frame: FrameKey
+    """Frame that carries the point, by name or number."""
     plane: str
+    """Name of the surface, a plane or a sphere."""
     friction: float = 0.0
+    """Coulomb coefficient of impacts, at least 0; of sustained contact too, without the next key."""
     sliding_friction: float | None = None
+    """Coulomb coefficient of sustained contact, slip and stick. Left out: ``friction``."""
     restitution: float = 0.0
+    """Coefficient of the law, from 0 to 1."""
     law: str = "poisson"
+    """``"poisson"``, ``"energetic"`` or ``"newton"``."""
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    """Of the point from the frame's origin, in the frame's axes."""
     radius: Length = 0.0
+    """Of a ball around the point that touches in its stead, such as a foot or a fingertip."""
     name: str | None = None
+    """How reports call the contact."""
     held: bool = False
+    """Whether the contact holds throughout, in both directions: a grasp, a bolted foot."""
 
 
 class StartTable(_Table):
     """``[start]``: whole vectors q and v, or joints by name; the others are as the robot comes, at rest."""
 
     q: list[float] | None = None
+    """The whole configuration, in Pinocchio's order [m, rad]."""
     v: list[float] | None = None
+    """All velocities, in Pinocchio's order [m/s, rad/s]."""
     joints: dict[str, float | str] = {}
+    """``[start.joints]``: where each joint that is named stands [rad (deg), or m (cm, mm) if prismatic]."""
     speeds: dict[str, float | str] = {}
+    """``[start.speeds]``: the speed of each joint that is named [rad/s (deg/s, rpm), or m/s (cm/s, mm/s)]."""
 
 
 class ControlTable(_Table):
     """``[control]``: what the motors do; those of a free base are never driven.
 
-    Stiffness [N m/rad or N/m] is towards the start, damping [N m s/rad or N s/m] against motion; both act
-    on every joint alike. With a period they are sampled and held, and act late by the delay.
+    Stiffness and damping act on every joint alike. With a period they are sampled and held, and act late by
+    the delay.
     """
 
     cancel_gravity: bool = False
+    """Whether the motors cancel gravity, Coriolis and centrifugal forces."""
     stiffness: Annotated[float, Field(ge=0.0)] = 0.0
+    """Towards the configuration at the start [N m/rad or N/m]."""
     damping: Annotated[float, Field(ge=0.0)] = 0.0
+    """Against motion [N m s/rad or N s/m]."""
     period: Time | None = None
+    """Between two samples of the control. Left out: it is continuous."""
     delay: Annotated[float, _of("time"), Field(ge=0.0)] = 0.0
+    """From a sample to when its forces act; needs ``period``."""
 
 
 class OutputTable(_Table):
     """``[output]``: what `run` writes beside the trajectory."""
 
     replay: bool = True
+    """Whether to write the replay, an HTML file."""
     replay_speed: Annotated[float, Field(gt=0.0)] = 1.0
+    """Seconds of motion per second of replay; 0.1 is slow motion."""
     plots: bool = True
+    """Whether to draw energy, forces and the strongest impact."""
 
 
 class SceneFile(_Table):
-    """The whole file."""
+    """The whole file; these keys come before any table."""
 
     title: str = ""
+    """Stands above pictures."""
     duration: Time
+    """How long to simulate."""
     gravity: tuple[Acceleration, Acceleration, Acceleration] | None = None
+    """In world axes. Left out: the model's, as a rule (0, 0, −9.81)."""
     control: ControlTable | None = None
     robot: list[RobotTable]
     plane: dict[str, PlaneTable] = {}
@@ -146,18 +190,34 @@ class SceneFile(_Table):
     contact: list[ContactTable] = []
     start: StartTable = StartTable()
     locked: list[str] = []
+    """Joints whose velocity no impact changes, as under stiff position control."""
     limit_restitution: float = 0.0
+    """Restitution of the joint limits, from 0 to 1."""
     resting_speed: Speed | None = None
+    """A bounce slower than this is taken as rest. Left out: 10⁻⁴ √(g L), with the size L of the robot; see
+    [Impacts and rest](scenes.md#impacts-and-rest)."""
     without: list[str] = []
+    """Effects to leave out, by their names in the plan; see [Effects](effects.md)."""
     rtol: Annotated[float, Field(gt=0.0)] = 1e-8
+    """Relative tolerance of each step."""
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
+    """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
     max_impacts: Annotated[int, Field(gt=0)] = 10_000
+    """How many impacts to resolve before giving up."""
     output: OutputTable = OutputTable()
 
     @property
     def surfaces(self) -> dict[str, Mapping[str, SurfaceTable]]:
         """The surfaces by kind and name."""
         return {"plane": self.plane, "sphere": self.sphere}
+
+
+def bundled_scenes() -> dict[str, Path]:
+    """Return the names and files of the scenes that come with pinimpact."""
+    package = Path(__file__).parents[1]
+    installed = package / "scenes"
+    folder = installed if installed.is_dir() else package.parents[1] / "examples" / "scenes"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def read_scene_file(path: Path) -> SceneFile:

@@ -19,7 +19,7 @@ from ..robot.names import near_matches
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
-from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, read_scene_file
+from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, bundled_scenes, read_scene_file
 from .units import quantity
 
 Array = NDArray[np.float64]
@@ -110,18 +110,21 @@ class LoadedScene:
         if output.replay:
             page = folder / "replay.html"
             speed = output.replay_speed
-            yield "Replay", replay(self.robot, trajectory, page, contacts=self.scene.contacts, speed=speed)
+            yield "Replay", Path(replay(self.robot, trajectory, page, speed=speed))
 
 
 def load_scene(path: str | Path) -> LoadedScene:
     """Read a scene file. Paths in it are relative to the file.
+
+    Args:
+        path: The file, or the name of a scene that comes with pinimpact, such as "falling_rod".
 
     Raises:
         InputError: No such file, no TOML, a key with a bad value; the message names the key.
         UnknownNameError: A key, surface, joint, frame or robot that does not exist; near matches are offered.
         ModelError: A robot that cannot be used.
     """
-    path = Path(path)
+    path = bundled_scenes().get(str(path), Path(path))
     file = read_scene_file(path)
     robot, v0 = _robots(file, path.parent)
     model = robot.model

@@ -21,7 +21,9 @@ ZERO = 32.0 * 2.0**-52
 class ImpactProblem:
     """One frictional impact in contact axes (t₁, t₂, n); knows nothing of robots.
 
-    Shapes are those of one contact. Inputs are checked where they are used, in `solve_impact`.
+    Shapes are those of one contact, or of n contacts at one instant: a velocity (n, 3) with a W of
+    (3n, 3n), numbers or (n,) for the coefficients. Inputs are checked where they are used, in
+    `solve_impact`.
 
     Attributes:
         delassus: (3, 3) inverse inertia W felt at the contact [1/kg], symmetric positive semidefinite, in
@@ -35,21 +37,23 @@ class ImpactProblem:
         velocity_scale: Size of the numbers that v was formed from [m/s], for a robot Σ|J||q̇| + |v_surface|. A
             v small by cancellation is known to rounding of that size only, and parts of it that W cannot have
             made are zero within 32 ε of it. None: not known; then |v₁| + |v₂| + |v₃| is taken.
+        stiffness: Of n contacts, (n,) or a number > 0; only ratios count. None: all the same.
     """
 
     delassus: ArrayLike
     velocity: ArrayLike
-    friction: float
-    restitution: float
+    friction: Any
+    restitution: Any
     law: str = "poisson"
     surface_velocity: ArrayLike = (0.0, 0.0, 0.0)
     velocity_scale: float | None = None
+    stiffness: ArrayLike | None = None
 
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
     """Return a problem's numbers as the methods take them, or raise what its shapes and types call for.
 
-    Values out of range are left to the solver, whose status `solve.raise_for_status` puts into words.
+    Values out of range are left to the solver, whose status `one_contact.raise_for_status` puts into words.
 
     Raises:
         InputError: Not numbers, a wrong shape, or a W that is not symmetric.

@@ -2,146 +2,64 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
-from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
-from ..status import Status
-from .inputs import NO_ROWS, Inputs
-from .laws import law_of_code, laws_always_met
-from .methods import METHODS, Run, load_method
-from .problem import ZERO, ImpactProblem, contact_inputs, single_precision_hint
-from .solution import Path, Solution
+from ..errors import InputError
+from .many_solution import ManySolution
+from .one_contact import solve_inputs
+from .problem import ImpactProblem, contact_inputs, single_precision_hint
+from .simultaneous import solve_many
+from .solution import Solution
 
 
-def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
-    """Raise the error that a failed solve stands for, naming the offending field and value.
-
-    Args:
-        status: Why there is no answer.
-        figure: The number that belongs into the message; see `Result`.
-        inputs: The problem.
-    """
-    v3, mu, e = inputs[8], inputs[9], inputs[10]
-    if status == Status.INVALID_NUMBERS:
-        for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
-            if not np.isfinite(values).all():
-                raise InputError(
-                    f"{name}: {values} holds numbers that are not finite", field=name, value=values
-                )
-        if not (0.0 <= mu < float("inf")):
-            raise InputError(
-                f"friction: {mu!r} given, a finite number ≥ 0 expected", field="friction", value=mu
-            )
-        raise InputError(
-            f"restitution: {e!r} given, a number from 0 to 1 expected", field="restitution", value=e
-        )
-    if status == Status.INDEFINITE_DELASSUS:
-        norm = float(
-            np.linalg.norm(
-                [
-                    [inputs[0], inputs[1], inputs[2]],
-                    [inputs[1], inputs[3], inputs[4]],
-                    [inputs[2], inputs[4], inputs[5]],
-                ],
-                2,
-            )
-        )
-        raise InputError(
-            f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {figure:.6g}, "
-            f"below −{ZERO * norm:.3g} (32 ε ‖W‖)",
-            field="delassus",
-            value=inputs[:6],
-        )
-    if status == Status.UNSTOPPABLE:
-        raise UnstoppableApproachError(
-            f"velocity: the contact approaches at {v3:.6g} m/s and no normal impulse can stop it: "
-            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). The mechanism cannot yield along "
-            "the normal; choose another contact frame, free a joint, or a velocity that it can produce",
-            field="velocity",
-            value=v3,
-        )
-    if status == Status.LAW_UNREACHABLE:
-        law = law_of_code(inputs[11]).name
-        others = " or ".join(map(repr, laws_always_met()))
-        raise LawError(
-            f"law: {law!r} with e = {e:.6g} cannot be met: v₃ tends to a limit short of it "
-            f"({figure:.6g} missing); use {others}, or a smaller restitution",
-            field="law",
-            value=law,
-        )
-    if status == Status.OUT_OF_RANGE:
-        raise InputError(
-            "delassus, velocity: the answer lies beyond what double precision holds; choose other units",
-            field="delassus",
-            value=inputs[:9],
-        )
-    raise PinimpactError(f"{status} Please report this problem: {inputs}")
+@overload
+def solve_impact(
+    problem: ImpactProblem, method: str = ..., record: bool = ..., *, simultaneous: None = ..., **options: Any
+) -> Solution: ...
 
 
-def solve_inputs(
-    inputs: Inputs,
-    method: str = "exact",
-    record: bool = False,
-    surface_velocity: Any = (0.0, 0.0, 0.0),
-    **options: Any,
-) -> Solution:
-    """Solve the problem given by its thirteen numbers; otherwise as `solve_impact`."""
-    run = load_method(method)
-    if options:
-        known = METHODS[method].options
-        for name in options:
-            if name not in known:
-                raise UnknownNameError(
-                    f"{name}: method {method!r} has no such option; it has {', '.join(known) or 'none'}",
-                    field=name,
-                    value=options[name],
-                )
-        run = partial(run, **options)
-    result = run(inputs, NO_ROWS, NO_ROWS)
-    if result[0] > Status.LOCKED:
-        raise_for_status(Status(result[0]), result[10], inputs)
-    path = _record(run, inputs) if record else None
-    return Solution(result, inputs, method, options, path, surface_velocity)
-
-
-def _record(run: Run, inputs: Inputs) -> Path:
-    points = np.empty((1024, 6))
-    while True:
-        count = run(inputs, NO_ROWS, points)[12]
-        if count < len(points):
-            break
-        points = np.empty((4 * len(points), 6))
-    points = points[:count]
-    return Path(
-        normal_impulse=points[:, 0].copy(),
-        velocity=points[:, 1:4].copy(),
-        impulse=points[:, [4, 5, 0]],
-    )
+@overload
+def solve_impact(
+    problem: ImpactProblem, method: str = ..., record: bool = ..., *, simultaneous: str, **options: Any
+) -> ManySolution: ...
 
 
 def solve_impact(
-    problem: ImpactProblem, method: str = "exact", record: bool = False, **options: Any
-) -> Solution:
-    """Resolve one frictional impact along its path.
+    problem: ImpactProblem,
+    method: str = "exact",
+    record: bool = False,
+    *,
+    simultaneous: str | None = None,
+    **options: Any,
+) -> Solution | ManySolution:
+    """Resolve a frictional impact along its path.
 
     Args:
-        problem: W, v, μ, e and the restitution law.
-        method: Name of a registered method; ``"exact"`` reaches rounding error.
+        problem: W, v, μ, e and the restitution law, of one contact or of n.
+        method: Name of a registered method for one contact; ``"exact"`` reaches rounding error.
         record: Whether to record the path.
-        **options: The method's own keywords, such as ``steps=`` of ``"euler"``.
+        simultaneous: Name of a policy for n contacts, ``"propagate"`` if none is given; see `POLICIES`.
+        **options: The method's or the policy's own keywords, such as ``steps=`` of ``"euler"``.
 
     Returns:
-        The `Solution` in contact axes.
+        The `Solution` in contact axes, of n contacts a `ManySolution`.
 
     Raises:
         InputError: A number of the problem is unusable; the message names it.
-        UnknownNameError: No such law, method or option.
+        UnknownNameError: No such law, method, policy or option.
         UnstoppableApproachError: The contact approaches and cannot be stopped.
         LawError: The mechanism cannot reach what the law asks for.
     """
+    if np.ndim(problem.velocity) == 2 or simultaneous is not None:
+        if np.ndim(problem.velocity) != 2:
+            raise InputError(
+                f"velocity: shape {np.shape(problem.velocity)} given, (n, 3) expected with simultaneous=",
+                field="velocity",
+                value=problem.velocity,
+            )
+        return solve_many(problem, simultaneous or "propagate", record, **options)
     inputs = contact_inputs(problem)
     try:
         return solve_inputs(inputs, method, record, problem.surface_velocity, **options)

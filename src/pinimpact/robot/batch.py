@@ -20,10 +20,11 @@ from ._kernels import robot_impact as kernel
 from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
+from .held import HELD_TOLERANCE, HeldContactWarning
 from .matrices import contact_matrices
 from .names import counted, free_velocities, model_of, singular_mass
 from .pinocchio_bridge import MassAndFrames, call_addresses
-from .robot_impact import HELD_TOLERANCE, HeldContactWarning, Hit, impact, restitution_of_approach
+from .robot_impact import Hit, impact, restitution_of_approach
 
 Array = NDArray[np.float64]
 _WORLD = pin.Convention.WORLD

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import at_least_zero, coefficient
+from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
@@ -45,6 +45,7 @@ class Contact:
             of the body that carries it, or "plane" or "sphere".
         sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact, slip and stick between impacts; None
             for `friction`.
+        stiffness: Relative normal stiffness > 0, which counts where several contacts collide at one instant.
 
     Raises:
         InputError: A number out of its range or not finite.
@@ -60,6 +61,7 @@ class Contact:
     radius: float = 0.0
     name: str | None = None
     sliding_friction: float | None = None
+    stiffness: float = 1.0
     constants: Array = field(init=False, repr=False, compare=False)
     law_code: int = field(init=False, repr=False, compare=False)
 
@@ -73,6 +75,7 @@ class Contact:
         keep(self, "friction", at_least_zero("friction", self.friction))
         if self.sliding_friction is not None:
             keep(self, "sliding_friction", at_least_zero("sliding_friction", self.sliding_friction))
+        keep(self, "stiffness", above_zero("stiffness", self.stiffness))
         if not callable(self.restitution):
             keep(self, "restitution", coefficient("restitution", self.restitution))
         keep(self, "law_code", law_code(self.law))

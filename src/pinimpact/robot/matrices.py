@@ -118,11 +118,101 @@ def contact_matrices(
         ModelError: The mass matrix is not positive definite.
     """
     model = model_of(model)
-    cache = data_cache(model, data)
     free = free_velocities(model, locked)
     held = check_held(held)
     geometry = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
+    mass, delassus, response, held_response = _responses(model, data, q, geometry.jacobian, anchors, free)
+    return ContactMatrices(
+        point=geometry.point,
+        gap=geometry.gap,
+        axes=geometry.axes,
+        K=geometry.K,
+        h=geometry.h,
+        surface_velocity=geometry.surface_velocity,
+        mass=mass,
+        delassus=delassus,
+        response=response,
+        held=anchors,
+        held_response=held_response,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ManyMatrices:
+    """What the robot is, seen from n contacts at once; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes.
+
+    Attributes:
+        contacts: Geometry of each contact; joint rows come after them.
+        jacobian: (3n, nv) J.
+        surface_velocity: (n, 3) of the surfaces, see `ContactGeometry`.
+        delassus: (3n, 3n) W, with what is held and locked taken into account [1/kg].
+        response: (nv, 3n) Δq̇ per unit impulse.
+        held: Geometry of each held contact.
+        held_response: (k, 3, 3n) impulse on each held contact (world axes) per impulse.
+    """
+
+    contacts: tuple[ContactGeometry, ...]
+    jacobian: Array
+    surface_velocity: Array
+    delassus: Array
+    response: Array
+    held: tuple[ContactGeometry, ...]
+    held_response: Array
+
+    def velocity(self, v: ArrayLike) -> Array:
+        """Return the (n, 3) contact velocities [m/s]."""
+        return (self.jacobian @ np.asarray(v, dtype=np.float64)).reshape(-1, 3) - self.surface_velocity
+
+
+def many_matrices(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    contacts: Sequence[Contact],
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+    joint_rows: ArrayLike = (),
+) -> ManyMatrices:
+    """Return the matrices of n contacts at a configuration.
+
+    Args:
+        model: As that of `contact_matrices`.
+        data: Likewise.
+        q: (nq,) configuration.
+        contacts: The contacts.
+        held: Contacts that hold, see `contact_matrices`.
+        locked: Joints whose velocity cannot change.
+        joint_rows: (m, nv) rows of joint stops, which act like contacts without a tangential plane.
+    """
+    model = model_of(model)
+    free = free_velocities(model, locked)
+    held = check_held(held)
+    geometries = tuple(contact_geometry(model, data, q, contact) for contact in contacts)
+    anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
+    stops = np.asarray(joint_rows, dtype=np.float64).reshape(-1, model.nv)
+    n = len(geometries) + len(stops)
+    jacobian, surface = np.zeros((3 * n, model.nv)), np.zeros((n, 3))
+    for i, geometry in enumerate(geometries):
+        jacobian[3 * i : 3 * i + 3] = geometry.jacobian
+        surface[i] = geometry.surface_velocity
+    jacobian[3 * len(geometries) + 2 :: 3] = stops
+    _, delassus, response, held_response = _responses(model, data, q, jacobian, anchors, free)
+    return ManyMatrices(
+        geometries, jacobian, surface, delassus, response, anchors, held_response.reshape(-1, 3, 3 * n)
+    )
+
+
+def _responses(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    jacobian: Array,
+    anchors: Sequence[ContactGeometry],
+    free: NDArray[np.bool_],
+) -> tuple[Array, Array, Array, Array]:
+    """Return M, W, the response of q̇ to impulses, and that of held contacts, of the rows of a Jacobian."""
+    cache = data_cache(model, data)
     mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
     loose = np.where(free[:, None] & free, mass, np.diag(np.where(free, 0.0, 1.0)))
     lower = np.zeros_like(mass)
@@ -136,28 +226,16 @@ def contact_matrices(
         tree.solve_transposed(lower, cache.parents, y)
         return y
 
-    y = half_solve(geometry.jacobian)
-    held_response = np.zeros((0, 3, 3))
+    y = half_solve(jacobian)
+    held_response = np.zeros((0, 3, len(jacobian)))
     if anchors:
         world_rows = [anchor.axes.T @ anchor.jacobian for anchor in anchors]
         y, impulses = _project_out(half_solve(np.vstack(world_rows)), y)
-        held_response = impulses.reshape(-1, 3, 3)
+        held_response = impulses.reshape(-1, 3, len(jacobian))
     delassus = y @ y.T
     response = y.copy()
     tree.solve(lower, cache.parents, response)
-    return ContactMatrices(
-        point=geometry.point,
-        gap=geometry.gap,
-        axes=geometry.axes,
-        K=geometry.K,
-        h=geometry.h,
-        surface_velocity=geometry.surface_velocity,
-        mass=mass,
-        delassus=0.5 * (delassus + delassus.T),
-        response=response.T,
-        held=anchors,
-        held_response=held_response,
-    )
+    return mass, 0.5 * (delassus + delassus.T), response.T, held_response
 
 
 def kinematics(

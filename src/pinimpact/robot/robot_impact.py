@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
+from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Inputs, Solution
-from ..contact_space.solve import solve_impact, solve_inputs
-from ..errors import InputError
+from ..contact_space.solve import solve_impact
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
 from .data_cache import checked_configuration, data_cache
-from .matrices import ContactMatrices, contact_geometry, contact_matrices, kinematics
+from .held import check_at_rest, warn_of_pulls
+from .many_impact import ManyHit, impact_at_many
+from .matrices import contact_geometry, contact_matrices, kinematics
 from .names import model_of, singular_mass
 
 LOCKED = int(Status.LOCKED)
@@ -38,13 +39,6 @@ _robot_impact = kernel.robot_impact
 SIZE = kernel.SIZE
 _NONE_HELD = np.zeros((0, 3))
 _NONE_HELD.setflags(write=False)
-
-HELD_TOLERANCE = 1e-6
-"""How fast a held point may move before the impact, in parts of what the joints together could make of it."""
-
-
-class HeldContactWarning(UserWarning):
-    """A held contact would have to pull on its surface during an impact."""
 
 
 class Hit:
@@ -90,6 +84,11 @@ class Hit:
         return self._part(kernel.AXES, 9).reshape(3, 3)
 
     @property
+    def contact(self) -> Contact:
+        """The contact that collided."""
+        return self._contact
+
+    @property
     def problem(self) -> ImpactProblem:
         """The contact-space problem that was solved."""
         w11, w12, w13, w22, w23, w33, *velocity = self._part(kernel.DELASSUS, 9).tolist()
@@ -132,35 +131,71 @@ class Hit:
         return self._numbers[start : start + count]
 
 
+@overload
 def impact(
     model: pin.Model,
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
     contact: Contact,
+    held: Sequence[Contact] = ...,
+    locked: Sequence[str | int] = ...,
+    method: str = ...,
+    record: bool = ...,
+    **options: Any,
+) -> Hit: ...
+
+
+@overload
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Sequence[Contact],
+    held: Sequence[Contact] = ...,
+    locked: Sequence[str | int] = ...,
+    method: str = ...,
+    record: bool = ...,
+    simultaneous: str = ...,
+    **options: Any,
+) -> ManyHit: ...
+
+
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact | Sequence[Contact],
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
     method: str = "exact",
     record: bool = False,
+    simultaneous: str = "propagate",
     **options: Any,
-) -> Hit:
-    """Resolve the impact of one contact of a robot: M Δq̇ = Jᵀ P.
+) -> Hit | ManyHit:
+    """Resolve the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
 
-    The contact is taken as closed, whatever its gap. A contact that does not approach changes nothing;
-    ``hit.solution.status`` says so.
+    The contacts are taken as closed, whatever their gaps. A contact that does not approach changes nothing;
+    ``hit.solution.status`` says so. Of several some may rest: give them all, for they take part.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; what changes is told in `contact_matrices`.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
-        contact: The contact that collides.
+        contact: The contact that collides, or a list of those that are closed at this instant.
         held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
-            surface, to `HELD_TOLERANCE`. One that would have to pull gives a `HeldContactWarning`.
+            surface. One that would have to pull gives a `HeldContactWarning`.
         locked: Joints, by name or id, whose velocity the impact does not change.
-        method: Method of `solve_impact`.
+        method: Method of `solve_impact`, for one contact.
         record: Whether ``hit.solution.path`` is wanted.
-        **options: The method's own keywords.
+        simultaneous: Policy of `solve_impact`, for a list of contacts.
+        **options: The method's or the policy's own keywords.
+
+    Returns:
+        A `Hit`; for a list of contacts, also of one, a `ManyHit`.
 
     Raises:
         InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves.
@@ -176,7 +211,10 @@ def impact(
         model = model_of(model)
     cache = data_cache(model, data)
     if type(contact) is not Contact:
+        if isinstance(contact, Sequence) and not isinstance(contact, str):
+            return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
         check_contact("contact", contact)
+        raise AssertionError
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
     try:
@@ -244,7 +282,7 @@ def _impact_in_steps(
     q, cache = np.asarray(q, dtype=np.float64), data_cache(model, data)
     if ((q < cache.bounds[0]) | (q > cache.bounds[1])).any():
         cache.warn_of_limits(q, stacklevel=5)
-    _check_at_rest(matrices, held, v)
+    check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
     scale = matrices.velocity_scale(v)
@@ -254,15 +292,7 @@ def _impact_in_steps(
     )
     solution = solve_impact(problem, method=method, record=record, **options)
     held_impulses = matrices.held_response @ solution.impulse
-    for anchor, geometry, impulse in zip(held, matrices.held, held_impulses, strict=True):
-        pull = -float(geometry.axes[2] @ impulse)
-        if pull > 1e-12 * float(np.linalg.norm(solution.impulse)):
-            warnings.warn(
-                f"held: {anchor.label!r} would have to pull with {pull:.3g} N s to hold; if it can lift off, "
-                "leave it out of held",
-                HeldContactWarning,
-                stacklevel=3,
-            )
+    warn_of_pulls(matrices.held, held, held_impulses, solution.impulse, 3)
     numbers = np.concatenate(
         [
             v + matrices.response @ solution.impulse,
@@ -277,17 +307,3 @@ def _impact_in_steps(
     )
     ended = (solution.status, solution.flags, solution.iterations)
     return Hit(numbers, nv, ended, contact, restitution, solution, held_impulses)
-
-
-def _check_at_rest(matrices: ContactMatrices, held: Sequence[Contact], v: Array) -> None:
-    for anchor, geometry in zip(held, matrices.held, strict=True):
-        speed = float(np.linalg.norm(geometry.velocity(v)))
-        scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
-        scale += float(np.linalg.norm(geometry.surface_velocity))
-        if speed > HELD_TOLERANCE * scale:
-            raise InputError(
-                f"held: {anchor.label!r} moves at {speed:.3g} m/s against its surface before the impact; a "
-                "held contact must be at rest there: correct v, or leave it out of held",
-                field="held",
-                value=anchor,
-            )

@@ -38,6 +38,9 @@ from .dense_step import WORKS, DenseStep
 from .layout import SceneLayout
 from .scene import Scene
 
+STIFF = 1e3
+"""Rate [1/s] at which damped joints come to rest, above which steps may be implicit in their damping."""
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -150,8 +153,9 @@ class SceneDynamics:
         if control is not None:
             control.work = self.work
         self._driven = len(motors.velocity) > 0
+        self.work.stiff_joints = self._driven or layout.rate_of_damping(self.work.damping) > STIFF
         self.work.force_margin = math.inf
-        _compile(self.work, self._driven)
+        _compile(self.work)
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
@@ -282,13 +286,13 @@ def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model
 _compiled: set[tuple[bool, bool]] = set()
 
 
-def _compile(work: SceneWorkspace, driven: bool) -> None:
+def _compile(work: SceneWorkspace) -> None:
     """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
     The types of what they take are the same for every scene; only one with friction takes steps in which slip
-    turns, only one with drives steps of theirs.
+    turns, only one with drives, or damping that is stiff, steps of theirs.
     """
-    rough = bool(work.friction.any())
+    rough, driven = bool(work.friction.any()), bool(work.stiff_joints)
     if (rough, driven) in _compiled:
         return
     _compiled.add((rough, driven))

@@ -47,6 +47,7 @@ class SceneLayout:
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
         self.spare_dynamics: list[RobotDynamics] = []
         self.spare_data: list[pin.Data] = []
+        self._damping: tuple[bytes, float] | None = None
 
     def holds_for(self, model: pin.Model) -> bool:
         """Return whether sizes, placements and joint limits of the model are what they were."""
@@ -90,6 +91,19 @@ class SceneLayout:
     def velocity_joint(self) -> NDArray[np.int64]:
         """(nv,) the joint that each velocity belongs to."""
         return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
+
+    def rate_of_damping(self, damping: NDArray[np.float64]) -> float:
+        """Return how fast damped joints (nv,) settle at the most, in the neutral configuration [1/s]."""
+        if not damping.any():
+            return 0.0
+        key = damping.tobytes()
+        if self._damping is None or self._damping[0] != key:
+            model = self._model
+            minverse = pin.computeMinverse(model, model.createData(), pin.neutral(model))
+            minverse = np.triu(minverse) + np.triu(minverse, 1).T
+            root = np.sqrt(damping)
+            self._damping = key, float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
+        return self._damping[1]
 
     def constants(self, contact: Contact) -> tuple[int, int, NDArray[np.float64], NDArray[np.float64]]:
         """Return what `contact_constants` does, which is not to be changed in place."""

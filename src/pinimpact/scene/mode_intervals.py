@@ -36,6 +36,7 @@ class ModeIntervals:
         self._contacts = len(contacts)
         self._names = [*contacts, *limits]
         self._joints: dict[int, str] = {}
+        self._drives: dict[int, str] = {}
 
     def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
         """Take what holds from t on: some intervals end, others begin.
@@ -46,7 +47,7 @@ class ModeIntervals:
             sides: (nv,) not zero for the drives that are at the bounds of their efforts.
         """
         now = dict(self._names_of(i, mode) for i, mode in enumerate(modes.tolist()) if mode)
-        now |= {drive_name(self._model, j): "saturated" for j, side in enumerate(sides.tolist()) if side}
+        now |= {self._drive(j): "saturated" for j, side in enumerate(sides.tolist()) if side}
         for source, (mode, start) in list(self.present.items()):
             if now.get(source) != mode:
                 if t > start:
@@ -54,6 +55,12 @@ class ModeIntervals:
                 del self.present[source]
         for source, mode in now.items():
             self.present.setdefault(source, (mode, t))
+
+    def _drive(self, velocity: int) -> str:
+        """Return the name of a drive."""
+        if velocity not in self._drives:
+            self._drives[velocity] = drive_name(self._model, velocity)
+        return self._drives[velocity]
 
     def _names_of(self, i: int, mode: int) -> tuple[str, str]:
         """Return the names of a source and of its mode."""

@@ -342,6 +342,7 @@ class Motion:
             {"steps": self.steps, "rejected": self.rejected, "evaluations": self.work.evaluations},
             self.sources,
             EvaluatedForces(partial(_dynamics_of, *self._made_of), self.state.names[: self.work.contacts]),
+            (*self._made_of[0].contacts, *self._made_of[0].held),
         )
 
     def _sample(self) -> None:

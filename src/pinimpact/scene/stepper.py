@@ -29,7 +29,9 @@ class Stepper:
         scene: The scene, without a control of its own.
         q0: (nq,) configuration at the start, no contact below its surface.
         v0: (nv,) velocity at the start.
-        rtol, atol, max_step: As of `simulate`.
+        rtol: As of `simulate`.
+        atol: As of `simulate`.
+        max_step: As of `simulate`.
         max_impacts: How many impacts to resolve in one step before giving up.
 
     Raises:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, UnknownNameError
 from ..html_tables import html_lines, html_table
+from ..robot.contact import Contact
 from ..robot.names import counted, near_matches
 from ..robot.surfaces import contact_axes
-from .dense_step import DenseStep
+from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes
 from .trajectory_io import read_trajectory, write_trajectory
@@ -44,6 +46,10 @@ class Trajectory:
         statistics: Counts: "steps", "rejected", "evaluations".
         sources: Names of the scene's contacts, joint limits and joints: what impacts and modes can be of.
             None if the trajectory is from a file that was written before they were stored.
+        contacts: The scene's contacts, then those it held; none if the trajectory is from a file that was
+            written before they were stored. From a file, or pickled, one whose restitution was a function
+            has 0 there; what each impact had is in its problem.
+        joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
     """
 
     def __init__(
@@ -62,9 +68,10 @@ class Trajectory:
         statistics: dict[str, int],
         sources: Sequence[str] | None,
         forces: ForceSource | None,
+        contacts: Sequence[Contact],
     ) -> None:
         self._segments = tuple(segments)
-        self._joints = joints
+        self.joint_table = joints
         self._starts = np.array([segment.start for segment in segments])
         self._ends = np.array([segment.end for segment in segments])
         self.t, self.q, self.v = samples
@@ -78,7 +85,13 @@ class Trajectory:
         self.switched_off = tuple(switched_off)
         self.statistics = dict(statistics)
         self.sources = None if sources is None else tuple(sources)
+        self.contacts = tuple(contacts)
         self._forces = forces
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether forces are known; not if the trajectory is from a file written before they were stored."""
+        return self._forces is not None
 
     @property
     def duration(self) -> float:
@@ -105,6 +118,18 @@ class Trajectory:
         if side == "right":
             return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
+
+    def works(self, t: float, side: Literal["left", "right"] = "right") -> Array:
+        """Return the works of control, joints, sliding friction and surfaces up to a time, (4,) [J].
+
+        They are those of `energy` in between its samples. Raises what `at` does.
+        """
+        if side not in ("left", "right"):
+            raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        t = self._covered(t)
+        if not self._segments:
+            return np.zeros(WORKS)
+        return self._segments[self._number(t, side)].works(t)
 
     def sample(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return q (k, nq) and v (k, nv) at many times, after any impact at them."""
@@ -271,7 +296,7 @@ class Trajectory:
         """Return what the trajectory was made from, by the names of its arguments."""
         return {
             "segments": self._segments,
-            "joints": self._joints,
+            "joints": self.joint_table,
             "samples": (self.t, self.q, self.v),
             "impacts": self.impacts,
             "events": self.events,
@@ -284,6 +309,10 @@ class Trajectory:
             "statistics": self.statistics,
             "sources": self.sources,
             "forces": None if self._forces is None else TabulatedForces.of(self._forces, self._segments),
+            "contacts": tuple(
+                replace(contact, restitution=0.0) if callable(contact.restitution) else contact
+                for contact in self.contacts
+            ),
         }
 
     def __reduce__(self) -> tuple[Any, ...]:

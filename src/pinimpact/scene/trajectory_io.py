@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Sequence
+from dataclasses import fields as dataclass_fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
+from ..robot.contact import Contact
+from ..robot.plane import Plane
+from ..robot.sphere import Sphere
+from ..robot.surfaces import Surface
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
@@ -21,6 +26,9 @@ from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
 Array = NDArray[np.float64]
 
 FORMAT = 1
+
+SURFACES: dict[str, type[Plane] | type[Sphere]] = {"plane": Plane, "sphere": Sphere}
+"""What a surface's `kind` stands for."""
 
 FORCE_TABLES = ("force_rows", "force_world", "force_points", "force_normals", "force_joints", "force_unique")
 
@@ -42,6 +50,7 @@ def write_trajectory(
     statistics: dict[str, int],
     sources: Sequence[str] | None,
     forces: TabulatedForces | None,
+    contacts: Sequence[Contact],
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
@@ -56,6 +65,7 @@ def write_trajectory(
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
         "forces": None if forces is None else forces.contacts,
+        "contacts": [_fields(contact) | {"plane": _surface_fields(contact.plane)} for contact in contacts],
         "events": [[event.time, event.name] for event in events],
         "impacts": [
             [
@@ -107,7 +117,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
     A file that was written before the names of sources, the forces or the scales of impacts' velocities were
-    stored has None for them, and one before events were has none.
+    stored has None for them, and one before events or contacts were has none.
 
     Raises:
         InputError: A file that is missing, or is no trajectory.
@@ -180,7 +190,24 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "forces": None
         if meta.get("forces") is None
         else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
+        "contacts": [
+            Contact(**fields | {"plane": _surface(**fields["plane"])}) for fields in meta.get("contacts", ())
+        ],
     }
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    """Return what a contact or a surface was made from, as JSON can have it."""
+    made_from = {field.name: getattr(value, field.name) for field in dataclass_fields(value) if field.init}
+    return {name: int(v) if isinstance(v, np.integer) else v for name, v in made_from.items()}
+
+
+def _surface_fields(surface: Surface) -> dict[str, Any]:
+    return {"kind": surface.kind} | _fields(surface)
+
+
+def _surface(kind: str, **fields: Any) -> Surface:
+    return SURFACES[kind](**fields)
 
 
 def _contact_space(

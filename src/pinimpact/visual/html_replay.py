@@ -1,306 +1,326 @@
-"""A motion as one self-contained HTML file that opens offline in any browser with WebGL."""
+"""Replays: a motion, or what happens within one impact, as one HTML file that opens offline."""
 
 from __future__ import annotations
 
-import base64
 import html
 import math
-import warnings
-from collections.abc import Callable, Sequence
+import os
+import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..checks import above_zero, finite_array
 from ..errors import InputError
 from ..robot.contact import Contact
 from ..robot.matrices import contact_geometry
-from ..robot.plane import Plane
-from ..robot.sphere import Sphere
-from ..robot.surfaces import Surface, contact_axes
-from .collada import one_material_per_mesh
+from ..robot.names import frame_id, model_of
+from ..robot.robot_impact import Hit
+from ..scene.joint_charts import joint_table
+from ..scene.records import ImpactRecord
+from ..scene.trajectory import Trajectory
+from .film import frame_times, slowed, width_of_slowness
+from .impact_marks import ImpactMark, impact_mark, short
+from .page_file import Recorder, packed, page
+from .robot_shapes import joint_poses, joints_as_data, send_background, send_meshes, skeleton
+from .surface_shapes import surface_as_data
 
 Array = NDArray[np.float64]
 
-FRAMES_PER_SECOND = 60
-MAX_FRAMES = 3000
-"""Beyond this many frames (50 s of replay) frames are spaced wider, to keep the file small."""
-ARROW_LENGTH = 0.3
-"""Of the largest impulse's arrow [m]; the others are in proportion, down to their radius."""
-ARROW_RADIUS = 0.006
-SURFACE_MARGIN = 0.15
-"""How far a surface is drawn beyond the contacts' way over it [m]."""
+HOLD = 1.5
+"""How long the film of a motion stands still within an impact [s]."""
+HOLD_WITHIN = 8.0
+"""How long the film of one impact takes [s]."""
+LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.25
+"""Lengths of the longest arrows, in parts of the size of what is shown."""
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head><meta charset="utf-8"><title>{title}</title>
-<style>body {{ margin: 0 }} #view {{ width: 100vw; height: 100vh; overflow: hidden }}</style></head>
-<body>
-<div id="view"></div>
-<script>{viewer}</script>
-<script>
-const viewer = new MeshCat.Viewer(document.getElementById("view"));
-const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
-for (const command of [
-{commands}
-]) viewer.handle_command_bytearray(bytes(command));
-viewer.controls.target.set({x}, {z}, -({y}));
-viewer.camera.position.set({x} + {distance}, {z} + 0.5 * {distance}, -({y}) + {distance});
-viewer.controls.update();
-</script>
-</body>
-</html>
-"""
+
+class Replay(os.PathLike[str]):
+    """A replay: a file, and what a notebook shows.
+
+    Attributes:
+        path: Where it was written, or None.
+        html: The page itself.
+    """
+
+    def __init__(self, text: str, path: Path | None) -> None:
+        self.html = text
+        self.path = path
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page to a file and return its path."""
+        self.path = Path(path)
+        self.path.write_text(self.html, encoding="utf-8")
+        return self.path
+
+    def open(self) -> None:
+        """Show it in the browser of this machine.
+
+        Raises:
+            InputError: A replay without a file.
+        """
+        webbrowser.open(Path(self).absolute().as_uri())
+
+    def video(self, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)) -> Path:
+        """Write the film as a picture that moves; see `pinimpact.visual.video.write_video`."""
+        from .video import write_video
+
+        return write_video(self, path, rate=rate, size=size)
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.html)}" width="100%" height="560" style="border: 0" '
+            'allow="fullscreen"></iframe>'
+        )
+
+    def __fspath__(self) -> str:
+        if self.path is None:
+            raise InputError("path: the replay was not written to a file; save() does", field="path")
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"Replay({'not written' if self.path is None else str(self.path)!r})"
+
+    def __str__(self) -> str:
+        return repr(self) if self.path is None else str(self.path)
 
 
 def replay(
-    robot: pin.RobotWrapper,
-    trajectory: Any,
-    path: str | Path = "replay.html",
+    robot: pin.RobotWrapper | pin.Model | Hit,
+    motion: Trajectory | Hit | ImpactRecord | None = None,
+    path: str | Path | None = "replay.html",
     *,
-    contacts: Sequence[Contact] = (),
+    contacts: Sequence[Contact] | None = None,
+    q: ArrayLike | None = None,
     speed: float = 1.0,
-) -> Path:
-    """Write a trajectory as an animation to one HTML file, which needs no server and no network.
+    slowdown: float = 20.0,
+    open: bool = False,
+) -> Replay:
+    """Write a motion, or what happens within one impact, to one HTML file that opens offline in any browser.
+
+    The page shows the robot, the surfaces, the ways of the contact points, and the forces of sustained
+    contact. At an impact the film slows down and stands still while the impulse grows: arrows show the
+    impulse, the contact velocity before and after, and the friction cone. The keys n and p, and the marks on
+    the bar, lead from impact to impact; the speed and the slowness can be changed in the page.
+
+    ``replay(robot, hit, q=q)`` shows one impact in its normal impulse P₃, the path of the sliding velocity
+    beside the robot, which stands still; ``replay(hit)`` does so without a robot. In a notebook the result
+    shows itself.
 
     Args:
-        robot: The robot with its visual geometry.
-        trajectory: The `Trajectory`: its times, `at` and its impacts are used.
-        path: The file to write; its folder must exist.
-        contacts: Contacts whose surfaces are drawn, as in ``scene.contacts``; their impacts also get an arrow
-            along the impulse.
-        speed: Seconds of motion per second of replay, > 0; 0.1 is slow motion.
-
-    Returns:
-        The path of the file.
+        robot: The robot with its visual geometry; without any, or as a bare model, it is drawn in lines.
+        motion: A `Trajectory`, a `Hit`, or an impact of a trajectory.
+        path: The file to write, in a folder that exists; None for none.
+        contacts: Contacts whose surfaces, ways, forces and impacts are drawn. By default those of the
+            trajectory, or the one of the hit.
+        q: (nq,) the configuration of a `Hit`.
+        speed: Seconds of motion per second of film, > 0, away from impacts.
+        slowdown: How much slower it is at an impact, ≥ 1; 1 also leaves out the standstill.
+        open: Whether to show the page in the browser.
 
     Raises:
-        InputError: A robot without visual geometry, or a speed that is not positive.
+        InputError: A robot that is not the one of the motion, a speed that is not positive, a hit without its
+            configuration.
+        UnknownNameError: A contact at a frame that the robot does not have.
     """
-    if not speed > 0.0 or not math.isfinite(speed):
-        raise InputError(f"speed: {speed!r} is not a positive number", field="speed", value=speed)
-    model, visual_model = robot.model, robot.visual_model
-    if visual_model is None or visual_model.ngeoms == 0:
+    if isinstance(robot, Hit):
+        robot, motion = None, robot
+    speed = above_zero("speed", speed)
+    if not math.isfinite(slowdown) or slowdown < 1.0:
         raise InputError(
-            f"robot: {model.name!r} has no visual geometry to show; load it with its meshes",
-            field="robot",
-            value=model.name,
+            f"slowdown: {slowdown!r} given, a number of at least 1 expected", field="slowdown", value=slowdown
         )
-    times = _frame_times(trajectory.t[0], trajectory.t[-1], speed)
+    if isinstance(motion, (Hit, ImpactRecord)):
+        text = _impact_page(robot, motion, contacts, q)
+    elif isinstance(motion, Trajectory):
+        text = _motion_page(robot, motion, contacts, speed, float(slowdown))
+    else:
+        raise InputError(
+            f"motion: {motion!r} is neither a trajectory nor an impact", field="motion", value=motion
+        )
+    shown = Replay(text, None)
+    if path is not None:
+        shown.save(path)
+    if open:
+        shown.open()
+    return shown
+
+
+def _motion_page(
+    robot: Any, trajectory: Trajectory, given: Sequence[Contact] | None, speed: float, slowdown: float
+) -> str:
+    model = model_of(robot)
+    _check_robot(model, trajectory)
+    contacts = _contacts(model, trajectory.contacts if given is None else given)
+    stopped = [-float(impact.solution.work.compression) for impact in trajectory.impacts]
+    slow = slowed(stopped)
+    moments = [impact.time for impact in trajectory.impacts]
+    start, end = float(trajectory.t[0]), float(trajectory.t[-1])
+    width = width_of_slowness(end - start, speed, slowdown)
+    slow_moments = [time for time, on in zip(moments, slow, strict=True) if on]
+    times = frame_times(start, end, speed, moments, slow_moments, width)
     configurations = [trajectory.at(float(t))[0] for t in times]
-    rate = (len(times) - 1) / (times[-1] - times[0]) * speed if len(times) > 1 else FRAMES_PER_SECOND
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # meshcat imports a retired module of pyzmq
-        import meshcat
-        from pinocchio.visualize import MeshcatVisualizer
-    recorder = _Recorder()
-    view = meshcat.Visualizer(window=recorder)
-    display = MeshcatVisualizer(model, robot.collision_model, visual_model)
-    display.initViewer(viewer=view)
-    display.loadViewerModel()
-    display.setBackgroundColor("gray")
-    display.displayCollisions(False)
-    display.display(configurations[0])
-    names = [
-        display.getViewerNodeName(shape, pin.GeometryType.VISUAL) for shape in visual_model.geometryObjects
-    ]
-    animation = _animation(names, *_placements(model, visual_model, configurations), rate)
-    points = _contact_points(model, configurations, contacts)
-    for index, surface in enumerate({contact.plane for contact in contacts if contact.plane.body is None}):
-        met = np.vstack([points[contact.label] for contact in contacts if contact.plane == surface])
-        _draw_surface(view[f"surfaces/{index}"], surface, met)
-    drawn = [impact for impact in trajectory.impacts if impact.source in points]
-    largest = max((float(np.linalg.norm(impact.solution.impulse)) for impact in drawn), default=0.0)
-    for index, impact in enumerate(drawn):
-        contact = next(contact for contact in contacts if contact.label == impact.source)
-        geometry = contact_geometry(model, model.createData(), impact.q, contact)
-        arrow = impact.solution.impulse @ geometry.axes * (ARROW_LENGTH / largest) if largest else np.zeros(3)
-        if np.linalg.norm(arrow) > ARROW_RADIUS:
-            _draw_arrow(view[f"impulses/{index}"], geometry.point, arrow)
-            animation.append(_appearance(f"impulses/{index}", times, impact.time, rate))
-    options = {"play": True, "repetitions": 1000}
-    recorder.add({"type": "set_animation", "animations": animation, "options": options, "path": ""})
-    path = Path(path)
-    path.write_text(recorder.page(model.name, *_middle(model, configurations)), encoding="utf-8")
-    return path
-
-
-class _Recorder:
-    """Stands where meshcat's Visualizer has its window to a server: it collects what would be sent."""
-
-    web_url = None
-
-    def __init__(self) -> None:
-        self.commands: list[str] = []
-
-    def send(self, command: Any) -> None:
-        message = command.lower()
-        if message["type"] == "set_object" and message["object"]["object"].get("format") == "dae":
-            mesh = message["object"]["object"]
-            mesh["data"] = one_material_per_mesh(mesh["data"])
-        self.add(message)
-
-    def add(self, message: dict[str, Any]) -> None:
-        import umsgpack  # with meshcat
-
-        self.commands.append(base64.b64encode(umsgpack.packb(message)).decode("ascii"))
-
-    def page(self, title: str, centre: Array, size: float) -> str:
-        """Return the page; the camera looks at `centre`. In the viewer's own axes y is up."""
-        import meshcat
-
-        viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
-        return _PAGE.format(
-            title=html.escape(title),
-            viewer=viewer.read_text(encoding="utf-8").replace("</script", "<\\/script"),
-            commands=",\n".join(f'"{command}"' for command in self.commands),
-            x=centre[0],
-            y=centre[1],
-            z=centre[2],
-            distance=0.7 * size,
-        )
-
-
-def _frame_times(start: float, end: float, speed: float) -> Array:
-    count = math.ceil((end - start) * FRAMES_PER_SECOND / speed) + 1
-    return np.linspace(start, end, max(1, min(count, MAX_FRAMES)))
-
-
-def _placements(
-    model: pin.Model, visual_model: pin.GeometryModel, configurations: list[Array]
-) -> tuple[Array, Array]:
-    """Return positions (frames, shapes, 3) and unit quaternions x, y, z, w (frames, shapes, 4)."""
-    data, visual_data = model.createData(), visual_model.createData()
-    positions = np.empty((len(configurations), visual_model.ngeoms, 3))
-    quaternions = np.empty((len(configurations), visual_model.ngeoms, 4))
-    for frame, q in enumerate(configurations):
-        pin.updateGeometryPlacements(model, data, visual_model, visual_data, q)
-        for shape, placement in enumerate(visual_data.oMg):
-            positions[frame, shape] = placement.translation
-            quaternions[frame, shape] = pin.Quaternion(placement.rotation).coeffs()
-    for frame in range(1, len(configurations)):  # a quaternion and its negative turn alike: take the nearer
-        away = np.sum(quaternions[frame] * quaternions[frame - 1], axis=1) < 0.0
-        quaternions[frame, away] *= -1.0
-    return positions, quaternions
-
-
-def _animation(names: list[str], positions: Array, quaternions: Array, rate: float) -> list[dict[str, Any]]:
-    """Return meshcat's animation clips: one for each shape that moves at all."""
-    kinds = (("position", "vector3", positions), ("quaternion", "quaternion", quaternions))
-    clips = []
-    for shape, name in enumerate(names):
-        tracks = [
-            _track(kind, jstype, values[:, shape].tolist())
-            for kind, jstype, values in kinds
-            if np.ptp(values[:, shape], axis=0).any()
-        ]
-        if tracks:
-            clips.append(_clip(name, rate, tracks))
-    return clips
-
-
-def _appearance(name: str, times: Array, moment: float, rate: float) -> dict[str, Any]:
-    """Return a clip that hides an object until a moment."""
-    shown = times >= moment
-    first = int(np.argmax(shown)) if shown.any() else len(times) - 1
-    last = len(times) - 1  # a clip that ended before the others would start over before them
-    keys = [{"time": f, "value": f >= first} for f in sorted({0, first, last})]
-    return _clip(name, rate, [{"name": ".visible", "type": "boolean", "keys": keys}])
-
-
-def _clip(name: str, rate: float, tracks: list[dict[str, Any]]) -> dict[str, Any]:
-    clip = {"fps": rate, "name": "default", "tracks": tracks}
-    return {"path": f"/meshcat/{name}", "clip": clip}
-
-
-def _track(name: str, jstype: str, values: list[list[float]]) -> dict[str, Any]:
-    keys = [{"time": frame, "value": value} for frame, value in enumerate(values)]
-    return {"name": f".{name}", "type": jstype, "keys": keys}
-
-
-def _contact_points(
-    model: pin.Model, configurations: list[Array], contacts: Sequence[Contact]
-) -> dict[str, Array]:
-    """Return where each contact's point goes, (m, 3) in world axes, at some fifty of the configurations."""
     data = model.createData()
-    few = configurations[:: max(1, len(configurations) // 50)]
-    return {
-        contact.label: np.array([contact_geometry(model, data, q, contact).point for q in few])
-        for contact in contacts
+    by_name = {contact.label: contact for contact in contacts}
+    marks = []
+    for impact, on in zip(trajectory.impacts, slow, strict=True):
+        places = {}
+        if impact.source in by_name:
+            geometry = contact_geometry(model, data, impact.q, by_name[impact.source])
+            places[impact.source] = (geometry.point, geometry.axes)
+        marks.append(impact_mark(impact, impact.source, places, impact.time, on))
+    forces = [_forces(trajectory, contact.label, times) for contact in contacts]
+    settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
+    modes = [[mode.source, mode.mode, mode.start, mode.end] for mode in trajectory.modes]
+    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes)
+
+
+def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact] | None, q: Any) -> str:
+    contacts = given
+    if isinstance(impact, Hit):
+        contacts = [impact.contact] if given is None else given
+        source = contacts[0].label
+    else:
+        source, q = impact.source, impact.q if q is None else q
+    settings = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
+    if robot is None:
+        assert isinstance(impact, Hit)  # a robot is left out with a hit alone
+        mark = impact_mark(impact, source, {source: (np.zeros(3), impact.axes)})
+        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], settings, [])
+    model = model_of(robot)
+    if q is None:
+        raise InputError(
+            "q: a hit does not know where the robot was; give q=, the configuration of the impact", field="q"
+        )
+    q = finite_array("q", q, (model.nq,))
+    drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source]
+    places = {}
+    for contact in drawn:
+        geometry = contact_geometry(model, model.createData(), q, contact)
+        places[contact.label] = (geometry.point, geometry.axes)
+    mark = impact_mark(impact, source, places)
+    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], settings, [])
+
+
+def _page(
+    robot: Any,
+    model: pin.Model,
+    times: Array,
+    configurations: Sequence[Array],
+    contacts: Sequence[Contact],
+    forces: Sequence[Array | None],
+    marks: Sequence[ImpactMark],
+    settings: dict[str, Any],
+    modes: Sequence[Sequence[Any]],
+) -> str:
+    """Return the page of what happens at times (m,), in configurations of the same number."""
+    poses = joint_poses(model, configurations)
+    ways = np.array([_way(model, configurations, contact) for contact in contacts])
+    ways = ways.reshape(len(contacts), len(times), 3)
+    surfaces = []
+    for surface in dict.fromkeys(contact.plane for contact in contacts):
+        met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]
+        surfaces.append(surface_as_data(model, surface, poses, met))
+    shapes = getattr(robot, "visual_model", None)
+    recorder = Recorder()
+    links: list[tuple[int, int]] = []
+    spots: list[list[float]] = []
+    wanted = {what["joint"] for what in surfaces} - {0}
+    if shapes is not None and shapes.ngeoms > 0:
+        send_meshes(model, shapes, recorder)
+        wanted |= {int(shape.parentJoint) for shape in shapes.geometryObjects} - {0}
+    else:
+        links, spots = skeleton(model)
+        wanted |= set(range(1, model.njoints))
+    send_background(recorder, grid=not surfaces)
+    center, size = _middle(model, configurations, ways, marks)
+    longest = {
+        "impulse": max((mark.strength for mark in marks), default=0.0),
+        "velocity": max((mark.speed for mark in marks), default=0.0),
+        "force": max((float(np.linalg.norm(f, axis=1).max()) for f in forces if f is not None), default=0.0),
     }
+    parts = {"impulse": LONGEST_IMPULSE, "velocity": LONGEST_VELOCITY, "force": LONGEST_FORCE}
+    scales = {name: parts[name] * size / value if value > 0.0 else 0.0 for name, value in longest.items()}
+    motion = {
+        **settings,
+        "times": packed(times, np.float64),
+        **joints_as_data(poses, sorted(wanted)),
+        "links": links,
+        "spots": spots,
+        "surfaces": surfaces,
+        "contacts": [
+            {
+                "name": contact.label,
+                "path": packed(way),
+                "forces": None if force is None else packed(force),
+            }
+            for contact, way, force in zip(contacts, ways, forces, strict=True)
+        ],
+        "modes": modes,
+        "impacts": [mark.as_data() for mark in marks],
+        "scales": {**scales, "longest": longest},
+        "view": {"center": short(center), "size": size, "thickness": 0.006 * size},
+    }
+    return page(model.name or "impact", recorder.commands, motion)
 
 
-def _middle(model: pin.Model, configurations: list[Array]) -> tuple[Array, float]:
-    """Return the centre and the size of the box that the joints stay in."""
+def _contacts(model: pin.Model, contacts: Sequence[Contact]) -> list[Contact]:
+    for contact in contacts:
+        frame_id(model, contact.frame)
+        if contact.plane.body is not None:
+            frame_id(model, contact.plane.body, "body")
+    return list(contacts)
+
+
+def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
+    """Refuse a robot that cannot be the trajectory's."""
+    ours, theirs = (model.nq, model.nv), (trajectory.q.shape[1], trajectory.v.shape[1])
+    if ours != theirs:
+        what = "it has {} coordinates and {} velocities, the trajectory {} and {}".format(*ours, *theirs)
+    elif not np.array_equal(joint_table(model), trajectory.joint_table):
+        what = "its joints are of other kinds"
+    else:
+        return
+    raise InputError(
+        f"robot: {model.name!r} is not the robot of the trajectory: {what}; give the one that was simulated",
+        field="robot",
+        value=model.name,
+    )
+
+
+def _way(model: pin.Model, configurations: Sequence[Array], contact: Contact) -> Array:
+    """Return where a contact's point goes, (frames, 3) in world axes."""
+    data = model.createData()
+    return np.array([contact_geometry(model, data, q, contact).point for q in configurations])
+
+
+def _forces(trajectory: Trajectory, name: str, times: Array) -> Array | None:
+    """Return the forces of a contact at the frames, (frames, 3) in world axes, or None if it has none."""
+    closed = [mode for mode in trajectory.modes if mode.source == name]
+    if not closed or not trajectory.has_forces:
+        return None
+    forces = np.zeros((len(times), 3))
+    for interval in closed:
+        inside = np.flatnonzero((times >= interval.start) & (times < interval.end))
+        forces[inside] = trajectory.forces_world(name, times[inside]).reshape(-1, 3)
+        at_end = np.flatnonzero(times == interval.end)[:1]
+        forces[at_end] = trajectory.forces_world(name, times[at_end], "left").reshape(-1, 3)
+    return forces
+
+
+def _middle(
+    model: pin.Model, configurations: Sequence[Array], ways: Array, marks: Sequence[ImpactMark]
+) -> tuple[Array, float]:
+    """Return the centre and the size of the box that the frames and the contacts stay in [m]."""
     data = model.createData()
     few = configurations[:: max(1, len(configurations) // 20)]
-    positions = []
+    positions = [*ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
     for q in few:
         pin.framesForwardKinematics(model, data, q)
-        positions += [placement.translation for placement in data.oMf]
+        positions += [placement.translation.copy() for placement in data.oMf]
     low, high = np.min(positions, axis=0), np.max(positions, axis=0)
-    return 0.5 * (low + high), max(0.5, float(np.linalg.norm(high - low)))
-
-
-def _draw_surface(node: Any, surface: Surface, points: Array) -> None:
-    """Draw a surface where the contact points (m, 3) come over it."""
-    import meshcat.geometry as shapes
-
-    shape, placement = _SOLIDS[type(surface)](surface, points)
-    node.set_object(shape, shapes.MeshLambertMaterial(color=0xB08D57, opacity=0.75, transparent=True))
-    node.set_transform(placement)
-
-
-def _plate(plane: Plane, points: Array) -> tuple[Any, Array]:
-    """Return the part of a plane that the points come over, as a thin plate with a margin; its placement."""
-    import meshcat.geometry as shapes
-
-    axes = contact_axes(plane.normal)
-    local = (points - np.asarray(plane.point)) @ axes.T
-    low, high = local.min(axis=0) - SURFACE_MARGIN, local.max(axis=0) + SURFACE_MARGIN
-    thickness = 0.02
-    centre = np.array([*(0.5 * (low + high))[:2], -0.5 * thickness])
-    placement = np.eye(4)
-    placement[:3, :3] = axes.T
-    placement[:3, 3] = np.asarray(plane.point) + centre @ axes
-    return shapes.Box([high[0] - low[0], high[1] - low[1], thickness]), placement
-
-
-def _ball(sphere: Sphere, _: Array) -> tuple[Any, Array]:
-    """Return a whole sphere, and its placement."""
-    import meshcat.geometry as shapes
-
-    placement = np.eye(4)
-    placement[:3, 3] = sphere.center
-    return shapes.Sphere(sphere.radius), placement
-
-
-_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[Any, Array]]] = {Plane: _plate, Sphere: _ball}
-"""What each kind of surface is drawn as: (surface, points) -> shape, placement."""
-
-
-def _draw_arrow(node: Any, tail: Array, arrow: Array) -> None:
-    """Draw an arrow as a shaft and a tip; meshcat's cylinders lie along y."""
-    import meshcat.geometry as shapes
-
-    length = float(np.linalg.norm(arrow))
-    placement = np.eye(4)
-    placement[:3, :3] = contact_axes(arrow)[[1, 2, 0]].T
-    placement[:3, 3] = tail
-    red = shapes.MeshLambertMaterial(
-        color=0xC0392B, transparent=True, depthTest=False
-    )  # seen through the robot
-    tip = min(0.4 * length, 6.0 * ARROW_RADIUS)
-    parts = (
-        ("shaft", shapes.Cylinder(length - tip, ARROW_RADIUS), 0.5 * (length - tip)),
-        ("tip", shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=2.5 * ARROW_RADIUS), length - 0.5 * tip),
-    )
-    node.set_transform(placement)
-    for part, shape, middle in parts:
-        along = np.eye(4)
-        along[1, 3] = middle
-        node[part].set_object(shape, red)
-        node[part].set_transform(along)
+    return 0.5 * (low + high), float(np.linalg.norm(high - low)) or 1.0

@@ -36,3 +36,10 @@ NO_EVENT, COMPRESSION_ENDS, LAW_MET, COMPRESSION_RESUMES, NEVER = _counting(5)
 
 VELOCITY, IMPULSE, WORK = _counting(3)
 """What a law counts during restitution: v₃, the normal impulse, or the normal work."""
+
+OPEN, LOADING, RISING, SINKING, HELD = _counting(5)
+"""Modes of one of many contacts along the normal: apart; pressed deeper than ever since it closed; in elastic
+unloading; in elastic reloading; pressed without moving, for it restores nothing."""
+
+FREE, SLIPPING, STUCK, BOUND = _counting(4)
+"""And in the plane: without friction; ...; held by friction, by all that it can give where BOUND."""

@@ -23,6 +23,13 @@ FREE, SLIP, STICK, HELD = range(4)
 SINGULAR_STILL = 1e-7
 """Like `RANK` where singular values have been below that, lest a motion along the edge goes to and fro."""
 
+MISSING = 1e-9
+"""Accelerations by which the equations may be missed, in parts of the largest; where more is missed, the rank
+that was taken is too low."""
+
+FINEST = 1e-13
+"""The least part of the largest pivot at which a rank is decided."""
+
 RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
 
@@ -130,11 +137,22 @@ def solve_least_norm(work):
     modes, system, target, solution = work.closed_mode, work.system, work.target, work.solution
     size = len(target)
     no_basis = np.empty((0, size))
-    least_norm(system, target, SINGULAR_STILL, solution, no_basis)
+    trial, columns, part = np.empty(size), np.empty((size, size)), np.empty(size)
     largest = 0.0
     for a in range(size):
         largest = max(largest, abs(target[a]))
-    trial, columns, part = np.empty(size), np.empty((size, size)), np.empty(size)
+    rank = SINGULAR_STILL
+    least_norm(system, target, rank, solution, no_basis)
+    off = missed_by(system, target, solution)
+    work.rank_tolerance = rank
+    while off > MISSING * largest and rank > FINEST:
+        # what little moves along a closed row is not to be moved at all, however large its force
+        rank *= 1e-2
+        least_norm(system, target, rank, trial, no_basis)
+        missed = missed_by(system, target, trial)
+        if missed < 0.1 * off:
+            off, work.rank_tolerance = missed, rank
+            assign(solution, trial)
     pushes = np.ones(size, dtype=np.bool_)
     assign(trial, solution)
     while True:
@@ -153,14 +171,22 @@ def solve_least_norm(work):
         for b in range(size):
             for a in range(size):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
-        least_norm(columns, target, SINGULAR_STILL, part, no_basis)
-        for a in range(size):
-            missing = -target[a]
-            for b in range(size):
-                missing += columns[a, b] * part[b]
-            if not abs(missing) <= 1e-9 * largest:
-                return
+        least_norm(columns, target, work.rank_tolerance, part, no_basis)
+        if not missed_by(columns, target, part) <= MISSING * largest:
+            return
         assign(trial, part)
+
+
+@inner
+def missed_by(system, target, solution):
+    """Return the largest error of equations."""
+    worst = 0.0
+    for a in range(len(target)):
+        missing = -target[a]
+        for b in range(len(solution)):
+            missing += system[a, b] * solution[b]
+        worst = max(worst, abs(missing)) if missing == missing else math.inf
+    return worst
 
 
 @inner

@@ -33,13 +33,14 @@ ACCURACY = 1e-10
 
 
 ROUNDS = 4
-"""How often modes are found anew, for what closes takes velocity away, and slip may then go another way."""
+"""How often modes are found anew, for what closes takes velocity away, and with it forces that depend on it;
+slip may then go another way."""
 
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
 NOTHING = 1e-3
-"""Part of the speed of sticking that takes no slip another way."""
+"""Part of the speed of sticking that changes nothing."""
 
 
 @jit
@@ -52,15 +53,16 @@ def set_modes(work, t, q, v, slow):
         candidates[i] = slow[i]
     for j in range(n):
         if dry[j] > 0.0:
-            rests = abs(v[j]) <= work.stick_speed
+            slow_enough = abs(v[j]) <= work.stick_speed
+            rests = slow_enough and not sliding[j] * v[j] > dry[j] * work.certain_speed
             candidates[touching + j] = rests
             sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
     jamming, converged, energy = -1, True, 0.0
     if len(nonzero(candidates)) > 0:
-        slips, stopped = True, math.inf
+        stopped = math.inf
         for _ in range(ROUNDS):
-            if not (slips and stopped > NOTHING * work.stick_speed):
+            if not stopped > NOTHING * work.stick_speed:
                 break
             jamming, converged, gained, stopped = find_modes(
                 work, t, q, v, candidates, modes, reference, breaking
@@ -68,9 +70,6 @@ def set_modes(work, t, q, v, slow):
             energy += gained
             if jamming >= 0 or work.callback_failed:
                 return jamming, converged, energy
-            slips = False
-            for mode in modes[: work.contacts]:
-                slips |= mode == SLIP
     for j in range(n):
         if breaking[j] != 0.0:
             sliding[j] = -math.copysign(dry[j], breaking[j])
@@ -171,8 +170,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             taken += 1
     gained = stop_along(rows[:taken], speeds[:taken], work.minverse, v)
     for j in range(n):
-        if breaking[j] != 0.0:
-            v[j] = 0.0  # to the last bit
+        if breaking[j] * v[j] > 0.0:
+            v[j] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest
 
 

@@ -24,8 +24,12 @@ DEPTH = 10
 
 SHORTEST = 1.5 * 0.5**DEPTH
 
-CURVED = 1.5
-"""Factor on the curvature that the samples of such a function show."""
+BULGE = 1.5 / 8.0
+"""How far a function can fall below its chord, over the second difference of its samples: half as far again
+as a parabola."""
+
+FADING = 1.0 / 16.0
+"""Part that is left of it in each half, at the least: four times less curvature than in the whole."""
 
 
 def sampled(value):
@@ -131,7 +135,8 @@ def search_for_fall(value):
         """Return the first time until `end` at which a function falls below −floor; infinite if it does not.
 
         The function is sampled, and where its curvature leaves room for a dip between two samples it is
-        sampled again, down to 2⁻¹⁰ of the step's parts. A function that starts from zero and falls has fallen
+        sampled again, down to 2⁻¹⁰ of the step's parts: what may lie between is less than the floor, if the
+        curvature is what the samples nearby show. A function that starts from zero and falls has fallen
         at the start.
         """
         start = work.step_start
@@ -144,29 +149,30 @@ def search_for_fall(value):
         second = 0.0
         for k in range(1, PARTS):
             second = max(second, abs(values[k - 1] - 2.0 * values[k] + values[k + 1]))
-        second *= 0.125 * CURVED
-        later, later_value = np.empty(DEPTH + 1), np.empty(DEPTH + 1)
+        later, later_value, bulges = np.empty(DEPTH + 1), np.empty(DEPTH + 1), np.empty(DEPTH + 1)
         for k in range(PARTS):
             time, value_now = start + k * width, max(values[k], 0.0)
             later[0] = end if k == PARTS - 1 else time + width
-            later_value[0] = values[k + 1]
+            later_value[0], bulges[0] = values[k + 1], BULGE * second
             depth = 0
             while depth >= 0:
-                value_then = later_value[depth]
-                part = (later[depth] - time) / width
-                bulge = second * part * part
-                middle = time + 0.5 * (later[depth] - time)
-                splits = part > SHORTEST and depth < DEPTH and time < middle < later[depth]
+                value_then, bulge = later_value[depth], bulges[depth]
+                part = later[depth] - time
+                middle = time + 0.5 * part
+                splits = part > SHORTEST * width and depth < DEPTH and time < middle < later[depth]
                 if value_then < -floor:
                     if value_now > 0.0:
                         return root(work, i, time, later[depth], value_now, value_then)
                     if not splits:
                         return time
                 rises_clear = value_now == 0.0 and value_then > 4.0 * bulge
-                if splits and not (min(value_now, value_then) > bulge or rises_clear):
+                if splits and not (min(value_now, value_then) - bulge >= -floor or rises_clear):
                     depth += 1
                     later[depth] = middle
                     later_value[depth] = value_at(work, i, middle)[0]
+                    # the curvature that is seen here, which may be less than elsewhere in the step
+                    bend = abs(value_now - 2.0 * later_value[depth] + value_then)
+                    bulges[depth] = bulges[depth - 1] = max(BULGE * bend, FADING * bulge)
                     continue
                 time, value_now = later[depth], max(value_then, 0.0)
                 depth -= 1

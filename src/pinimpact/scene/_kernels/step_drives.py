@@ -1,9 +1,10 @@
-"""One step of the Radau IIA method of order 9, for drives that are stiff.
+"""One step of the Radau IIA method of order 9, for drives and damping of joints that are stiff.
 
 A drive of damping d on a joint of little inertia settles at a rate N d, where N = ∂v̇/∂τ is what forces of the
 drives do to v̇ with all that is closed; an explicit step is stable up to about five of these times. Here
 Newton's method takes the laws of the drives as they are, ∂v̇/∂v = −N d and ∂v̇/∂q = −N k with the N at the
-start, and iterates the rest along. See `step_radau` for the method.
+start, and iterates the rest along. Viscous damping of a joint is a law of the same kind, with k = 0. See
+`radau` for the method.
 """
 
 from __future__ import annotations
@@ -19,11 +20,21 @@ from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
 from .contact_forces import SINGULAR_STILL
-from .dop853 import STAGES as LAST
 from .dynamics import evaluate, invert_mass_matrix, set_state
-from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
-from .samples import record_sample
-from .step_radau import ABSCISSAE, AT_START, GAMMA, MATRIX, STAGES, advance_to, complete
+from .radau import (
+    CONVERGED,
+    DIVERGED,
+    GAMMA,
+    MATRIX,
+    STAGES,
+    change_rates,
+    complete,
+    evaluate_stage,
+    progress,
+    reach_end,
+    start_error,
+    start_rates,
+)
 from .workspace import SceneWorkspace
 
 STIFF = 4.0
@@ -36,15 +47,27 @@ SQUARE = MATRIX @ MATRIX
 
 @inner
 def following(work):
-    """Return the velocities whose drives follow their law."""
-    driven, side = work.drive_velocity, work.drive_side
-    marks = np.zeros(len(driven), dtype=np.int64)
-    for c in range(len(driven)):
-        marks[c] = side[driven[c]] == 0
-    found = nonzero(marks)
-    for c in range(len(found)):
-        found[c] = driven[found[c]]
-    return found
+    """Return the velocities on which a linear law acts: drives within their efforts, and damping."""
+    side, stiffness, drive_damping, damping = (
+        work.drive_side,
+        work.drive_stiffness,
+        work.drive_damping,
+        work.damping,
+    )
+    held = work.modes[work.contacts + work.limits :]
+    marks = np.zeros(len(held), dtype=np.int64)
+    for j in range(len(held)):
+        follows = side[j] == 0 and (stiffness[j] > 0.0 or drive_damping[j] > 0.0)
+        marks[j] = (follows or damping[j] > 0.0) and held[j] == 0
+    return nonzero(marks)
+
+
+@inner
+def law(work, j):
+    """Return stiffness and damping of the linear law of a velocity."""
+    if work.drive_side[j] != 0:
+        return 0.0, work.damping[j]
+    return work.drive_stiffness[j], work.drive_damping[j] + work.damping[j]
 
 
 @ahead(SceneWorkspace, INTEGERS, FLOAT_ROWS)
@@ -74,6 +97,8 @@ def respond(work, driven, response):
 @separate
 def rate_of_drives(work):
     """Return how fast the drives settle at the most, about [1/s], at the state last evaluated."""
+    if not work.stiff_joints:
+        return 0.0
     driven = following(work)
     if len(driven) == 0:
         return 0.0
@@ -85,7 +110,7 @@ def rate_of_drives(work):
     for j in driven:
         total = 0.0
         for c in range(len(driven)):
-            total += abs(response[c, j]) * work.drive_damping[driven[c]]
+            total += abs(response[c, j]) * law(work, driven[c])[1]
         fastest = max(fastest, total)
     return fastest
 
@@ -96,119 +121,79 @@ def attempt(work, t, h, rtol, atol):
     work.step_turns = False
     error = solve_stages(work, t, h, rtol, atol)
     if error <= 1.0 and not work.callback_failed:
-        n = len(work.v1)
-        set_state(work, work.q1, work.v1)
-        evaluate(work, t + h, work.stage_rates[LAST, n:])
-        for m in range(n):
-            work.stage_reactions[LAST, m] = work.stage_rates[LAST, n + m] - work.acceleration[m]
-        work.samples = 1 + STAGES
-        complete(work, h)
+        complete(work, t, h)
     return error
 
 
 @inner
 def solve_stages(work, t, h, rtol, atol):
     """Iterate for the rates at the stages; return the error."""
-    joints, q0, v0, rates, xi = work.joint_charts, work.q0, work.v0, work.stage_rates, work.xi
-    q, v, sizes = work.q, work.v, work.tolerance_sizes
-    n, width, s = len(v0), rates.shape[1], STAGES
+    rates, n, s = work.stage_rates, len(work.v0), STAGES
     driven = following(work)
     k = len(driven)
     response, stiffness, damping = np.empty((k, n)), np.empty(k), np.empty(k)
-    found, scale = np.empty((s, width)), np.empty(2 * n)
-    set_state(work, q0, v0)
-    evaluate(work, t, found[0, n:])
+    changes, scale, error = np.empty((s, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
+    set_state(work, work.q0, work.v0)
+    evaluate(work, t, changes[0, n:])
     if work.callback_failed:
         return math.inf
     if work.closed_contacts + work.closed_scalars == 0 and not invert_mass_matrix(work):
         return math.inf
     respond(work, driven, response)
     for c in range(k):
-        stiffness[c], damping[c] = work.drive_stiffness[driven[c]], work.drive_damping[driven[c]]
+        stiffness[c], damping[c] = law(work, driven[c])
     matrix, order, right = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64), np.empty(s * k)
     for i in range(s):
         for c in range(k):
             for j in range(s):
                 for d in range(k):
-                    law = h * MATRIX[i, j] * damping[d] + h * h * SQUARE[i, j] * stiffness[d]
-                    matrix[i * k + c, j * k + d] = law * response[d, driven[c]]
+                    effect = h * MATRIX[i, j] * damping[d] + h * h * SQUARE[i, j] * stiffness[d]
+                    matrix[i * k + c, j * k + d] = effect * response[d, driven[c]]
             matrix[i * k + c, i * k + c] += 1.0
     if not factorize(matrix, order):
         return math.inf
-    magnitudes(joints, q0, sizes)
-    for m in range(n):
-        scale[m] = 1.0 / (atol + rtol * sizes[m])
-        scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
-    for i in range(s):
-        assign(rates[1 + i], rates[0])
+    start_rates(work, rtol, atol, scale)
     force = np.empty((s, k))
     before = math.inf
     for iteration in range(ITERATIONS):
         for i in range(s):
-            advance_to(i, h, rates, v0, xi, v)
-            if gone_astray(xi, v) or turned_too_far(joints, xi):
+            if not evaluate_stage(work, i, t, h, changes[i]):
                 return math.inf
-            advance(joints, q0, xi, q)
-            chart_rate(joints, xi, v, found[i, :n])
-            for m in range(2 * n, width):
-                found[i, m] = 0.0
-            evaluate(work, t + ABSCISSAE[i] * h, found[i, n:])
-            if work.callback_failed:
-                return math.inf
-            record_sample(work, i + 1, ABSCISSAE[i])
-            for m in range(width):
-                found[i, m] -= rates[1 + i, m]
         # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks
         for i in range(s):
             for c in range(k):
                 force[i, c] = 0.0
                 for j in range(s):
-                    force[i, c] -= stiffness[c] * h * MATRIX[i, j] * found[j, driven[c]]
+                    force[i, c] -= stiffness[c] * h * MATRIX[i, j] * changes[j, driven[c]]
         for i in range(s):
             for c in range(k):
-                right[i * k + c] = found[i, n + driven[c]]
+                right[i * k + c] = changes[i, n + driven[c]]
                 for d in range(k):
                     right[i * k + c] += response[d, driven[c]] * force[i, d]
         substitute(matrix, order, right)
         for i in range(s):
             for c in range(k):
                 for j in range(s):
-                    law = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
-                    force[i, c] -= law * right[j * k + c]
-        norm = 0.0
+                    effect = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
+                    force[i, c] -= effect * right[j * k + c]
         for i in range(s):
             for c in range(k):
                 for m in range(n):
-                    found[i, n + m] += response[c, m] * force[i, c]
+                    changes[i, n + m] += response[c, m] * force[i, c]
                 for j in range(s):
-                    found[i, driven[c]] += h * MATRIX[i, j] * right[j * k + c]
-            for m in range(width):
-                rates[1 + i, m] += found[i, m]
-            for m in range(2 * n):
-                norm += (h * found[i, m] * scale[m]) ** 2
-        norm = math.sqrt(norm / (2 * n * s))
-        ratio = norm / before if iteration > 0 else 0.5
-        if not norm < math.inf or (iteration > 2 and ratio >= 1.0):
+                    changes[i, driven[c]] += h * MATRIX[i, j] * right[j * k + c]
+        norm = change_rates(rates, changes, h, scale)
+        verdict = progress(iteration, norm, before)
+        if verdict == DIVERGED:
             return math.inf
-        if norm == 0.0 or (ratio < 1.0 and norm * ratio / (1.0 - ratio) <= 1e-2):
+        if verdict == CONVERGED:
             break
         before = norm
     else:
         return math.inf
-    error = np.empty(2 * n)
-    for m in range(2 * n):
-        total = rates[0, m]
-        for j in range(s):
-            total -= AT_START[j] * rates[1 + j, m]
-        error[m] = GAMMA * h * total
+    start_error(rates, h, error)
     filtered(h, driven, response, stiffness, damping, error)
-    norm = 0.0
-    for m in range(2 * n):
-        norm += (error[m] * scale[m]) ** 2
-    norm = math.sqrt(norm / (2 * n))
-    advance_to(s - 1, h, rates, v0, xi, work.v1)
-    advance(joints, q0, xi, work.q1)
-    return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
+    return reach_end(work, h, error, scale)
 
 
 @inner

@@ -5,9 +5,7 @@ wᵀu/s: w picks the velocity across the slip, and u = ∂v̇/∂θ is what a tu
 is large an explicit step is unstable. Here the angles θ of friction at the stages are unknowns of their own,
 with the condition that there is no velocity across them; that stays regular down to s = 0. Newton's method
 then needs no more than a system with one unknown per contact and stage, and the rest is iterated along.
-
-Source of the method: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections
-IV.5 and IV.8. Its coefficients are made here from their definition.
+See `radau` for the method.
 """
 
 from __future__ import annotations
@@ -15,8 +13,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit
@@ -24,51 +20,25 @@ from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply
 from .contact_forces import SLIP
-from .dense_output import rate_bounds
-from .dop853 import STAGES as LAST
-from .dynamics import evaluate, set_state
-from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
-from .samples import record_sample
+from .radau import (
+    CONVERGED,
+    DIVERGED,
+    GAMMA,
+    MATRIX,
+    STAGES,
+    change_rates,
+    complete,
+    evaluate_stage,
+    progress,
+    reach_end,
+    start_error,
+    start_rates,
+)
 from .slip import restore_directions
 
-STAGES = 5
 ITERATIONS = 12
 STIFF = 3.0
 """Explicit steps are stable up to about twice this h wᵀu/s."""
-
-
-def _coefficients():
-    """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
-    s = STAGES
-    p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
-    p = p.deriv(s - 1)
-    nodes = np.sort(p.roots().real)
-    for _ in range(3):
-        nodes = nodes - p(nodes) / p.deriv()(nodes)
-    nodes[-1] = 1.0
-    powers = np.arange(s)
-    lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
-    integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
-    matrix = nodes[:, None] ** (powers + 1.0) @ integrals
-    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `dense_output.interpolate`
-    size = s + 2
-    basis: NDArray[np.float64] = np.zeros((size, size))
-    factor = Polynomial([0.0, 1.0])
-    for k in range(size):
-        basis[k, : k + 1] = factor.coef[1:]
-        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
-    dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
-    # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
-    correction = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
-    for node in nodes:
-        correction = correction * Polynomial([1.0, -1.0 / node])
-    start = np.linalg.solve(basis.T, np.array(correction.coef[1:], dtype=float))
-    eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
-    real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
-    return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
-
-
-ABSCISSAE, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
 
 
 @inner
@@ -108,28 +78,16 @@ def attempt(work, t, h, rtol, atol):
     if not error <= 1.0 or work.callback_failed:
         restore_directions(work)
     else:  # where slip is slow, friction goes on in the direction that was found
-        set_state(work, work.q1, work.v1)
-        evaluate(work, t + h, work.stage_rates[LAST, len(work.v1) :])
-        for m in range(len(work.v1)):
-            work.stage_reactions[LAST, m] = work.stage_rates[LAST, len(work.v1) + m] - work.acceleration[m]
-        work.samples = 1 + STAGES
-        complete(work, h)
+        complete(work, t, h)
     return error
 
 
 @inner
 def solve_stages(work, t, h, rtol, atol):
     """Iterate for the rates at the stages and the directions of friction there; return the error."""
-    joints, q0, v0, v1 = work.joint_charts, work.q0, work.v0, work.v1
-    rates, xi, sizes = work.stage_rates, work.xi, work.tolerance_sizes
-    q, v = work.q, work.v
-    mode, mu, reference, velocity = (
-        work.closed_mode,
-        work.closed_friction,
-        work.slip_reference,
-        work.contact_velocity,
-    )
-    n, width, s = len(v0), rates.shape[1], STAGES
+    rates, mode, mu = work.stage_rates, work.closed_mode, work.closed_friction
+    reference, velocity = work.slip_reference, work.contact_velocity
+    n, s = len(work.v0), STAGES
     rubbing = np.zeros(len(mode), dtype=np.int64)
     for k in range(len(mode)):
         rubbing[k] = mode[k] == SLIP and mu[k] > 0.0
@@ -140,34 +98,18 @@ def solve_stages(work, t, h, rtol, atol):
     across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
     speeds = np.zeros((s, count))
     matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
-    found = np.empty((s, width))
-    scale = np.empty(2 * n)
-    magnitudes(joints, q0, sizes)
-    for m in range(n):
-        scale[m] = 1.0 / (atol + rtol * sizes[m])
-        scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
+    changes, scale, error = np.empty((s, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
+    start_rates(work, rtol, atol, scale)
     for i in range(s):
-        assign(rates[1 + i], rates[0])
         for c in range(count):
             assign(directions[i, c], reference[slips[c]])
     before, no_basis = math.inf, np.empty((0, size))
     for iteration in range(ITERATIONS):
         for i in range(s):
-            advance_to(i, h, rates, v0, xi, v)
-            if gone_astray(xi, v) or turned_too_far(joints, xi):
-                return math.inf
-            advance(joints, q0, xi, q)
-            chart_rate(joints, xi, v, found[i, :n])
-            for m in range(2 * n, width):
-                found[i, m] = 0.0
             for c in range(count):
                 assign(reference[slips[c]], directions[i, c])
-            evaluate(work, t + ABSCISSAE[i] * h, found[i, n:])
-            if work.callback_failed:
+            if not evaluate_stage(work, i, t, h, changes[i]):
                 return math.inf
-            record_sample(work, i + 1, ABSCISSAE[i])
-            for m in range(width):
-                found[i, m] -= rates[1 + i, m]
             for c in range(count):
                 k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
                 turn(work, k, s1, s2, across[i, c], effect[i, c])
@@ -178,7 +120,7 @@ def solve_stages(work, t, h, rtol, atol):
                 row = i * count + c
                 for j in range(s):
                     for m in range(n):
-                        right[row] -= h * MATRIX[i, j] * across[i, c, m] * found[j, n + m]
+                        right[row] -= h * MATRIX[i, j] * across[i, c, m] * changes[j, n + m]
                     for d in range(count):
                         total = 0.0
                         for m in range(n):
@@ -190,59 +132,29 @@ def solve_stages(work, t, h, rtol, atol):
             if work.forces_unique:
                 return math.inf
             least_norm(matrix, right, RANK, angle, no_basis)
-        norm = 0.0
         for i in range(s):
             for c in range(count):
                 change = angle[i * count + c]
                 for m in range(n):
-                    found[i, n + m] += effect[i, c, m] * change
+                    changes[i, n + m] += effect[i, c, m] * change
                 x, y = math.cos(change), math.sin(change)
                 s1, s2 = directions[i, c, 0], directions[i, c, 1]
                 directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
-            for m in range(width):
-                rates[1 + i, m] += found[i, m]
-            for m in range(2 * n):
-                norm += (h * found[i, m] * scale[m]) ** 2
-        norm = math.sqrt(norm / (2 * n * s))
-        ratio = norm / before if iteration > 0 else 0.5
-        if not norm < math.inf or (iteration > 2 and ratio >= 1.0):
+        norm = change_rates(rates, changes, h, scale)
+        verdict = progress(iteration, norm, before)
+        if verdict == DIVERGED:
             return math.inf
-        if norm == 0.0 or (ratio < 1.0 and norm * ratio / (1.0 - ratio) <= 1e-2):
+        if verdict == CONVERGED:
             break
         before = norm
     else:
         return math.inf
-    # the error: what the rates' polynomial says of the start, against the rates there
-    error = np.empty(2 * n)
-    for m in range(2 * n):
-        total = rates[0, m]
-        for j in range(s):
-            total -= AT_START[j] * rates[1 + j, m]
-        error[m] = GAMMA * h * total
+    start_error(rates, h, error)
     filtered(h, across[0], effect[0], speeds[0], error[n:])
-    norm = 0.0
-    for m in range(2 * n):
-        norm += (error[m] * scale[m]) ** 2
-    norm = math.sqrt(norm / (2 * n))
-    advance_to(s - 1, h, rates, v0, xi, v1)
-    advance(joints, q0, xi, work.q1)
     for c in range(count):
         assign(reference[slips[c]], directions[s - 1, c])
         assign(work.end_directions[slips[c]], directions[s - 1, c])
-    return norm ** (8.0 / (s + 1)) if norm == norm else math.inf
-
-
-@inner
-def advance_to(i, h, rates, v0, xi, v):
-    """Fill chart coordinates and velocity at a stage, from the rates at all."""
-    n = len(v0)
-    for m in range(n):
-        a = b = 0.0
-        for j in range(STAGES):
-            a += MATRIX[i, j] * rates[1 + j, m]
-            b += MATRIX[i, j] * rates[1 + j, n + m]
-        xi[m] = h * a
-        v[m] = v0[m] + h * b
+    return reach_end(work, h, error, scale)
 
 
 @inner
@@ -264,20 +176,3 @@ def filtered(h, across, effect, speeds, error):
         for c in range(count):
             for m in range(n):
                 error[m] += GAMMA * h * effect[c, m] * turned[c]
-
-
-@inner
-def complete(work, h):
-    """Fill the dense output of the step last attempted, and the bounds of its rates."""
-    rates, coefficients = work.stage_rates, work.dense_coefficients
-    n = len(work.v0)
-    rate_bounds(rates, 1 + STAGES, n, work.rate_bounds)
-    for m in range(rates.shape[1]):
-        late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
-        for j in range(STAGES):
-            late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
-        for k in range(7):
-            total = late * START[k]
-            for j in range(STAGES):
-                total += DENSE[k, j] * rates[1 + j, m]
-            coefficients[k, m] = h * total

@@ -17,7 +17,7 @@ from ..._numeric.ahead import ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from .contact_forces import SINGULAR_STILL, SLIP, STICK
+from .contact_forces import SLIP, STICK
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
@@ -31,7 +31,7 @@ def widest_margin(work):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N]."""
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
-    free = size - least_norm(work.system, work.target, SINGULAR_STILL, x, null)
+    free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
     unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
@@ -59,7 +59,7 @@ def least_admissible(work, x):
     """Fill x with the forces of least norm that keep to their bounds, as nearly as there are any."""
     size = len(work.target)
     null = np.empty((size, size))
-    free = size - least_norm(work.system, work.target, SINGULAR_STILL, x, null)
+    free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
     unit = largest_force(work, x)
     if unit == 0.0 or free == 0:
         return

@@ -63,6 +63,7 @@ class SceneWorkspace(Workspace):
     drive_limit = reals("nv", meaning="which the efforts of the drives do not exceed [N or N m]")
     drive_side = integers("nv", meaning="of each drive: 1 at its upper bound, −1 at its lower one, else 0")
     damping = reals("nv", meaning="viscous damping of the joints")
+    stiff_joints = flag("whether drives or damping may ask for implicit steps, see `step_drives`")
     dry_friction = reals("nv", meaning="dry friction of the joints")
     sliding_friction = reals("nv", meaning="the dry friction with the sign of the velocity, 0 where held")
 
@@ -114,6 +115,7 @@ class SceneWorkspace(Workspace):
     contact_force = reals("closed_contacts", 3, meaning="in contact axes [N]")
     scalar_force = reals("closed_scalars", meaning="[N or N m]")
     force_margin = real("by how much the forces keep to their laws; below 0 the modes do not hold [N]")
+    rank_tolerance = real("part of the largest pivot that decides the rank where forces are not unique")
     forces_unique = flag("whether the motion determines the forces, else they are those of least norm")
     callback_failed = flag("whether a call into Python or Pinocchio raised")
     evaluations = integer("how often v̇ was evaluated")

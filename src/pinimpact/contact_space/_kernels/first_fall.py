@@ -1,0 +1,112 @@
+"""Where a polynomial first falls below zero; Bernstein's bounds see to it that no fall is passed over."""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._numeric.jit import inner, separate
+
+NEVER = math.inf
+
+NOISE = 1e-13
+"""Coefficients below this part of the largest are rounding."""
+
+SHORTEST = 1e-15
+"""An interval, in parts of the whole, that counts as a point."""
+
+
+@inner
+def value(c, degree, s):
+    """Return Σ c_k sᵏ."""
+    total = c[degree]
+    for k in range(degree - 1, -1, -1):
+        total = total * s + c[k]
+    return total
+
+
+@ahead(FLOATS, int, float, float, FLOAT_ROWS)
+@separate
+def first_fall(c, degree, h, zero, rows):
+    """Return the first s in [0, h] from which on Σ c_k sᵏ is negative, `NEVER` if there is none.
+
+    Args:
+        c: (degree + 1,) coefficients.
+        degree: Of the polynomial.
+        h: End of the interval.
+        zero: Sizes up to this count as zero at s = 0; there the next coefficients decide.
+        rows: (4, degree + 1) scratch.
+    """
+    power, rest, left, right = rows[0], rows[1], rows[2], rows[3]
+    largest, scale = 0.0, 1.0
+    for k in range(degree + 1):
+        power[k] = c[k] * scale
+        largest = max(largest, abs(power[k]))
+        scale *= h
+    if not largest > zero:
+        return NEVER
+    if power[0] < -zero:
+        return 0.0
+    first = 0
+    if power[0] <= zero:
+        first = 1
+        while first <= degree and abs(power[first]) <= NOISE * largest:
+            first += 1
+        if first > degree:
+            return NEVER
+        if power[first] < 0.0:
+            return 0.0
+    # a root at zero is taken out: what is left is positive there
+    n = degree - first
+    for k in range(n + 1):
+        power[k] = power[k + first]
+        rest[k] = power[k]
+    # Bernstein's coefficients: b_j = Σ_k C(j, k)/C(n, k) a_k
+    for k in range(1, n + 1):
+        binomial = 1.0
+        for i in range(k):
+            binomial *= (n - i) / (i + 1.0)
+        rest[k] /= binomial
+    for k in range(1, n + 1):
+        for j in range(n, k - 1, -1):
+            rest[j] += rest[j - 1]
+    noise = NOISE * largest
+    start, part = 0.0, 1.0
+    while True:  # rest: on [start, 1]; left and right: on the first part of it, and on what follows
+        for j in range(n + 1):
+            right[j] = rest[j]
+        lowest, changes = rest[0], 0
+        for r in range(n + 1):  # de Casteljau's scheme
+            left[r] = right[0]
+            lowest = min(lowest, left[r])
+            if r > 0 and (left[r] < 0.0) != (left[r - 1] < 0.0):
+                changes += 1
+            for i in range(n - r):
+                right[i] += part * (right[i + 1] - right[i])
+        width = part * (1.0 - start)
+        if lowest >= -noise:
+            if part >= 1.0:
+                return NEVER
+            start += width
+            part = min(1.0, 2.0 * part / (1.0 - part))
+            for j in range(n + 1):
+                rest[j] = right[j]
+        elif changes == 1 and left[n] < 0.0:
+            return h * _bisect(power, n, start, start + width)
+        elif width < SHORTEST:
+            return h * start
+        else:
+            part *= 0.5
+
+
+@inner
+def _bisect(c, n, low, high):
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break
+        if value(c, n, middle) < 0.0:
+            high = middle
+        else:
+            low = middle
+    return low

@@ -1,0 +1,495 @@
+"""An impact at many contacts: forces that follow from indentations, along a clock that all share.
+
+(theory.md, section 12)
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.jit import inner, jit
+from .codes import (
+    COMPRESSION,
+    FREE,
+    HELD,
+    IN_SLIP,
+    IN_STICK,
+    LOADING,
+    OPEN,
+    RESTITUTION,
+    RISING,
+    SINKING,
+    SLIPPING,
+    STUCK,
+)
+from .first_fall import NEVER, first_fall, value
+from .plastic import end_plastically
+from .propagation_friction import AT_BOUND, SLIP, settle, unknown_after
+from .propagation_series import TIED, State, System, expand, loads, natural_pace, new_series
+
+ORDER, SHORT = np.int64(24), np.int64(2)
+"""Of the series, and what is left of it where a slip runs straight at zero."""
+
+TINY = 1e-14
+"""Velocities, indentations and forces below this part of the largest are zero."""
+
+TIE = 1e-11
+"""Events closer to each other than this, in the clock, are one."""
+
+STOPS = 1e-7
+"""A slip below this speed that runs straight at zero is taken there in one step."""
+
+LONGEST = 1e3
+"""The longest step, in the clock."""
+
+MOVED = 1e-10
+"""A speed at which what was thought to be held is not."""
+
+RESTING = 1e-10
+"""A speed of approach, in parts of the largest velocity, below which all that is left is a plastic impact."""
+
+MOST_EVENTS = 200
+"""Events per contact after which the rest is a plastic impact."""
+
+POINTS = 4
+"""Points recorded on a step."""
+
+
+@jit
+def propagate(
+    w, v, friction, restitution, stiffness, exponent, accuracy, most_steps, impulse, works, counts, rows, path
+):
+    """Resolve an impact at n contacts.
+
+    Args:
+        w: (3n, 3n) W.
+        v: (3n,) velocities, the largest of size one; takes those after the impact.
+        friction, restitution: (n,) μ and e, of the energetic law.
+        stiffness: (n,) κ; the largest κ W₃₃ is one.
+        exponent: η, 1 or 3/2.
+        accuracy: Part of the velocities that a step may miss.
+        most_steps: A bound.
+        impulse: (3n,) takes P.
+        works: (n, 3) takes the works of compression, restitution and friction.
+        counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, else
+            by a plastic impact, 1 since all was slow, 2 since the count of steps or events was at its bound.
+        rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
+        path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
+
+    Returns:
+        Whether the approach could be stopped.
+    """
+    n = len(friction)
+    unloading = np.zeros(n)
+    for j in range(n):
+        if restitution[j] > 0.0:
+            unloading[j] = 1.0 / (restitution[j] * restitution[j])
+    system = System(w, friction, unloading, stiffness, exponent)
+    state = State(
+        v,
+        impulse,
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(2 * n),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(2 * n),
+    )
+    series = new_series(ORDER, n)
+    roots, work = np.empty((n, 3)), np.empty((4, ORDER + 1))
+    guard = np.empty(ORDER + 1)
+    latest = np.full(n, -1, dtype=np.int64)
+    for j in range(n):
+        if v[3 * j + 2] <= TINY:
+            if not w[3 * j + 2, 3 * j + 2] > 0.0:
+                if v[3 * j + 2] < -TINY:
+                    return False
+                continue
+            _close(system, state, j)
+    clock, at_once = 0.0, 0
+    events = rows_used = points = steps = 0
+    points = _record(path, points, clock, state)
+    while True:
+        presses = _loaded(state)
+        time = _next_closing(state)
+        if not presses and time == NEVER:
+            break
+        if steps >= most_steps or events >= MOST_EVENTS * n or _rests(system, state):
+            counts[4] = 1 if _rests(system, state) else 2
+            if not end_plastically(system, state, works):
+                return False
+            points = _record(path, points, clock, state)
+            break
+        if not presses:
+            for j in range(n):
+                if state.normal[j] == OPEN:
+                    state.indentation[j] -= time * state.v[3 * j + 2]
+                    if state.indentation[j] >= -TINY and state.v[3 * j + 2] < -TINY:
+                        _close(system, state, j)
+            clock += time
+            events += 1
+        unknown, inverse, weight = settle(system, state, series)
+        turns = _presses_and_slips(state)
+        while True:  # steps, up to the next event
+            pace = natural_pace(state)
+            if turns:
+                unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
+            root = expand(system, state, unknown, inverse, ORDER, pace, series)
+            h = _step_length(series, n, accuracy, LONGEST / pace)
+            first, degree = _find_events(
+                system, state, series, h, 0.0 if at_once <= 2 * n else TIE / pace, roots, guard, work
+            )
+            h = first if degree == SHORT else min(h, first)
+            if h > 0.0:
+                at_once = 0 if h * pace > TIE else at_once + 1
+                rows_used = _advance(
+                    system, state, series, h, degree, pace, root, works, rows, rows_used, latest
+                )
+                if path.shape[0] > 0:
+                    points = _record_step(path, points, clock, series, state, h, degree, pace, root)
+                clock += _time_power(0, h, pace, root)
+            else:
+                at_once += 1
+            steps += 1
+            counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
+            if first <= h or steps >= most_steps:
+                break
+            if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
+                _loaded_ends(state)
+                break
+        events += 1
+        if first <= h:
+            _apply(system, state, series, roots, first, TIE / pace)
+    counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
+    return True
+
+
+@inner
+def _presses_and_slips(state):
+    """Return whether any contact is held and slips."""
+    found = False
+    for j in range(len(state.normal)):
+        found = found or (state.normal[j] == HELD and state.tangent[j] == SLIPPING)
+    return found
+
+
+@inner
+def _directions(state):
+    """Return the directions (2n,) of slip."""
+    unit = state.direction.copy()
+    for j in range(len(state.normal)):
+        speed = math.hypot(state.v[3 * j], state.v[3 * j + 1])
+        if state.tangent[j] == SLIPPING and speed > 0.0:
+            unit[2 * j], unit[2 * j + 1] = state.v[3 * j] / speed, state.v[3 * j + 1] / speed
+    return unit
+
+
+@inner
+def _close(system, state, j):
+    """Let a contact begin to load."""
+    state.normal[j] = LOADING
+    state.indentation[j] = 0.0
+    state.deepest[j] = 0.0
+    state.tangent[j] = FREE
+    if system.friction[j] > 0.0:
+        slips = math.hypot(state.v[3 * j], state.v[3 * j + 1]) > TINY
+        state.tangent[j] = SLIPPING if slips else STUCK
+
+
+@inner
+def _open(state, j):
+    """Let a contact part."""
+    state.normal[j] = OPEN
+    state.tangent[j] = FREE
+    state.indentation[j] = 0.0
+    state.deepest[j] = 0.0
+
+
+@inner
+def _loaded(state):
+    """Return whether any contact is pressed or approaches; where none is, open those at rest."""
+    n = len(state.normal)
+    for j in range(n):
+        if loads(state.normal[j]) and (state.indentation[j] > TINY or state.v[3 * j + 2] < -TINY):
+            return True
+    for j in range(n):
+        if state.normal[j] != OPEN:
+            _open(state, j)
+    return False
+
+
+@inner
+def _at_rest(series, state):
+    """Return whether no velocity changes any more, and nothing is pressed on."""
+    for j in range(len(state.normal)):
+        if state.normal[j] != OPEN and abs(state.v[3 * j + 2]) > MOVED:
+            return False
+    for k in range(1, ORDER + 1):
+        for i in range(series.v.shape[1]):
+            if abs(series.v[k, i]) > TINY:
+                return False
+    return True
+
+
+@inner
+def _rests(system, state):
+    """Return whether no contact approaches, or can come to, faster than what counts as rest."""
+    for j in range(len(state.normal)):
+        z = 3 * j + 2
+        speed = -state.v[z]
+        if state.normal[j] != OPEN and state.indentation[j] > 0.0:
+            stored = system.stiffness[j] * state.indentation[j] ** (system.exponent + 1.0)
+            speed = max(speed, math.sqrt(2.0 * stored / (system.exponent + 1.0) * system.w[z, z]))
+        if speed > RESTING:
+            return False
+    return True
+
+
+@inner
+def _loaded_ends(state):
+    """Let go of what is locked: friction holds it, and what it has stored stays there."""
+    for j in range(len(state.normal)):
+        if state.normal[j] != OPEN:
+            state.v[3 * j + 2] = 0.0
+            _open(state, j)
+
+
+@inner
+def _next_closing(state):
+    """Return the time of flight to the next contact that closes."""
+    time = NEVER
+    for j in range(len(state.normal)):
+        v3 = state.v[3 * j + 2]
+        if v3 < -TINY:
+            time = min(time, max(state.indentation[j], -math.inf) / v3)
+    return time
+
+
+@inner
+def _step_length(series, n, accuracy, h):
+    """Return how far the series reaches."""
+    for k in range(ORDER - 1, ORDER + 2):
+        largest = 0.0
+        for i in range(3 * n):
+            largest = max(largest, abs(series.v[k, i]))
+        for j in range(n):
+            largest = max(largest, abs(series.indentation[k, j]))
+        if largest > 0.0:
+            h = min(h, (accuracy / largest) ** (1.0 / k))
+    return h
+
+
+@inner
+def _fall(c, h, zero, earliest, work):
+    """Return where a guard falls; before the earliest time it does not count."""
+    time = first_fall(c, ORDER, h, zero, work)
+    return NEVER if time < earliest else time
+
+
+@inner
+def _find_events(system, state, series, h, earliest, roots, guard, work):
+    """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
+    n = len(system.friction)
+    first, degree = NEVER, ORDER
+    strongest = 0.0
+    for j in range(n):
+        for k in range(2):
+            strongest = max(strongest, abs(series.force[k, 3 * j + 2]))
+    for j in range(n):
+        mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
+        for k in range(3):
+            roots[j, k] = NEVER
+        for k in range(ORDER + 1):
+            if mode == OPEN:
+                guard[k] = -series.indentation[k, j]
+            elif mode == HELD:
+                guard[k] = series.force[k, z]
+            elif mode == RISING:
+                guard[k] = series.v[k, z]
+            else:
+                guard[k] = -series.v[k, z]
+        roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, earliest, work)
+        if mode in (RISING, SINKING, HELD):
+            for k in range(ORDER + 1):
+                if mode == RISING:
+                    guard[k] = series.indentation[k, j]
+                else:
+                    guard[k] = -series.force[k, z] if mode == HELD else -series.indentation[k, j]
+            if mode == SINKING:
+                guard[0] += state.deepest[j]
+            elif mode == HELD:
+                guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
+            roots[j, 1] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, earliest, work)
+        if state.tangent[j] == STUCK:
+            square = system.friction[j] * system.friction[j]
+            for k in range(ORDER + 1):
+                total = 0.0
+                for i in range(k + 1):
+                    total += square * series.force[i, z] * series.force[k - i, z]
+                    total -= series.force[i, x] * series.force[k - i, x]
+                    total -= series.force[i, y] * series.force[k - i, y]
+                guard[k] = total
+            roots[j, 2] = _fall(guard, h, 1e-2 * TIE * strongest * strongest, earliest, work)
+        elif state.tangent[j] == SLIPPING:
+            ux, uy = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
+            speed = series.speed[0, j]
+            for k in range(ORDER + 1):
+                guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
+            if state.fresh[j] == TIED:  # it begins with s²
+                guard[0], guard[1] = 0.0, 0.0
+            time = _fall(guard, h, 0.0, earliest, work)
+            if time < NEVER:
+                across = value(series.v[:, y], ORDER, time) * ux - value(series.v[:, x], ORDER, time) * uy
+                if abs(across) <= 10.0 * TINY:
+                    roots[j, 2] = time
+            elif speed < STOPS and state.fresh[j] != TIED:
+                along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
+                straight = along < 0.0 and across * speed <= TINY * -along
+                if state.fresh[j] != 0:  # it has just begun
+                    straight = straight and speed < 0.5 * SLIP
+                if straight or (state.fresh[j] == 0 and speed < 10.0 * TINY and across > 0.1 * along):
+                    roots[j, 2] = -speed / along if straight else 0.0
+                    if roots[j, 2] < first:
+                        degree = SHORT
+        for k in range(3):
+            if roots[j, k] < first:
+                first = roots[j, k]
+                if k < 2 or state.tangent[j] == STUCK:
+                    degree = ORDER
+    return first, degree
+
+
+@inner
+def _time_power(k, h, pace, root):
+    """Return what the coefficient k of a force comes to in an impulse at the end of a step."""
+    return 2.0 * pace * pace * h ** (k + 2) / (k + 2.0) if root else pace * h ** (k + 1) / (k + 1.0)
+
+
+@inner
+def _advance(system, state, series, h, degree, pace, root, works, rows, used, latest):
+    """Go to the end of a step, with works and rows; return how many rows there are."""
+    n = len(system.friction)
+    for j in range(n):
+        x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+        before = state.impulse[z]
+        if state.normal[j] != OPEN:
+            normal_work = friction_work = 0.0
+            for k in range(degree + 1):
+                normal_power = friction_power = 0.0
+                for i in range(k + 1):
+                    normal_power += series.force[i, z] * series.v[k - i, z]
+                    friction_power += series.force[i, x] * series.v[k - i, x]
+                    friction_power += series.force[i, y] * series.v[k - i, y]
+                part = _time_power(k, h, pace, root)
+                normal_work += normal_power * part
+                friction_work += friction_power * part
+                for i in range(x, z + 1):
+                    state.impulse[i] += series.force[k, i] * part
+            restores = state.normal[j] == RISING or state.normal[j] == HELD
+            works[j, 1 if restores else 0] += normal_work
+            works[j, 2] += friction_work
+            if rows.shape[0] > 0 and state.impulse[z] > before:
+                slips = state.tangent[j] == SLIPPING or state.tangent[j] == FREE
+                mode, phase = IN_SLIP if slips else IN_STICK, RESTITUTION if restores else COMPRESSION
+                last = latest[j]
+                if last >= 0 and rows[last, 1] == mode and rows[last, 2] == phase and rows[last, 4] == before:
+                    rows[last, 4] = state.impulse[z]
+                elif used < rows.shape[0]:
+                    rows[used, 0], rows[used, 1], rows[used, 2] = j, mode, phase
+                    rows[used, 3], rows[used, 4] = before, state.impulse[z]
+                    latest[j] = used
+                    used += 1
+        for i in range(x, z + 1):
+            state.v[i] = value(series.v[:, i], degree, h)
+        speed = math.hypot(state.v[x], state.v[y])
+        if speed > 10.0 * SLIP:
+            state.fresh[j] = 0
+        if speed > MOVED and state.tangent[j] != FREE:
+            state.tangent[j] = SLIPPING
+        if state.normal[j] == HELD and abs(state.v[z]) > MOVED:
+            if state.v[z] < 0.0:
+                state.normal[j] = LOADING
+            else:
+                _open(state, j)
+        state.indentation[j] = value(series.indentation[:, j], degree, h)
+        if state.normal[j] == LOADING:
+            state.deepest[j] = state.indentation[j]
+    return used
+
+
+@inner
+def _apply(system, state, series, roots, first, tie):
+    """Change the modes of contacts whose time has come."""
+    now = first + tie
+    for j in range(len(system.friction)):
+        z = 3 * j + 2
+        state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
+        normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
+        if tangent and state.tangent[j] == SLIPPING:
+            state.v[3 * j] = 0.0
+            state.v[3 * j + 1] = 0.0
+            state.tangent[j] = STUCK
+        elif tangent:
+            fx, fy = value(series.force[:, z - 2], ORDER, first), value(series.force[:, z - 1], ORDER, first)
+            length = math.hypot(fx, fy)
+            if length > 0.0:
+                state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
+                state.fresh[j] = AT_BOUND
+        if not (normal or held):
+            continue
+        mode = state.normal[j]
+        if mode == OPEN:
+            _close(system, state, j)
+        elif mode == LOADING or (mode == SINKING and normal):
+            state.v[z] = 0.0
+            if state.indentation[j] <= TINY:
+                _open(state, j)
+            else:
+                state.normal[j] = HELD if system.unloading[j] == 0.0 else RISING
+        elif mode == SINKING:
+            state.normal[j] = LOADING
+            state.indentation[j] = state.deepest[j]
+        elif mode == RISING and held:
+            _open(state, j)
+        elif mode == RISING:
+            state.v[z] = 0.0
+            state.normal[j] = SINKING
+        elif held:
+            state.normal[j] = LOADING
+        else:
+            _open(state, j)
+
+
+@inner
+def _record(path, points, clock, state):
+    """Append a point to the path, if there is room."""
+    if points < path.shape[0]:
+        path[points, 0] = clock
+        for i in range(len(state.v)):
+            path[points, 1 + i] = state.v[i]
+            path[points, 1 + len(state.v) + i] = state.impulse[i]
+        return points + 1
+    return points
+
+
+@inner
+def _record_step(path, points, clock, series, state, h, degree, pace, root):
+    """Append the points of a step to the path, its end the last of them."""
+    m = len(state.v)
+    for part in range(1, POINTS):
+        if points < path.shape[0]:
+            s = h * part / POINTS
+            path[points, 0] = clock + _time_power(0, s, pace, root)
+            for i in range(m):
+                path[points, 1 + i] = value(series.v[:, i], degree, s)
+                rest = 0.0
+                for k in range(degree + 1):
+                    rest += series.force[k, i] * (
+                        _time_power(k, h, pace, root) - _time_power(k, s, pace, root)
+                    )
+                path[points, 1 + m + i] = state.impulse[i] - rest
+            points += 1
+    return _record(path, points, clock + _time_power(0, h, pace, root), state)

@@ -1,0 +1,348 @@
+"""Which of the contacts that do not slip hold, and which begin to: a convex program. (theory.md, 12)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.cone_program import cone_program
+from ..._numeric.jit import inner
+from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
+from .propagation_series import TIED, bounded_unknowns, expand, force_inverse, friction_share, hold, loads
+
+AHEAD = 1e-6
+"""How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
+
+WEIGHED_AHEAD = 0.1
+"""How far ahead forces are weighed, where many can hold the same."""
+
+WEIGHED_ORDER = 4
+"""Order of the series that says so."""
+
+FIT = 1e-11
+"""Parts of a bound by which a force may miss it."""
+
+MOVES = 1e-11
+"""An acceleration that is one, in parts of what its terms come to."""
+
+WEAK = 1e-9
+"""Part of the largest bound below which friction does not matter."""
+
+SLIP = 1e-13
+"""The speed at which a slip begins, in parts of the largest velocity."""
+
+AT_BOUND = 3
+"""`State.fresh` where friction has come to its bound."""
+
+NEAR = 1e-6
+"""Part of a bound within which friction that holds is taken as being there."""
+
+GRADUAL = 1e-4
+"""An acceleration this small, in parts of what its terms come to, grows from zero."""
+
+FIRM = 1e-4
+"""Part of the largest force in the time to come from which on a force is not just beginning."""
+
+ROUNDS, SWEEPS = 50, 200
+"""Of friction and what is held in turn, and of what is held."""
+
+
+@inner
+def settle(system, state, series):
+    """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
+
+    Returns:
+        The places of the unknown forces, the matrix that solves for them, and their weights.
+    """
+    n = len(system.friction)
+    normal, tangent = state.normal, state.tangent
+    none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
+    stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    asked = 0
+    for j in range(n):
+        if normal[j] == HELD:
+            held[j] = 1
+            asked += 1
+        if tangent[j] == STUCK or tangent[j] == BOUND:
+            stuck[j] = 1
+            tangent[j] = STUCK
+            state.share[2 * j] = 0.0
+            state.share[2 * j + 1] = 0.0
+            asked += 2
+    if asked == 0:
+        return none, no_inverse, np.empty(0)
+    # what the others do in the next moments, without these
+    for j in range(n):
+        if stuck[j] == 1:
+            tangent[j] = FREE
+        if held[j] == 1:
+            normal[j] = OPEN
+    root = expand(system, state, none, no_inverse, WEIGHED_ORDER, 1.0, series)
+    for j in range(n):
+        if stuck[j] == 1:
+            tangent[j] = STUCK
+        if held[j] == 1:
+            normal[j] = HELD
+    p, weight, cap = np.zeros(3 * n), np.zeros(n), np.zeros(n)
+    near, far = (math.sqrt(AHEAD), math.sqrt(WEIGHED_AHEAD)) if root else (AHEAD, WEIGHED_AHEAD)
+    heaviest = 0.0
+    for k in range(WEIGHED_ORDER, -1, -1):
+        for i in range(3 * n):
+            p[i] = p[i] * near + series.force[k, i]
+        for j in range(n):
+            weight[j] = weight[j] * far + max(series.force[k, 3 * j + 2], 0.0)
+    unit = np.zeros(2 * n)
+    for j in range(n):
+        cap[j] = math.inf
+        if held[j] == 1:
+            cap[j] = system.stiffness[j] * state.indentation[j] ** system.exponent
+            weight[j] = cap[j]
+        elif not loads(normal[j]):
+            p[3 * j + 2] = 0.0
+        p[3 * j + 2] = max(p[3 * j + 2], 0.0)
+        heaviest = max(heaviest, weight[j])
+        if tangent[j] == SLIPPING:
+            unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
+    for j in range(n):
+        weight[j] = max(weight[j], 1e-9 * heaviest)
+    unknown = bounded_unknowns(system, state)
+    inverse = np.empty((len(unknown), len(unknown)))
+    force_inverse(system, state, unit, unknown, weight, inverse)
+    forces = p.copy()
+    hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
+    scale = 0.0
+    for i in range(3 * n):
+        scale = max(scale, abs(forces[i]))
+    if _fits(system, state, cap, unknown, forces, scale):
+        return unknown, inverse, weight
+    if _begins(system, state, unit, cap, weight, p, forces, scale):
+        return unknown_after(system, state, unit, weight)
+    _admit(system, state, unit, cap, p, heaviest, forces)
+    return unknown_after(system, state, unit, weight)
+
+
+@inner
+def _begins(system, state, unit, cap, weight, p, forces, scale):
+    """Return whether just the contacts begin to slip whose friction has come to its bound; let them."""
+    w, friction = system.w, system.friction
+    n = len(cap)
+    any_begins = False
+    for i in range(3 * n):
+        forces[i] = p[i]
+    for j in range(n):
+        if state.tangent[j] == STUCK and state.fresh[j] == AT_BOUND:
+            any_begins = True
+            state.tangent[j] = SLIPPING
+            for i in range(2):
+                unit[2 * j + i] = state.direction[2 * j + i]
+                forces[3 * j + i] = -friction[j] * p[3 * j + 2] * unit[2 * j + i]
+    if any_begins:
+        unknown = bounded_unknowns(system, state)
+        inverse = np.empty((len(unknown), len(unknown)))
+        force_inverse(system, state, unit, unknown, weight, inverse)
+        hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
+        begins = _fits(system, state, cap, unknown, forces, scale)
+        for j in range(n):
+            if begins and state.fresh[j] == AT_BOUND:
+                along = size = 0.0
+                for i in range(3 * n):
+                    row = w[3 * j, i] * unit[2 * j] + w[3 * j + 1, i] * unit[2 * j + 1]
+                    along += row * forces[i]
+                    size += abs(row) * scale
+                begins = along > 1e-2 * MOVES * size
+        for j in range(n):
+            if state.fresh[j] == AT_BOUND:
+                state.tangent[j] = SLIPPING if begins else STUCK
+                if begins:
+                    state.fresh[j] = TIED
+                    state.v[3 * j], state.v[3 * j + 1] = 0.0, 0.0
+        return begins
+    return False
+
+
+@inner
+def unknown_after(system, state, unit, weight):
+    """Return the places of the unknown forces, the matrix that solves for them, and their weights."""
+    for j in range(len(system.friction)):
+        if state.tangent[j] == BOUND or state.fresh[j] != 0:
+            unit[2 * j], unit[2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
+    unknown = bounded_unknowns(system, state)
+    inverse = np.empty((len(unknown), len(unknown)))
+    force_inverse(system, state, unit, unknown, weight, inverse)
+    return unknown, inverse, weight
+
+
+@inner
+def _fits(system, state, cap, unknown, forces, scale):
+    """Return whether forces are within their bounds, and nothing moves that they hold."""
+    for place in unknown:
+        total = size = 0.0
+        for i in range(len(forces)):
+            total += system.w[place, i] * forces[i]
+            size += abs(system.w[place, i]) * scale
+        if not abs(total) <= MOVES * size:
+            return False
+    for j in range(len(cap)):
+        f = forces[3 * j + 2]
+        if state.normal[j] == HELD and not -FIT * scale <= f <= cap[j] + FIT * scale:
+            return False
+        if state.tangent[j] == STUCK:
+            bound = system.friction[j] * f
+            if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound * (1.0 + FIT):
+                return False
+    return True
+
+
+@inner
+def _admit(system, state, unit, cap, p, heaviest, forces):
+    """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
+
+    Args:
+        p: (3n,) forces but for those of friction that holds, and of what is held.
+        heaviest: The largest force in the time to come.
+        forces: (3n,) takes them all.
+    """
+    w, friction = system.w, system.friction
+    n = len(cap)
+    any_held = False
+    for j in range(n):
+        any_held = any_held or state.normal[j] == HELD
+    for i in range(3 * n):
+        forces[i] = p[i]
+    for _ in range(ROUNDS):
+        change = _hold_plane(system, state, forces)
+        if not any_held:
+            break
+        change = max(change, _press_held(system, state, unit, cap, forces))
+        if change <= FIT:
+            break
+    scale = 0.0
+    for i in range(3 * n):
+        scale = max(scale, abs(forces[i]))
+    for j in range(n):
+        x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+        if state.tangent[j] == STUCK:
+            length, bound = math.hypot(forces[x], forces[y]), friction[j] * forces[z]
+            ax = ay = size = 0.0
+            for i in range(3 * n):
+                ax += w[x, i] * forces[i]
+                ay += w[y, i] * forces[i]
+                size += (abs(w[x, i]) + abs(w[y, i])) * scale
+            fastest = math.hypot(ax, ay)
+            slack = (bound - length) * (w[x, x] + w[y, y])
+            if fastest > max(MOVES * size, slack):
+                ux, uy = ax / fastest, ay / fastest
+                if length > 0.0:
+                    ux, uy = -forces[x] / length, -forces[y] / length
+                gradual = fastest <= GRADUAL * size and length > 0.0 and p[z] > FIRM * heaviest
+                if state.fresh[j] != AT_BOUND or not gradual:
+                    state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
+                start = 0.0 if gradual else SLIP
+                state.v[x], state.v[y] = start * ux, start * uy
+                state.fresh[j] = TIED if gradual else 1
+                state.tangent[j] = SLIPPING
+            elif bound > 0.0 and length < (1.0 - NEAR) * bound:
+                state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]
+            elif length > 0.0:
+                state.tangent[j] = BOUND
+                state.direction[2 * j] = -forces[x] / length
+                state.direction[2 * j + 1] = -forces[y] / length
+        if state.normal[j] == HELD:
+            rise = size = 0.0
+            for i in range(3 * n):
+                rise += w[z, i] * forces[i]
+                size += abs(w[z, i]) * scale
+            if forces[z] <= 0.0 and rise > MOVES * size:
+                state.normal[j] = OPEN
+                state.tangent[j] = FREE
+                state.indentation[j] = 0.0
+                state.deepest[j] = 0.0
+            elif forces[z] >= cap[j] and rise < -MOVES * size:
+                state.normal[j] = LOADING
+
+
+@inner
+def _hold_plane(system, state, forces):
+    """Fill in the friction of contacts that do not slip, for known normal forces; return what it changes.
+
+    Of all within their bounds, those at which the least power is left. (12.6)
+    """
+    w, friction = system.w, system.friction
+    n = len(friction)
+    at = np.empty(n, dtype=np.int64)
+    count, strongest, softest = 0, 0.0, 0.0
+    for j in range(n):
+        if state.tangent[j] == STUCK:
+            strongest = max(strongest, friction[j] * forces[3 * j + 2])
+    for j in range(n):
+        if state.tangent[j] == STUCK and friction[j] * forces[3 * j + 2] > WEAK * strongest:
+            at[count] = j
+            count += 1
+            softest = max(softest, w[3 * j, 3 * j] + w[3 * j + 1, 3 * j + 1])
+    if count == 0:
+        return 0.0
+    before = np.empty(2 * count)
+    program, linear = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    cones, sides = np.zeros((3 * count, 2 * count)), np.zeros(3 * count)
+    sizes = np.full(count, 3, dtype=np.int64)
+    for c in range(count):
+        for a in range(2):
+            before[2 * c + a] = forces[3 * at[c] + a]
+            forces[3 * at[c] + a] = 0.0
+    for c in range(count):
+        for a in range(2):
+            row = 3 * at[c] + a
+            for d in range(count):
+                for b in range(2):
+                    program[2 * c + a, 2 * d + b] = w[row, 3 * at[d] + b] / softest
+            total = 0.0
+            for i in range(3 * n):
+                total += w[row, i] * forces[i]
+            linear[2 * c + a] = total / (softest * strongest)
+            cones[3 * c + 1 + a, 2 * c + a] = -1.0
+        sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
+    x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
+    cone_program(program, linear, cones, sides, 0, sizes, 1e-22, x, s, z)
+    change = 0.0
+    for c in range(count):
+        for a in range(2):
+            forces[3 * at[c] + a] = strongest * x[2 * c + a]
+            change = max(change, abs(x[2 * c + a] - before[2 * c + a] / strongest))
+    return change
+
+
+@inner
+def _press_held(system, state, unit, cap, forces):
+    """Bring the forces of what is held within their bounds, for known friction; return what it changes."""
+    w = system.w
+    n = len(cap)
+    most, strongest = 0.0, 1e-300
+    for _ in range(SWEEPS):
+        change = 0.0
+        for j in range(n):
+            if state.normal[j] != HELD:
+                continue
+            x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+            gx = gy = 0.0
+            if state.tangent[j] == SLIPPING:
+                gx, gy = friction_share(system, state, unit, j)
+            rise = 0.0
+            for i in range(3 * n):
+                rise += w[z, i] * forces[i]
+            yields = w[z, z] + w[z, x] * gx + w[z, y] * gy
+            pressed = forces[z]
+            if yields > 0.0:
+                pressed -= rise / yields
+            else:
+                pressed = cap[j] if rise < 0.0 else 0.0
+            pressed = min(max(pressed, 0.0), cap[j])
+            change = max(change, abs(pressed - forces[z]))
+            strongest = max(strongest, pressed)
+            forces[z] = pressed
+            if state.tangent[j] == SLIPPING:
+                forces[x], forces[y] = gx * pressed, gy * pressed
+        most = max(most, change)
+        if change <= 1e-15 * strongest:
+            break
+    return most / strongest

@@ -1,0 +1,411 @@
+"""Power series of an impact at many contacts between two events. (theory.md, section 12)
+
+Everything is a series in the clock s, or, where a contact of Hertz's kind begins to load, in τ with s = τ².
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._numeric.elimination import solve
+from ..._numeric.jit import inner
+from ..._numeric.least_norm import least_norm
+from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.int64]
+
+TIED = 2
+"""`State.fresh` of a slip that begins as friction comes to its bound."""
+
+RANK = 1e-11
+"""Pivots below this part of the largest count as zero."""
+
+
+class System(NamedTuple):
+    """What n contacts are during an impact.
+
+    Attributes:
+        w: (3n, 3n) W.
+        friction: (n,) μ.
+        unloading: (n,) ρ = 1/e², and 0 for a contact that restores nothing.
+        stiffness: (n,) κ.
+        exponent: η.
+    """
+
+    w: Array
+    friction: Array
+    unloading: Array
+    stiffness: Array
+    exponent: float
+
+
+class State(NamedTuple):
+    """Where an impact has come to.
+
+    Attributes:
+        v: (3n,) velocities.
+        impulse: (3n,) P.
+        indentation: (n,) δ, negative for a gap.
+        deepest: (n,) the largest δ since the contact closed.
+        normal: (n,) modes OPEN, LOADING, RISING, SINKING, HELD.
+        tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
+        direction: (2n,) of the slip that a contact at the bound of its friction would take.
+        fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
+            3 where friction has come there.
+        share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
+    """
+
+    v: Array
+    impulse: Array
+    indentation: Array
+    deepest: Array
+    normal: Codes
+    tangent: Codes
+    direction: Array
+    fresh: Codes
+    share: Array
+
+
+class Series(NamedTuple):
+    """Coefficients, the order along the first axis.
+
+    Attributes:
+        v, indentation, force: (K + 2, 3n), (K + 2, n), (K + 1, 3n).
+        speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| and v_t/|v_t|.
+        power: (K + 2, n) of what is raised to the power η, and then of the power.
+    """
+
+    v: Array
+    indentation: Array
+    force: Array
+    speed: Array
+    unit: Array
+    power: Array
+
+
+@inner
+def new_series(order, n):
+    """Return room for series up to an order."""
+    return Series(
+        np.zeros((order + 2, 3 * n)),
+        np.zeros((order + 2, n)),
+        np.zeros((order + 1, 3 * n)),
+        np.zeros((order + 1, n)),
+        np.zeros((order + 1, 2 * n)),
+        np.zeros((order + 2, n)),
+    )
+
+
+@inner
+def loads(mode):
+    """Return whether the force of a contact in this mode follows from its indentation."""
+    return mode != OPEN and mode != HELD
+
+
+@inner
+def rate(system, mode, j):
+    """Return ρ: how fast the indentation follows the velocity."""
+    return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
+
+
+@inner
+def bounded_unknowns(system, state):
+    """Return the places in (3n,) of the forces that follow from velocities that do not change."""
+    n = len(system.friction)
+    places = np.empty(3 * n, dtype=np.int64)
+    count = 0
+    for j in range(n):
+        if state.tangent[j] == STUCK:
+            places[count] = 3 * j
+            places[count + 1] = 3 * j + 1
+            count += 2
+        if state.normal[j] == HELD:
+            places[count] = 3 * j + 2
+            count += 1
+    return places[:count].copy()
+
+
+@inner
+def friction_share(system, state, unit, j):
+    """Return the friction of a contact that goes with its normal force, in parts of it."""
+    tangent, x, y = state.tangent[j], 2 * j, 2 * j + 1
+    if tangent == STUCK:
+        return state.share[x], state.share[y]
+    if tangent in (SLIPPING, BOUND):
+        return -system.friction[j] * unit[x], -system.friction[j] * unit[y]
+    return 0.0, 0.0
+
+
+@inner
+def force_inverse(system, state, unit, unknown, weight, inverse):
+    """Fill the matrix that takes the accelerations at the unknown forces to them, negative.
+
+    Where they are not unique they are those of least Σ|f|²/weight.
+
+    Args:
+        unit: (2n,) directions of slip.
+        unknown: (m,) places.
+        weight: (n,) sizes of forces, ≥ 0.
+        inverse: (m, m) takes the result.
+    """
+    w = system.w
+    m = len(unknown)
+    if m == 0:
+        return
+    scaled = np.empty((m, m))
+    roots = np.empty(m)
+    for a in range(m):
+        roots[a] = math.sqrt(weight[unknown[a] // 3])
+    for a in range(m):
+        row = unknown[a]
+        for b in range(m):
+            place = unknown[b]
+            entry = w[row, place]
+            j = place // 3
+            if place == 3 * j + 2:
+                gx, gy = friction_share(system, state, unit, j)
+                entry += w[row, 3 * j] * gx + w[row, 3 * j + 1] * gy
+            scaled[a, b] = roots[a] * entry * roots[b]
+    right, x = np.zeros(m), np.empty(m)
+    null = np.empty((0, m))
+    for b in range(m):
+        right[b] = 1.0
+        least_norm(scaled, right, RANK, x, null)
+        right[b] = 0.0
+        for a in range(m):
+            inverse[a, b] = roots[a] * x[a] * roots[b]
+
+
+@inner
+def expand(system, state, unknown, inverse, order, pace, series):
+    """Fill the series of the motion from a state on, as long as its modes last.
+
+    Args:
+        pace: Unit of the clock that the coefficients are for; see `natural_pace`.
+
+    Returns:
+        Whether they are in τ, s = τ².
+    """
+    friction = system.friction
+    n = len(friction)
+    v, indentation, force, unit = series.v, series.indentation, series.force, series.unit
+    hertz = system.exponent != 1.0
+    root = False
+    for j in range(n):
+        indentation[0, j] = state.indentation[j]
+        for i in range(3 * j, 3 * j + 3):
+            v[0, i] = state.v[i]
+        if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
+            root = True
+    fixed = np.empty(len(unknown))
+    ties = np.empty(n, dtype=np.int64)
+    count = 0
+    for j in range(n):
+        if state.tangent[j] == SLIPPING and state.fresh[j] == TIED:
+            ties[count] = j
+            count += 1
+    ties = ties[:count].copy()
+    answers = np.zeros((count, 3 * n))
+    for k in range(order + 1):
+        for j in range(n):
+            p = 3 * j
+            mode, tangent = state.normal[j], state.tangent[j]
+            normal = 0.0
+            if loads(mode):
+                if hertz:
+                    normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
+                else:
+                    normal = system.stiffness[j] * indentation[k, j]
+            force[k, p + 2] = normal
+            force[k, p] = 0.0
+            force[k, p + 1] = 0.0
+            if tangent == SLIPPING and state.fresh[j] == TIED:
+                _known_direction(state, series, k, j)
+            elif tangent == SLIPPING:
+                _direction(series, k, j)
+            elif tangent == BOUND:
+                for i in range(2 * j, 2 * j + 2):
+                    unit[k, i] = state.direction[i] if k == 0 else 0.0
+            if tangent == STUCK:
+                force[k, p] += state.share[2 * j] * normal
+                force[k, p + 1] += state.share[2 * j + 1] * normal
+            elif tangent in (SLIPPING, BOUND):
+                for i in range(k + 1):
+                    force[k, p] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j]
+                    force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
+        hold(system, state, unit[0], unknown, inverse, fixed, force[k])
+        if count > 0 and k == 0:
+            for c in range(count):  # what a turn of the friction does, with what is held
+                j = ties[c]
+                push = friction[j] * force[0, 3 * j + 2]
+                answers[c, 3 * j] = push * state.direction[2 * j + 1]
+                answers[c, 3 * j + 1] = -push * state.direction[2 * j]
+                hold(system, state, unit[0], unknown, inverse, fixed, answers[c])
+        elif count > 0:
+            _turn(system, state, series, k, pace, ties, answers)
+        _integrate(system, state, series, k, pace, root)
+    return root
+
+
+@inner
+def hold(system, state, unit, unknown, inverse, fixed, force):
+    """Add to forces (3n,) those at which what is held or stuck does not accelerate.
+
+    Args:
+        unit: (2n,) directions of slip.
+        fixed: (m,) scratch.
+    """
+    w = system.w
+    for a in range(len(unknown)):
+        total = 0.0
+        for i in range(len(force)):
+            total += w[unknown[a], i] * force[i]
+        fixed[a] = total
+    for a in range(len(unknown)):
+        total = 0.0
+        for b in range(len(unknown)):
+            total -= inverse[a, b] * fixed[b]
+        place = unknown[a]
+        j = place // 3
+        force[place] += total
+        if place == 3 * j + 2:
+            gx, gy = friction_share(system, state, unit, j)
+            force[place - 2] += gx * total
+            force[place - 1] += gy * total
+
+
+@inner
+def _known_direction(state, series, k, j):
+    """Fill the part of coefficient k of a direction that lower ones give; v_t = s² ρ u, u = d at s = 0."""
+    unit = series.unit
+    if k == 0:
+        unit[0, 2 * j], unit[0, 2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
+        return
+    total = 0.0
+    for i in range(1, k):
+        total -= 0.5 * (unit[i, 2 * j] * unit[k - i, 2 * j] + unit[i, 2 * j + 1] * unit[k - i, 2 * j + 1])
+    unit[k, 2 * j] = total * state.direction[2 * j]
+    unit[k, 2 * j + 1] = total * state.direction[2 * j + 1]
+
+
+@inner
+def _turn(system, state, series, k, pace, ties, answers):
+    """Find coefficients k of directions, and k − 1 of ρ, of slips that begin with friction at its bound."""
+    w, force, unit, speed = system.w, series.force, series.unit, series.speed
+    count, m = len(ties), len(state.v)
+    matrix, right, x = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.zeros(2 * count)
+    factor = (k + 1.0) / pace
+    for c in range(count):
+        j = ties[c]
+        dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
+        along = across = 0.0  # of coefficient k − 1 of v_t/s², without ρ_{k−1}
+        for i in range(k - 1):
+            ux, uy = unit[k - 1 - i, 2 * j], unit[k - 1 - i, 2 * j + 1]
+            along += speed[i, j] * (ux * dx + uy * dy)
+            across += speed[i, j] * (uy * dx - ux * dy)
+        for part in range(2):
+            row = 3 * j + part
+            total = 0.0
+            for i in range(m):
+                total += w[row, i] * force[k, i]
+            d, across_d = (dx, -dy) if part == 0 else (dy, dx)
+            right[2 * c + part] = total - factor * (along * d + across * across_d)
+            matrix[2 * c + part, 2 * c] = factor * d
+            for other in range(count):
+                total = 0.0
+                for i in range(m):
+                    total += w[row, i] * answers[other, i]
+                matrix[2 * c + part, 2 * other + 1] = -total
+    solve(matrix, right, x, 1e-14)
+    for c in range(count):
+        j = ties[c]
+        speed[k - 1, j] = x[2 * c]
+        unit[k, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
+        unit[k, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]
+        for i in range(m):
+            force[k, i] += x[2 * c + 1] * answers[c, i]
+
+
+@inner
+def natural_pace(state):
+    """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows."""
+    pace = 1.0
+    for j in range(len(state.tangent)):
+        if state.tangent[j] == SLIPPING and state.fresh[j] != TIED:
+            pace = min(pace, max(10.0 * math.hypot(state.v[3 * j], state.v[3 * j + 1]), 1e-14))
+    return pace
+
+
+@inner
+def _integrate(system, state, series, k, pace, root):
+    """Fill the coefficients k + 1 of velocities and indentations."""
+    w = system.w
+    n = len(system.friction)
+    v, indentation, force = series.v, series.indentation, series.force
+    source, factor = (k - 1, 2.0 * pace * pace / (k + 1.0)) if root else (k, pace / (k + 1.0))
+    for i in range(3 * n):
+        total = 0.0
+        if source >= 0:
+            for a in range(3 * n):
+                total += w[i, a] * force[source, a]
+        v[k + 1, i] = total * factor
+    for j in range(n):
+        if state.normal[j] == HELD:
+            indentation[k + 1, j] = 0.0
+        else:
+            fall = v[source, 3 * j + 2] if source >= 0 else 0.0
+            indentation[k + 1, j] = -rate(system, state.normal[j], j) * fall * factor
+
+
+@inner
+def _direction(series, k, j):
+    """Fill the coefficients k of |v_t| and v_t/|v_t|."""
+    v, speed, unit = series.v, series.speed, series.unit
+    x, y = 3 * j, 3 * j + 1
+    if k == 0:
+        speed[0, j] = math.hypot(v[0, x], v[0, y])
+        unit[0, 2 * j] = v[0, x] / speed[0, j]
+        unit[0, 2 * j + 1] = v[0, y] / speed[0, j]
+        return
+    total = 0.0
+    for i in range(k + 1):
+        total += v[i, x] * v[k - i, x] + v[i, y] * v[k - i, y]
+    for i in range(1, k):
+        total -= speed[i, j] * speed[k - i, j]
+    speed[k, j] = 0.5 * total / speed[0, j]
+    along, across = v[k, x], v[k, y]
+    for i in range(1, k + 1):
+        along -= speed[i, j] * unit[k - i, 2 * j]
+        across -= speed[i, j] * unit[k - i, 2 * j + 1]
+    unit[k, 2 * j] = along / speed[0, j]
+    unit[k, 2 * j + 1] = across / speed[0, j]
+
+
+@inner
+def _power(series, exponent, k, j, root):
+    """Return the coefficient k of δ^η, for δ > 0 or, in τ, for δ that begins with τ²."""
+    indentation, power = series.indentation, series.power
+    if indentation[0, j] > 0.0:
+        _next_power(indentation, power, exponent, k, j, 0)
+        return power[k, j]
+    if indentation[2, j] <= 0.0 or k < 3:  # at rest so far: what it comes to is far below rounding
+        return 0.0
+    _next_power(indentation, power, exponent, k - 3, j, 2)
+    return power[k - 3, j]
+
+
+@inner
+def _next_power(base, power, exponent, k, j, shift):
+    """Fill the coefficient k of (Σ base_{i+shift} xⁱ)^η, by J.C.P. Miller's recurrence."""
+    if k == 0:
+        power[0, j] = base[shift, j] ** exponent
+        return
+    total = 0.0
+    for i in range(1, k + 1):
+        total += (exponent * i - (k - i)) * base[i + shift, j] * power[k - i, j]
+    power[k, j] = total / (k * base[shift, j])

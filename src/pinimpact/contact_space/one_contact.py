@@ -1,0 +1,122 @@
+"""One contact: the method that solves it, and errors for what cannot be solved."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
+from ..status import Status
+from .inputs import NO_ROWS, Inputs
+from .laws import law_of_code, laws_always_met
+from .methods import METHODS, Run, load_method
+from .problem import ZERO
+from .solution import Path, Solution
+
+
+def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
+    """Raise the error that a failed solve stands for, naming the offending field and value.
+
+    Args:
+        status: Why there is no answer.
+        figure: The number that belongs into the message; see `Result`.
+        inputs: The problem.
+    """
+    v3, mu, e = inputs[8], inputs[9], inputs[10]
+    if status == Status.INVALID_NUMBERS:
+        for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
+            if not np.isfinite(values).all():
+                raise InputError(
+                    f"{name}: {values} holds numbers that are not finite", field=name, value=values
+                )
+        if not (0.0 <= mu < float("inf")):
+            raise InputError(
+                f"friction: {mu!r} given, a finite number ≥ 0 expected", field="friction", value=mu
+            )
+        raise InputError(
+            f"restitution: {e!r} given, a number from 0 to 1 expected", field="restitution", value=e
+        )
+    if status == Status.INDEFINITE_DELASSUS:
+        norm = float(
+            np.linalg.norm(
+                [
+                    [inputs[0], inputs[1], inputs[2]],
+                    [inputs[1], inputs[3], inputs[4]],
+                    [inputs[2], inputs[4], inputs[5]],
+                ],
+                2,
+            )
+        )
+        raise InputError(
+            f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {figure:.6g}, "
+            f"below −{ZERO * norm:.3g} (32 ε ‖W‖)",
+            field="delassus",
+            value=inputs[:6],
+        )
+    if status == Status.UNSTOPPABLE:
+        raise UnstoppableApproachError(
+            f"velocity: the contact approaches at {v3:.6g} m/s and no normal impulse can stop it: "
+            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). The mechanism cannot yield along "
+            "the normal; choose another contact frame, free a joint, or a velocity that it can produce",
+            field="velocity",
+            value=v3,
+        )
+    if status == Status.LAW_UNREACHABLE:
+        law = law_of_code(inputs[11]).name
+        others = " or ".join(map(repr, laws_always_met()))
+        raise LawError(
+            f"law: {law!r} with e = {e:.6g} cannot be met: v₃ tends to a limit short of it "
+            f"({figure:.6g} missing); use {others}, or a smaller restitution",
+            field="law",
+            value=law,
+        )
+    if status == Status.OUT_OF_RANGE:
+        raise InputError(
+            "delassus, velocity: the answer lies beyond what double precision holds; choose other units",
+            field="delassus",
+            value=inputs[:9],
+        )
+    raise PinimpactError(f"{status} Please report this problem: {inputs}")
+
+
+def solve_inputs(
+    inputs: Inputs,
+    method: str = "exact",
+    record: bool = False,
+    surface_velocity: Any = (0.0, 0.0, 0.0),
+    **options: Any,
+) -> Solution:
+    """Solve the problem given by its thirteen numbers; otherwise as `solve_impact`."""
+    run = load_method(method)
+    if options:
+        known = METHODS[method].options
+        for name in options:
+            if name not in known:
+                raise UnknownNameError(
+                    f"{name}: method {method!r} has no such option; it has {', '.join(known) or 'none'}",
+                    field=name,
+                    value=options[name],
+                )
+        run = partial(run, **options)
+    result = run(inputs, NO_ROWS, NO_ROWS)
+    if result[0] > Status.LOCKED:
+        raise_for_status(Status(result[0]), result[10], inputs)
+    path = _record(run, inputs) if record else None
+    return Solution(result, inputs, method, options, path, surface_velocity)
+
+
+def _record(run: Run, inputs: Inputs) -> Path:
+    points = np.empty((1024, 6))
+    while True:
+        count = run(inputs, NO_ROWS, points)[12]
+        if count < len(points):
+            break
+        points = np.empty((4 * len(points), 6))
+    points = points[:count]
+    return Path(
+        normal_impulse=points[:, 0].copy(),
+        velocity=points[:, 1:4].copy(),
+        impulse=points[:, [4, 5, 0]],
+    )

@@ -1,0 +1,434 @@
+"""Impacts at many contacts at one instant: the policies of `solve_impact`, ``simultaneous=``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..checks import finite_array
+from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
+from .inputs import Array, Inputs
+from .laws import find_law
+from .many_solution import ManyPath, ManySolution, flags_of, segments_of
+from .one_contact import solve_inputs
+from .problem import ZERO, ImpactProblem
+from .solution import Segment, Work
+
+
+class ManyInputs(NamedTuple):
+    """A problem of n contacts, checked.
+
+    Attributes:
+        delassus: (3n, 3n) W.
+        velocity: (n, 3).
+        friction, restitution, stiffness: (n,).
+        law: Name of the law.
+        surface_velocity: (n, 3).
+        singular: Whether W is.
+    """
+
+    delassus: Array
+    velocity: Array
+    friction: Array
+    restitution: Array
+    stiffness: Array
+    law: str
+    surface_velocity: Array
+    singular: bool
+
+
+Run = Callable[..., ManySolution]
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """A way to resolve an impact at many contacts.
+
+    Attributes:
+        run: run(inputs, record, **options) -> `ManySolution`.
+        summary: One line on what it is.
+        options: Names of its keyword options and their defaults.
+    """
+
+    run: Run
+    summary: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+def many_inputs(problem: ImpactProblem) -> ManyInputs:
+    """Return the numbers of a problem of n contacts, or raise what is wrong with them.
+
+    Raises:
+        InputError: Shapes that do not fit, numbers that are not finite or out of range, an indefinite W.
+        UnknownNameError: No such law.
+    """
+    n = np.shape(problem.velocity)[0]
+    velocity = finite_array("velocity", problem.velocity, (n, 3))
+    delassus = finite_array("delassus", problem.delassus, (3 * n, 3 * n))
+    largest = float(np.abs(delassus).max(initial=0.0))
+    asymmetry = float(np.abs(delassus - delassus.T).max(initial=0.0))
+    if asymmetry > ZERO * largest:
+        raise InputError(
+            f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, but W and its "
+            f"transpose differ by {asymmetry:.6g}",
+            field="delassus",
+            value=problem.delassus,
+        )
+    delassus = 0.5 * (delassus + delassus.T)
+    eigenvalues = np.linalg.eigvalsh(delassus) if n else np.zeros(1)
+    least = ZERO * max(1, n) * float(np.abs(eigenvalues).max())
+    if eigenvalues[0] < -least:
+        raise InputError(
+            f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {eigenvalues[0]:.6g}",
+            field="delassus",
+            value=problem.delassus,
+        )
+    find_law(problem.law)
+    stiffness = 1.0 if problem.stiffness is None else problem.stiffness
+    return ManyInputs(
+        delassus,
+        velocity,
+        _per_contact("friction", problem.friction, n, 0.0, np.inf, "a finite number ≥ 0"),
+        _per_contact("restitution", problem.restitution, n, 0.0, 1.0, "a number from 0 to 1"),
+        _per_contact("stiffness", stiffness, n, np.nextafter(0.0, 1.0), np.inf, "a finite number > 0"),
+        problem.law,
+        np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (n, 3)),
+        bool(eigenvalues[0] <= least),
+    )
+
+
+def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: str) -> Array:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name}: {value!r} is not a number for each contact", field=name, value=value
+        ) from None
+    if array.shape not in ((), (n,)):
+        raise InputError(
+            f"{name}: shape {array.shape} given, a number or ({n},), one for each contact, expected",
+            field=name,
+            value=value,
+        )
+    for number in np.atleast_1d(array).tolist():
+        if not (low <= number <= high and np.isfinite(number)):
+            raise InputError(f"{name}: {number!r} given, {right} expected", field=name, value=value)
+    return np.array(np.broadcast_to(array, (n,)))
+
+
+def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
+    """Resolve an impact at n contacts; see `solve_impact`."""
+    policy = POLICIES.get(simultaneous)
+    if policy is None:
+        raise UnknownNameError(
+            f"simultaneous: {simultaneous!r} is not a policy; they are {', '.join(map(repr, POLICIES))}",
+            field="simultaneous",
+            value=simultaneous,
+        )
+    for name in options:
+        if name not in policy.options:
+            raise UnknownNameError(
+                f"{name}: {simultaneous!r} has no such option; it has {', '.join(policy.options) or 'none'}",
+                field=name,
+                value=options[name],
+            )
+    return policy.run(many_inputs(problem), record, **options)
+
+
+# ---- propagate
+
+
+MOST_STEPS = 5000
+"""Steps after which what is left of an impact is resolved at once, and that is noted."""
+
+
+def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = 1e-16) -> ManySolution:
+    from ._kernels.propagation import propagate
+
+    if exponent not in (1.0, 1.5):
+        raise InputError(
+            f"exponent: {exponent!r} given, 1 (linear) or 1.5 (Hertz) expected",
+            field="exponent",
+            value=exponent,
+        )
+    if not isinstance(rtol, (int, float)) or not 1e-17 <= rtol <= 0.1:
+        raise InputError(
+            f"rtol: {rtol!r} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
+        )
+    n = len(inputs.velocity)
+    scale = float(np.abs(inputs.velocity).max(initial=0.0)) or 1.0
+    most = float(np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3], initial=0.0)) or 1.0
+    rows = np.empty((64 * n + 64, 5))
+    path = np.empty((2048, 6 * n + 1)) if record else np.empty((0, 6 * n + 1))
+    while True:
+        velocity, impulse = inputs.velocity.ravel() / scale, np.zeros(3 * n)
+        works, counts = np.zeros((n, 3)), np.zeros(5, dtype=np.int64)
+        stopped = propagate(
+            *(inputs.delassus, velocity, inputs.friction, inputs.restitution, inputs.stiffness / most),
+            *(float(exponent), float(rtol), MOST_STEPS, impulse, works, counts, rows, path),
+        )
+        if counts[2] >= len(rows):
+            rows = np.empty((4 * len(rows), 5))
+        elif record and counts[3] >= len(path):
+            path = np.empty((4 * len(path), 6 * n + 1))
+        else:
+            break
+    after, impulses = (scale * velocity).reshape(n, 3), (scale * impulse).reshape(n, 3)
+    if not stopped or not (np.isfinite(after).all() and np.isfinite(impulses).all()):
+        _refuse(inputs)
+    works *= scale * scale
+    segments = segments_of(rows[: counts[2]], n, scale)
+    notes = _of_law(inputs)
+    if counts[4] == 2:
+        notes += (
+            f"After {counts[1]} events in {counts[0]} steps what was left was resolved at once, and nothing "
+            "of it was restored.",
+        )
+    recorded = path[: counts[3]]
+    return ManySolution(
+        after,
+        impulses,
+        _work(works, impulses, inputs),
+        segments,
+        flags_of(segments, works.sum(), np.abs(works).sum(), inputs.singular),
+        int(counts[0]),
+        int(counts[1]),
+        "propagate",
+        "energetic",
+        notes,
+        ManyPath(
+            recorded[:, 0].copy(),
+            scale * recorded[:, 1 : 3 * n + 1].reshape(-1, n, 3),
+            scale * recorded[:, 3 * n + 1 :].reshape(-1, n, 3),
+        )
+        if record
+        else None,
+    )
+
+
+def _of_law(inputs: ManyInputs) -> tuple[str, ...]:
+    """Tell where another law than the one asked for is used."""
+    if inputs.law == "energetic" or not inputs.restitution.any():
+        return ()
+    return (f"At many contacts restitution is energetic; {inputs.law!r} says nothing of waves between them.",)
+
+
+def _work(works: Array, impulse: Array, inputs: ManyInputs) -> Work:
+    surface = np.sum(impulse * inputs.surface_velocity, axis=1)
+    return Work(works[:, 0], works[:, 1], works[:, 2], surface)
+
+
+def _refuse(inputs: ManyInputs) -> None:
+    j = int(np.argmin(inputs.velocity[:, 2]))
+    raise UnstoppableApproachError(
+        f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at the "
+        f"{len(inputs.velocity)} contacts can stop all of them; the mechanism cannot yield along the normals",
+        field="velocity",
+        value=inputs.velocity,
+    )
+
+
+# ---- one after another
+
+
+MOST_IMPACTS = 1000
+"""Single impacts per contact after which a sequence is given up."""
+
+RESTS = 1e-12
+"""Part of the largest velocity below which an approach is none, in a sequence."""
+
+
+def _sequence(inputs: ManyInputs, record: bool) -> ManySolution:
+    return _one_by_one(inputs, "sequence", lambda rates: int(np.argmin(rates)))
+
+
+def _any(inputs: ManyInputs, record: bool, seed: int = 0) -> ManySolution:
+    generator = np.random.default_rng(seed)
+    rest = RESTS * float(np.abs(inputs.velocity).max(initial=0.0))
+    return _one_by_one(inputs, "any", lambda rates: int(generator.choice(np.flatnonzero(rates < -rest))))
+
+
+def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -> ManySolution:
+    n = len(inputs.velocity)
+    velocity, impulse, works = inputs.velocity.ravel().copy(), np.zeros(3 * n), np.zeros((n, 3))
+    rest = RESTS * float(np.abs(velocity).max(initial=0.0))
+    segments: list[list[Segment]] = [[] for _ in range(n)]
+    law, count, iterations = find_law(inputs.law).code, 0, 0
+    while (velocity[2::3] < -rest).any():
+        if count >= MOST_IMPACTS * n:
+            raise PinimpactError(
+                f'simultaneous: after {count} single impacts contacts still approach; "propagate" ends',
+                field="simultaneous",
+                value=name,
+            )
+        j = choose(velocity[2::3])
+        rows = slice(3 * j, 3 * j + 3)
+        w = inputs.delassus[rows, rows]
+        upper = w[np.triu_indices(3)].tolist()
+        numbers: Inputs = (
+            *upper,
+            *velocity[rows].tolist(),
+            float(inputs.friction[j]),
+            float(inputs.restitution[j]),
+            law,
+            0.0,
+        )
+        one = solve_inputs(numbers)
+        start = float(impulse[3 * j + 2])
+        segments[j] += [Segment(s.mode, s.phase, start + s.start, start + s.end) for s in one.segments]
+        works[j] += one.work.compression, one.work.restitution, one.work.friction
+        impulse[rows] += one.impulse
+        velocity += inputs.delassus[:, rows] @ one.impulse
+        velocity[3 * j + 2] = one.velocity[2]
+        count += 1
+        iterations += one.iterations
+    parts = tuple(map(tuple, segments))
+    impulses = impulse.reshape(n, 3)
+    return ManySolution(
+        velocity.reshape(n, 3),
+        impulses,
+        _work(works, impulses, inputs),
+        parts,
+        flags_of(parts, works.sum(), np.abs(works).sum(), inputs.singular),
+        iterations,
+        count,
+        name,
+        inputs.law,
+    )
+
+
+# ---- all at once
+
+
+def _together(inputs: ManyInputs, record: bool) -> ManySolution:
+    from ._kernels.plastic import impulses_together
+
+    if inputs.law != "poisson" and inputs.restitution.any():
+        raise LawError(
+            f'law: {inputs.law!r} is not what "together" can take; it has Poisson\'s law (or e = 0)',
+            field="law",
+            value=inputs.law,
+        )
+    n = len(inputs.velocity)
+    velocity = inputs.velocity.ravel()
+    compression, restitution = np.zeros((2, 3 * n))
+    missed = impulses_together(inputs.delassus, velocity, inputs.friction, np.zeros(n), compression)
+    between = velocity + inputs.delassus @ compression
+    given = inputs.restitution * np.maximum(compression[2::3], 0.0)
+    if given.any():
+        further = impulses_together(inputs.delassus, between, inputs.friction, given, restitution)
+        missed = max(missed, further)
+    after = between + inputs.delassus @ restitution
+    rest = 1e-6 * float(np.abs(velocity).max(initial=0.0))
+    if (after[2::3] < -rest).any() or not np.isfinite(after).all():
+        _refuse(inputs)
+    works = np.zeros((n, 3))
+    for start, end, impulse in ((velocity, between, compression), (between, after, restitution)):
+        powers = (0.5 * (start + end) * impulse).reshape(n, 3)
+        works[:, 0 if impulse is compression else 1] += powers[:, 2]
+        works[:, 2] += powers[:, 0] + powers[:, 1]
+    total = (compression + restitution).reshape(n, 3)
+    notes = () if missed <= 1e-9 else (f"Coulomb's law is met to {missed:.1e} of the velocities only.",)
+    return ManySolution(
+        after.reshape(n, 3),
+        total,
+        _work(works, total, inputs),
+        ((),) * n,
+        flags_of(((),) * n, works.sum(), np.abs(works).sum(), inputs.singular),
+        2,
+        2,
+        "together",
+        "poisson",
+        notes,
+    )
+
+
+def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
+    from ._kernels.plastic import impulses_together
+
+    if inputs.friction.any():
+        raise InputError(
+            'friction: "reflect" knows none; all coefficients must be 0',
+            field="friction",
+            value=inputs.friction,
+        )
+    n = len(inputs.velocity)
+    start = inputs.velocity.ravel()
+    rest = RESTS * float(np.abs(start).max(initial=0.0))
+    plastic, elastic, part = np.zeros((3, 3 * n))
+    none = np.zeros(n)
+    impulses_together(inputs.delassus, start, inputs.friction, none, plastic)
+    velocity, count = start.copy(), 0
+    while (velocity[2::3] < -rest).any():
+        if count >= MOST_IMPACTS * n:
+            raise PinimpactError(
+                f'simultaneous: {count} reflections do not end; "propagate" does',
+                field="simultaneous",
+                value="reflect",
+            )
+        struck = np.flatnonzero(velocity[2::3] < -rest)
+        rows = (3 * struck[:, None] + np.arange(3)).ravel()
+        found = np.zeros(len(rows))
+        block = np.ascontiguousarray(inputs.delassus[np.ix_(rows, rows)])
+        impulses_together(block, velocity[rows], np.zeros(len(struck)), np.zeros(len(struck)), found)
+        part[:] = 0.0
+        part[rows] = 2.0 * found
+        elastic += part
+        velocity = velocity + inputs.delassus @ part
+        count += 1
+    e = float(inputs.restitution.max(initial=0.0))
+    if (inputs.restitution != e).any():
+        raise InputError(
+            'restitution: "reflect" takes one coefficient for all contacts',
+            field="restitution",
+            value=inputs.restitution,
+        )
+    impulse = (1.0 - e) * plastic + e * elastic
+    after = start + inputs.delassus @ impulse
+    powers = (0.5 * (start + after) * impulse).reshape(n, 3)
+    works = np.zeros((n, 3))
+    works[:, 0] = powers[:, 2]
+    total = impulse.reshape(n, 3)
+    return ManySolution(
+        after.reshape(n, 3),
+        total,
+        _work(works, total, inputs),
+        ((),) * n,
+        flags_of(((),) * n, works.sum(), np.abs(works).sum(), inputs.singular),
+        count,
+        count,
+        "reflect",
+        "newton",
+    )
+
+
+POLICIES: Mapping[str, Policy] = MappingProxyType(
+    {
+        "propagate": Policy(
+            _propagate,
+            "waves through stiff contacts that share a clock, with the energetic law: unique, symmetric, and "
+            "creates no energy; depends on ratios of stiffness",
+            {"exponent": 1.0, "rtol": 1e-16},
+        ),
+        "sequence": Policy(
+            _sequence, "one contact after another, the fastest first: the answer depends on the order"
+        ),
+        "together": Policy(
+            _together,
+            "Poisson's law in two phases, a complementarity problem: no waves, and with friction neither "
+            "unique nor sure to create no energy",
+        ),
+        "reflect": Policy(
+            _reflect,
+            "generalized reflections, mixed with a plastic impact by e: no friction, no waves",
+        ),
+        "any": Policy(
+            _any, "one after another in an order drawn by seed: how much does the order matter?", {"seed": 0}
+        ),
+    }
+)
+"""The policies by name."""

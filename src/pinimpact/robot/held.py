@@ -1,0 +1,67 @@
+"""What an impact asks of contacts that are held: rest before it, and no pull."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .contact import Contact
+from .matrices import ContactGeometry
+
+Array = NDArray[np.float64]
+
+HELD_TOLERANCE = 1e-6
+"""How fast a held point may move before the impact, in parts of what the joints together could make of it."""
+
+PULL = 1e-12
+"""A pull that is one, in parts of the impulse of the impact."""
+
+
+class HeldContactWarning(UserWarning):
+    """A held contact would have to pull on its surface during an impact."""
+
+
+def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
+    """Refuse held contacts that move against their surfaces."""
+    for anchor, geometry in zip(held, geometries, strict=True):
+        speed = float(np.linalg.norm(geometry.velocity(v)))
+        scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
+        scale += float(np.linalg.norm(geometry.surface_velocity))
+        if speed > HELD_TOLERANCE * scale:
+            raise InputError(
+                f"held: {anchor.label!r} moves at {speed:.3g} m/s against its surface before the impact; a "
+                "held contact must be at rest there: correct v, or leave it out of held",
+                field="held",
+                value=anchor,
+            )
+
+
+def warn_of_pulls(
+    geometries: Sequence[ContactGeometry],
+    held: Sequence[Contact],
+    impulses: Array,
+    impulse: Array,
+    stacklevel: int,
+) -> None:
+    """Warn of held contacts that would have to pull.
+
+    Args:
+        geometries: Of the held contacts.
+        held: The held contacts.
+        impulses: (k, 3) on the robot at them, in world axes.
+        impulse: That of the impact, of any shape.
+        stacklevel: As that of `warnings.warn`, seen from the caller.
+    """
+    for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
+        pull = -float(geometry.axes[2] @ push)
+        if pull > PULL * float(np.linalg.norm(impulse)):
+            warnings.warn(
+                f"held: {anchor.label!r} would have to pull with {pull:.3g} N s to hold; if it can lift off, "
+                "leave it out of held",
+                HeldContactWarning,
+                stacklevel=stacklevel + 1,
+            )

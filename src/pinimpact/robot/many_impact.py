@@ -1,0 +1,102 @@
+"""Impacts of robots at many contacts at one instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array
+from ..contact_space.many_solution import ManySolution
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solve import solve_impact
+from ..errors import InputError
+from .contact import Contact, check_contact, check_held
+from .held import check_at_rest, warn_of_pulls
+from .matrices import ManyMatrices, many_matrices
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ManyHit:
+    """What an impact at n contacts does to a robot.
+
+    Attributes:
+        v: (nv,) post-impact generalized velocity.
+        impulses_world: (n, 3) impulses on the robot at the contacts, in world axes [N s].
+        axes: (n, 3, 3) contact axes t₁, t₂, n as rows, in world axes.
+        problem: The contact-space problem that was solved.
+        solution: Its solution, in contact axes.
+        held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
+    """
+
+    v: Array
+    impulses_world: Array
+    axes: Array
+    problem: ImpactProblem
+    solution: ManySolution
+    held_impulses: Array
+
+    def __repr__(self) -> str:
+        return (
+            f"ManyHit(v={self.v}, impulses_world={self.impulses_world.tolist()}, "
+            f"status={str(self.solution.status)!r})"
+        )
+
+
+def impact_at_many(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contacts: Sequence[Contact],
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    simultaneous: str,
+    record: bool,
+    options: dict[str, Any],
+) -> ManyHit:
+    """Resolve the impact of a robot at n contacts; see `impact`."""
+    if not contacts:
+        raise InputError("contact: no contact given", field="contact", value=contacts)
+    for contact in contacts:
+        check_contact("contact", contact)
+    held = check_held(held)
+    matrices = many_matrices(model, data, q, contacts, held, locked)
+    v = finite_array("v", v, (matrices.jacobian.shape[1],))
+    check_at_rest(matrices.held, held, v)
+    velocity = matrices.velocity(v)
+    problem = many_problem(contacts, matrices, velocity)
+    solution = solve_impact(problem, record=record, simultaneous=simultaneous, **options)
+    impulse = solution.impulse.ravel()
+    held_impulses = matrices.held_response @ impulse
+    warn_of_pulls(matrices.held, held, held_impulses, impulse, 3)
+    axes = np.array([geometry.axes for geometry in matrices.contacts])
+    return ManyHit(
+        v + matrices.response @ impulse,
+        np.einsum("ni,nij->nj", solution.impulse, axes),
+        axes,
+        problem,
+        solution,
+        held_impulses,
+    )
+
+
+def many_problem(contacts: Sequence[Contact], matrices: ManyMatrices, velocity: Array) -> ImpactProblem:
+    """Return the problem of n contacts that approach with a velocity (n, 3)."""
+    laws = {contact.law for contact in contacts}
+    approach = np.maximum(-velocity[:, 2], 0.0).tolist()
+    return ImpactProblem(
+        matrices.delassus,
+        velocity,
+        np.array([contact.friction for contact in contacts]),
+        np.array([c.restitution_at(speed) for c, speed in zip(contacts, approach, strict=True)]),
+        laws.pop() if len(laws) == 1 else "energetic",
+        matrices.surface_velocity,
+        stiffness=np.array([contact.stiffness for contact in contacts]),
+    )

@@ -1,0 +1,177 @@
+"""The Radau IIA method of order 9: its coefficients, and what the steps that use it have in common.
+
+Source of the method: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd edition, sections
+IV.5 and IV.8. Its coefficients are made here from their definition.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from ..._numeric.jit import inner
+from ..._numeric.loops import assign
+from .dense_output import rate_bounds
+from .dop853 import STAGES as LAST
+from .dynamics import evaluate, set_state
+from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
+from .samples import record_sample
+
+STAGES = 5
+
+# what a step of the iteration has come to
+DIVERGED = -1
+GOES_ON = 0
+CONVERGED = 1
+
+
+def _coefficients():
+    """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
+    s = STAGES
+    p = Polynomial([0.0] * (s - 1) + [1.0]) * Polynomial([-1.0, 1.0]) ** s
+    p = p.deriv(s - 1)
+    nodes = np.sort(p.roots().real)
+    for _ in range(3):
+        nodes = nodes - p(nodes) / p.deriv()(nodes)
+    nodes[-1] = 1.0
+    powers = np.arange(s)
+    lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
+    integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
+    matrix = nodes[:, None] ** (powers + 1.0) @ integrals
+    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `dense_output.interpolate`
+    size = s + 2
+    basis: NDArray[np.float64] = np.zeros((size, size))
+    factor = Polynomial([0.0, 1.0])
+    for k in range(size):
+        basis[k, : k + 1] = factor.coef[1:]
+        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
+    dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
+    # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
+    correction = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
+    for node in nodes:
+        correction = correction * Polynomial([1.0, -1.0 / node])
+    start = np.linalg.solve(basis.T, np.array(correction.coef[1:], dtype=float))
+    eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
+    real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
+    return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
+
+
+ABSCISSAE, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
+
+
+@inner
+def start_rates(work, rtol, atol, scale):
+    """Guess the rates at the stages; fill (2 nv,) one over the tolerances of ξ and v."""
+    rates, v0, sizes = work.stage_rates, work.v0, work.tolerance_sizes
+    n = len(v0)
+    magnitudes(work.joint_charts, work.q0, sizes)
+    for m in range(n):
+        scale[m] = 1.0 / (atol + rtol * sizes[m])
+        scale[n + m] = 1.0 / (atol + rtol * abs(v0[m]))
+    for i in range(STAGES):
+        assign(rates[1 + i], rates[0])
+
+
+@inner
+def advance_to(work, i, h, v):
+    """Fill the chart coordinates and a velocity at a stage, from the rates at all."""
+    rates, v0, xi = work.stage_rates, work.v0, work.xi
+    n = len(v0)
+    for m in range(n):
+        a = b = 0.0
+        for j in range(STAGES):
+            a += MATRIX[i, j] * rates[1 + j, m]
+            b += MATRIX[i, j] * rates[1 + j, n + m]
+        xi[m] = h * a
+        v[m] = v0[m] + h * b
+
+
+@inner
+def evaluate_stage(work, i, t, h, change):
+    """Evaluate at a stage, and fill what its rates lack; return False if the stage leads too far."""
+    rates, xi, v = work.stage_rates, work.xi, work.v
+    n, width = len(v), rates.shape[1]
+    advance_to(work, i, h, v)
+    if gone_astray(xi, v) or turned_too_far(work.joint_charts, xi):
+        return False
+    advance(work.joint_charts, work.q0, xi, work.q)
+    chart_rate(work.joint_charts, xi, v, change[:n])
+    for m in range(2 * n, width):
+        change[m] = 0.0
+    evaluate(work, t + ABSCISSAE[i] * h, change[n:])
+    if work.callback_failed:
+        return False
+    record_sample(work, i + 1, ABSCISSAE[i])
+    for m in range(width):
+        change[m] -= rates[1 + i, m]
+    return True
+
+
+@inner
+def change_rates(rates, changes, h, scale):
+    """Add changes to the rates at the stages; return their size over the tolerance, root mean square."""
+    size = 0.0
+    for i in range(STAGES):
+        for m in range(rates.shape[1]):
+            rates[1 + i, m] += changes[i, m]
+        for m in range(len(scale)):
+            size += (h * changes[i, m] * scale[m]) ** 2
+    return math.sqrt(size / (len(scale) * STAGES))
+
+
+@inner
+def progress(iteration, size, before):
+    """Tell what the iteration has come to, by the sizes of the last change and of the one before."""
+    ratio = size / before if iteration > 0 else 0.5
+    if not size < math.inf or (iteration > 2 and ratio >= 1.0):
+        return DIVERGED
+    if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= 1e-2):
+        return CONVERGED
+    return GOES_ON
+
+
+@inner
+def start_error(rates, h, error):
+    """Fill (2 nv,) the error: what the rates' polynomial says of the start, against the rates there."""
+    for m in range(len(error)):
+        total = rates[0, m]
+        for j in range(STAGES):
+            total -= AT_START[j] * rates[1 + j, m]
+        error[m] = GAMMA * h * total
+
+
+@inner
+def reach_end(work, h, error, scale):
+    """Fill the state at the end of the step; return the error over the tolerance."""
+    advance_to(work, STAGES - 1, h, work.v1)
+    advance(work.joint_charts, work.q0, work.xi, work.q1)
+    norm = 0.0
+    for m in range(len(error)):
+        norm += (error[m] * scale[m]) ** 2
+    norm = math.sqrt(norm / len(error))
+    return norm ** (8.0 / (STAGES + 1)) if norm == norm else math.inf
+
+
+@inner
+def complete(work, t, h):
+    """Evaluate at the end of the step last attempted; fill its dense output, and the bounds of its rates."""
+    n = len(work.v1)
+    set_state(work, work.q1, work.v1)
+    evaluate(work, t + h, work.stage_rates[LAST, n:])
+    for m in range(n):
+        work.stage_reactions[LAST, m] = work.stage_rates[LAST, n + m] - work.acceleration[m]
+    work.samples = 1 + STAGES
+    rates, coefficients = work.stage_rates, work.dense_coefficients
+    rate_bounds(rates, 1 + STAGES, n, work.rate_bounds)
+    for m in range(rates.shape[1]):
+        late = rates[0, m] if m < n else 0.0  # of the configuration: its rate at the start is certain
+        for j in range(STAGES):
+            late -= AT_START[j] * rates[1 + j, m] if m < n else 0.0
+        for k in range(7):
+            total = late * START[k]
+            for j in range(STAGES):
+                total += DENSE[k, j] * rates[1 + j, m]
+            coefficients[k, m] = h * total

@@ -1,0 +1,78 @@
+"""A browser without a window, where there is one: it opens a page and hands back what became of it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+BROWSERS = (
+    *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge"),
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+)
+"""What is looked for, in this order."""
+
+OPTIONS = (
+    *(
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ),
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--disable-quic", "--hide-scrollbars", "--enable-logging=stderr", "--v=0"),
+    # a page that needs a network is none of ours
+    *("--host-resolver-rules=MAP * ~NOTFOUND", "--proxy-server=http://127.0.0.1:9"),
+)
+
+
+class Opened(NamedTuple):
+    """What a browser made of a page.
+
+    Attributes:
+        dom: The page's elements as text, when it had come to rest.
+        console: The lines that it wrote to its console.
+    """
+
+    dom: str
+    console: list[str]
+
+
+def find_browser() -> str | None:
+    """Return a browser of this machine that can do without a window, or None."""
+    return next((found for name in BROWSERS if (found := shutil.which(name))), None)
+
+
+def open_page(
+    browser: str,
+    page: str | Path,
+    fragment: str = "",
+    *,
+    size: tuple[int, int] = (960, 540),
+    screenshot: str | Path | None = None,
+    timeout: float = 600.0,
+) -> Opened:
+    """Open a page from a file, without any network.
+
+    Args:
+        browser: What `find_browser` found.
+        page: The file.
+        fragment: What stands after the # of its address.
+        size: Width and height of the window [px].
+        screenshot: Where to write a picture (PNG) instead of the elements.
+        timeout: How long it may take [s].
+
+    Raises:
+        subprocess.CalledProcessError, subprocess.TimeoutExpired: The browser fails.
+    """
+    address = Path(page).absolute().as_uri() + (f"#{fragment}" if fragment else "")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        wanted = "--dump-dom" if screenshot is None else f"--screenshot={screenshot}"
+        options = (f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}")
+        command = [browser, *OPTIONS, *options, "--virtual-time-budget=3000", wanted, address]
+        done = subprocess.run(command, check=True, capture_output=True, timeout=timeout)
+    log = done.stderr.decode("utf-8", "replace").splitlines()
+    return Opened(done.stdout.decode("utf-8", "replace"), [row for row in log if ":CONSOLE" in row])

@@ -1,0 +1,64 @@
+"""When a replay has its frames: evenly spaced, closer where it slows down, twice at an impact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FRAMES_PER_SECOND = 60
+MAX_FRAMES = 2000
+"""Of those that are evenly spaced; in a longer film they are spaced wider, to keep the file small."""
+SLOWED = 20
+"""At so many impacts, the hardest, a replay slows down."""
+WEAK = 1e-3
+"""At one whose compression takes less than this part of the hardest's it does not."""
+EXTRA = 30
+"""Additional frames on either side of an impact at which the film slows down."""
+
+
+def width_of_slowness(duration: float, speed: float, slowdown: float) -> float:
+    """Return how long before and after an impact the film is slow [s of the motion].
+
+    The film's time runs slower by 1 + (slowdown − 1) exp(−x²), x the distance in widths. The width gives
+    the film about one second more on either side.
+    """
+    return min(speed / max(slowdown - 1.0, 10.0) / (0.5 * math.sqrt(math.pi)), 0.25 * duration)
+
+
+def slowed(stopped: Sequence[float]) -> list[bool]:
+    """Return at which impacts a film slows down.
+
+    Args:
+        stopped: What the compression of each takes [J].
+    """
+    least = max(WEAK * max(stopped, default=0.0), 1e-300)
+    hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
+    return [i in hardest and stopped[i] >= least for i in range(len(stopped))]
+
+
+def frame_times(
+    start: float, end: float, speed: float, impacts: Sequence[float], slow: Sequence[float], width: float
+) -> Array:
+    """Return the times of the frames, in order; that of an impact stands twice, before and after it.
+
+    Args:
+        start: Of the motion [s].
+        end: Of the motion [s].
+        speed: Seconds of motion per second of film where nothing slows it down.
+        impacts: Times of all impacts.
+        slow: Times of those at which the film slows down.
+        width: See `width_of_slowness`.
+    """
+    count = math.ceil((end - start) * FRAMES_PER_SECOND / speed) + 1
+    even = np.linspace(start, end, max(2, min(count, MAX_FRAMES)))
+    near = 2.5 * width * np.linspace(-1.0, 1.0, 2 * EXTRA + 1)
+    close = [near + time for time in sorted(set(slow))]
+    at = np.unique(impacts)
+    times = np.unique(np.concatenate([even, *close, at]))
+    times = times[(times >= start) & (times <= end)]
+    return np.sort(np.concatenate([times, at]))

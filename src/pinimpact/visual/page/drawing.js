@@ -1,0 +1,236 @@
+"use strict";
+// What is drawn beside the robot: arrows, cones, trails, plates, and the hodograph on a flat canvas.
+
+// Okabe and Ito's palette, which colour-blind readers tell apart
+const COLORS = {
+  impulse: "#d55e00", before: "#56b4e9", after: "#0072b2", force: "#009e73", cone: "#e69f00", path: "#cc79a7",
+  surface: "#b08d57", link: "#8a8f98",
+};
+
+const Drawing = (() => {
+  const THREE = MeshCat.THREE;
+  const UP = new THREE.Vector3(0, 1, 0);
+
+  // seen through the robot, in the order of `layer`
+  function glow(color, layer, opacity) {
+    const material = new THREE.MeshBasicMaterial({
+      color, transparent: true, opacity: opacity === undefined ? 1 : opacity, depthTest: false, depthWrite: false,
+      side: THREE.DoubleSide,
+    });
+    return mesh => { mesh.material = material; mesh.renderOrder = layer; return mesh; };
+  }
+
+  // an arrow of a given shaft radius; `set` takes where it starts and the way to its tip
+  function arrow(color, radius, layer) {
+    const group = new THREE.Group(), wear = glow(color, layer);
+    const shaft = wear(new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, 1, 12)));
+    const tip = wear(new THREE.Mesh(new THREE.CylinderGeometry(0, 2.6 * radius, 1, 16)));
+    group.add(shaft, tip);
+    group.visible = false;
+    group.set = (start, way) => {
+      const length = way.length();
+      group.visible = length > 0.2 * radius;
+      if (!group.visible) return;
+      const head = Math.min(0.45 * length, 7 * radius);
+      group.position.copy(start);
+      group.quaternion.setFromUnitVectors(UP, way.clone().divideScalar(length));
+      shaft.scale.y = Math.max(length - head, 1e-9);
+      shaft.position.y = 0.5 * (length - head);
+      tip.scale.y = head;
+      tip.position.y = length - 0.5 * head;
+    };
+    return group;
+  }
+
+  // the friction cone: its apex, its axis, height and radius
+  function cone(color) {
+    const turned = new THREE.Group();
+    const ring = glow(color, 11)(new THREE.Mesh(new THREE.TorusGeometry(1, 0.012, 6, 60)));
+    ring.rotation.x = Math.PI / 2;
+    ring.position.y = -0.5;
+    turned.add(glow(color, 10, 0.22)(new THREE.Mesh(new THREE.ConeGeometry(1, 1, 40, 1, true))), ring);
+    turned.rotation.x = Math.PI;
+    turned.position.y = 0.5;
+    const whole = new THREE.Group();
+    whole.add(turned);
+    whole.visible = false;
+    whole.set = (apex, axis, height, radius) => {
+      whole.visible = height > 0 && radius > 0;
+      whole.position.copy(apex);
+      whole.quaternion.setFromUnitVectors(UP, axis);
+      whole.scale.set(radius, height, radius);
+    };
+    return whole;
+  }
+
+  // a bar between two points
+  function bar(color, radius) {
+    const mesh = new THREE.Mesh(
+      new THREE.CylinderGeometry(radius, radius, 1, 10), new THREE.MeshLambertMaterial({ color }));
+    mesh.set = (a, b) => {
+      const way = b.clone().sub(a), length = way.length();
+      mesh.visible = length > 1e-9;
+      if (!mesh.visible) return;
+      mesh.position.copy(a).addScaledVector(way, 0.5);
+      mesh.quaternion.setFromUnitVectors(UP, way.divideScalar(length));
+      mesh.scale.y = length;
+    };
+    return mesh;
+  }
+
+  // the way of a point as a thin tube, drawn up to one of its points; the whole of it faintly
+  function trail(color, points, radius) {
+    const count = points.length / 3, sides = 4;
+    const places = new Float32Array(count * sides * 3), index = [];
+    const at = i => new THREE.Vector3(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
+    let along = new THREE.Vector3(0, 0, 1), p = at(0);
+    for (let i = 0; i < count; i++) {
+      const next = at(Math.min(i + 1, count - 1)), way = next.clone().sub(p);
+      if (way.length() > 1e-9) along = way.normalize();
+      const side = Math.abs(along.z) < 0.9 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0);
+      const u = side.cross(along).normalize(), w = along.clone().cross(u);
+      for (let k = 0; k < sides; k++) {
+        const angle = 2 * Math.PI * k / sides;
+        const q = p.clone().addScaledVector(u, radius * Math.cos(angle)).addScaledVector(w, radius * Math.sin(angle));
+        places.set([q.x, q.y, q.z], 3 * (i * sides + k));
+        if (i > 0) {
+          const a = (i - 1) * sides + k, b = (i - 1) * sides + (k + 1) % sides;
+          index.push(a, b, a + sides, b, b + sides, a + sides);
+        }
+      }
+      p = next;
+    }
+    const shape = () => {
+      const geometry = new THREE.BufferGeometry();
+      geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
+      geometry.setIndex(index);
+      return geometry;
+    };
+    const group = new THREE.Group(), done = glow(color, 5)(new THREE.Mesh(shape()));
+    group.add(glow(color, 4, 0.25)(new THREE.Mesh(shape())), done);
+    done.frustumCulled = false;
+    group.show = upTo => done.geometry.setDrawRange(0, Math.max(0, upTo) * sides * 6);
+    return group;
+  }
+
+  function surface(what) {
+    const material = new THREE.MeshLambertMaterial({ color: COLORS.surface, opacity: 0.75, transparent: true });
+    const [a, b, c] = what.size;
+    const shape = what.kind === "sphere" ? new THREE.SphereGeometry(a, 40, 24) : new THREE.BoxGeometry(a, b, c);
+    const mesh = new THREE.Mesh(shape, material);
+    mesh.matrixAutoUpdate = false;
+    mesh.matrix.fromArray(what.matrix);
+    return mesh;
+  }
+
+  // --- flat pictures of one contact's impact -------------------------------------------------------------
+
+  // where path[share] lies, linearly between its points
+  function along(mark, share, row) {
+    const clock = mark.clock;
+    let i = 1;
+    while (i < clock.length - 1 && clock[i] < share) i++;
+    const width = clock[i] - clock[i - 1];
+    const part = width > 0 ? Math.min(1, Math.max(0, (share - clock[i - 1]) / width)) : 1;
+    return mark[row][i].map((x, k) => (1 - part) * mark[row][i - 1][k] + part * x);
+  }
+
+  function label(g, text, x, y, align, color) {
+    g.fillStyle = color || "#111";
+    g.textAlign = align || "left";
+    g.fillText(text, x, y);
+  }
+
+  function line(g, points, color, width, dash) {
+    g.strokeStyle = color;
+    g.lineWidth = width;
+    g.setLineDash(dash || []);
+    g.beginPath();
+    points.forEach(([x, y], i) => i ? g.lineTo(x, y) : g.moveTo(x, y));
+    g.stroke();
+    g.setLineDash([]);
+  }
+
+  function dot(g, x, y, radius, fill) {
+    g.beginPath();
+    g.arc(x, y, radius, 0, 2 * Math.PI);
+    g.fillStyle = fill;
+    g.fill();
+    g.lineWidth = 1.2;
+    g.strokeStyle = "#111";
+    g.stroke();
+  }
+
+  // the sliding velocity in the tangential plane: flow of slip, invariant directions, path up to `share`
+  function hodograph(g, x0, y0, size, mark, share) {
+    const [w11, w12, w13, , w22, w23] = mark.delassus, mu = mark.mu;
+    const reach = 1.15 * Math.max(1e-12, ...mark.velocity.map(v => Math.max(Math.abs(v[0]), Math.abs(v[1]))));
+    const middle = [x0 + size / 2, y0 + size / 2], scale = size / 2 / reach;
+    const to = v => [middle[0] + scale * v[0], middle[1] - scale * v[1]];
+    const rate = v => {
+      const speed = Math.hypot(v[0], v[1]) || 1, s = [v[0] / speed, v[1] / speed];
+      return [w13 - mu * (w11 * s[0] + w12 * s[1]), w23 - mu * (w12 * s[0] + w22 * s[1])];
+    };
+    g.save();
+    g.beginPath();
+    g.rect(x0, y0, size, size);
+    g.clip();
+    const cells = 11, step = 2 * reach / cells;
+    for (let i = 0; i < cells; i++) for (let j = 0; j < cells; j++) {
+      const v = [-reach + (i + 0.5) * step, -reach + (j + 0.5) * step], r = rate(v), norm = Math.hypot(r[0], r[1]);
+      if (!norm || Math.hypot(v[0], v[1]) < 0.3 * step) continue;
+      const way = r.map(x => 0.36 * step * x / norm);
+      const a = to([v[0] - way[0], v[1] - way[1]]), b = to([v[0] + way[0], v[1] + way[1]]);
+      line(g, [a, b], "#b8bec5", 1);
+      const turn = Math.atan2(b[1] - a[1], b[0] - a[0]);
+      line(g, [-0.5, 0.5].map(d => [b[0] - 4 * Math.cos(turn + d), b[1] - 4 * Math.sin(turn + d)])
+        .flatMap(p => [p, b]), "#b8bec5", 1);
+    }
+    line(g, [to([-reach, 0]), to([reach, 0])], "#888", 0.6);
+    line(g, [to([0, -reach]), to([0, reach])], "#888", 0.6);
+    for (const angle of mark.invariant)
+      line(g, [to([0, 0]), to([1.5 * reach * Math.cos(angle), 1.5 * reach * Math.sin(angle)])], "#555", 1, [5, 4]);
+    line(g, mark.velocity.map(to), "#999", 1);
+    const done = mark.velocity.filter((_, i) => mark.clock[i] <= share).concat([along(mark, share, "velocity")]);
+    line(g, done.map(to), COLORS.after, 2.4);
+    dot(g, ...to(mark.velocity[0]), 4, COLORS.before);
+    dot(g, ...to(along(mark, share, "velocity")), 5, COLORS.after);
+    g.restore();
+    line(g, [[x0, y0], [x0 + size, y0], [x0 + size, y0 + size], [x0, y0 + size], [x0, y0]], "#888", 1);
+    g.font = "12px system-ui, sans-serif";
+    label(g, `sliding velocity, ± ${reach.toPrecision(2)} m/s`, x0 + 4, y0 + 14);
+    if (mark.invariant.length) label(g, "dashed: invariant directions", x0 + 4, y0 + size - 6);
+    label(g, "v₁", x0 + size - 18, middle[1] - 5);
+    label(g, "v₂", middle[0] + 5, y0 + 30);
+  }
+
+  // contact velocity over the normal impulse, with a cursor at `share`
+  function history(g, x0, y0, width, height, mark, share) {
+    const all = mark.velocity.flat(), low = Math.min(0, ...all), high = Math.max(0, ...all);
+    const last = mark.impulse[mark.impulse.length - 1][2] || 1, span = high - low || 1;
+    const to = (p, v) => [x0 + width * p / last, y0 + height * (1 - 0.05 - 0.9 * (v - low) / span)];
+    for (const [mode, , start, end] of mark.segments) if (mode === "stick") {
+      g.fillStyle = "rgba(230, 159, 0, 0.25)";
+      g.fillRect(to(start, 0)[0], y0, to(end, 0)[0] - to(start, 0)[0], height);
+    }
+    line(g, [to(0, 0), to(last, 0)], "#888", 0.6);
+    g.font = "12px system-ui, sans-serif";
+    const rows = [["v₁", "#009e73", []], ["v₂", "#cc79a7", [7, 3]], ["v₃", "#111", []]];
+    const ends = rows.map(([name, color, dash], row) => {
+      line(g, mark.velocity.map((v, i) => to(mark.impulse[i][2], v[row])), color, 1.8, dash);
+      return [name, color, to(last, mark.velocity[mark.velocity.length - 1][row])[1] + 4];
+    });
+    let below = -Infinity;
+    for (const [name, color, y] of ends.sort((a, b) => a[2] - b[2])) {
+      below = Math.max(y, below + 13);
+      label(g, name, x0 + width + 4, below, "left", color);
+    }
+    const now = along(mark, share, "impulse")[2];
+    line(g, [[to(now, 0)[0], y0], [to(now, 0)[0], y0 + height]], COLORS.after, 1.4);
+    line(g, [[x0, y0], [x0 + width, y0], [x0 + width, y0 + height], [x0, y0 + height], [x0, y0]], "#888", 1);
+    label(g, `normal impulse P₃ to ${last.toPrecision(3)} N s`, x0, y0 + height + 15);
+    label(g, `velocity, ${low.toPrecision(2)} to ${high.toPrecision(2)} m/s`, x0, y0 - 5);
+  }
+
+  return { arrow, cone, bar, trail, surface, along, hodograph, history };
+})();

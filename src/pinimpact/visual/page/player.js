@@ -1,0 +1,498 @@
+"use strict";
+// Plays a motion: film time runs evenly, the motion's own time slows down at impacts and stands still within them.
+
+(async () => {
+  const root = document.documentElement, find = id => document.getElementById(id);
+  const errors = [];
+  const fail = text => {
+    errors.push(text);
+    root.dataset.errors = JSON.stringify(errors);
+    find("failure").style.display = "block";
+    find("failure").textContent = text;
+  };
+  root.dataset.errors = "[]";
+  window.addEventListener("error", event => fail(String(event.message)));
+  window.addEventListener("unhandledrejection", event => fail(String(event.reason)));
+
+  const THREE = MeshCat.THREE;
+  const data = JSON.parse(find("motion").textContent);
+  const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  const numbers = (text, kind) => new kind(bytes(text).buffer);
+
+  async function unpacked(text) {
+    const inflate = new DecompressionStream("gzip"), writer = inflate.writable.getWriter(), parts = [];
+    const written = writer.write(bytes(text)).then(() => writer.close());
+    const reader = inflate.readable.getReader();
+    for (let part = await reader.read(); !part.done; part = await reader.read()) parts.push(part.value);
+    await written;
+    const whole = new Uint8Array(parts.reduce((length, part) => length + part.length, 0));
+    let start = 0;
+    for (const part of parts) {
+      whole.set(part, start);
+      start += part.length;
+    }
+    return whole;
+  }
+
+  // --- the scene -------------------------------------------------------------------------------------------
+
+  let viewer;
+  try {
+    viewer = new MeshCat.Viewer(find("view"));
+  } catch (error) {
+    fail(`This browser shows no 3D pictures (WebGL): ${error.message}`);
+    throw error;
+  }
+  viewer.gui.domElement.style.display = "none";
+  const shapes = await unpacked(find("shapes").textContent), lengths = new DataView(shapes.buffer);
+  for (let at = 0; at < shapes.length;) {
+    const length = lengths.getUint32(at, true);
+    viewer.handle_command_bytearray(shapes.subarray(at + 4, at + 4 + length));
+    at += 4 + length;
+  }
+
+  const times = numbers(data.times, Float64Array), frames = times.length;
+  const joint = number => viewer.scene_tree.find(["meshcat", "robot", String(number)]).object;
+  const moving = Object.entries(data.joints).map(([number, poses]) => {
+    return { object: joint(number), poses: numbers(poses, Float32Array) };
+  });
+  for (const [number, pose] of Object.entries(data.still)) {
+    joint(number).position.fromArray(pose);
+    joint(number).quaternion.fromArray(pose, 3);
+  }
+  const extra = new THREE.Group();
+  viewer.scene.add(extra);
+  const radius = data.view.thickness, put = object => { extra.add(object); return object; };
+  const links = data.links.map(([a, b]) => [joint(a), joint(b), put(Drawing.bar(COLORS.link, 1.6 * radius))]);
+  for (const [number, ...end] of data.spots) {
+    const spot = Drawing.bar(COLORS.link, radius);
+    spot.set(new THREE.Vector3(), new THREE.Vector3(...end));
+    joint(number).add(spot);
+  }
+  for (const what of data.surfaces) joint(what.joint).add(Drawing.surface(what));
+  const contacts = data.contacts.map(({ name, path, forces }) => ({
+    name, path: numbers(path, Float32Array), forces: forces && numbers(forces, Float32Array),
+  }));
+  const trails = contacts.map(contact => put(Drawing.trail(COLORS.path, contact.path, 0.5 * radius)));
+  const forceArrows = contacts.map(contact => contact.forces && put(Drawing.arrow(COLORS.force, radius, 20)));
+  const most = Math.max(0, ...data.impacts.map(impact => impact.contacts.length));
+  const marks = Array.from({ length: most }, () => ({
+    cone: put(Drawing.cone(COLORS.cone)),
+    before: put(Drawing.arrow(COLORS.before, 0.8 * radius, 21)),
+    after: put(Drawing.arrow(COLORS.after, 0.8 * radius, 22)),
+    impulse: put(Drawing.arrow(COLORS.impulse, radius, 23)),
+  }));
+
+  const { center, size } = data.view;
+  function look() {
+    const wide = Math.min(1, window.innerWidth / window.innerHeight);
+    const away = (data.within ? 1.35 : 1.2) * size / (2 * Math.tan(Math.PI / 8)) / wide;
+    viewer.camera.fov = 45;
+    viewer.camera.near = 0.005 * size;
+    viewer.camera.far = 100 * size;
+    viewer.controls.target.set(center[0], center[2], -center[1]);
+    viewer.camera.position.set(center[0] + 0.72 * away, center[2] + 0.34 * away, -center[1] + 0.6 * away);
+    viewer.controls.update();
+  }
+  look();
+
+  // beside the pictures of one impact the robot stands in the middle of what is left
+  function makeRoom() {
+    const [wide, tall] = [window.innerWidth, window.innerHeight];
+    if (data.within) viewer.camera.setViewOffset(wide, tall, 0.5 * panelWidth(), 0, wide, tall);
+  }
+
+  // --- film time ---------------------------------------------------------------------------------------------
+
+  const settings = { speed: data.speed, slowdown: data.slowdown, hold: data.hold };
+  const slow = data.impacts.filter(impact => impact.slow);
+  let pieces = [], duration = 0;
+
+  function slower(t) {
+    let most = 1;
+    for (const impact of slow) {
+      const x = (t - impact.time) / data.width;
+      if (Math.abs(x) < 5) most = Math.max(most, 1 + (settings.slowdown - 1) * Math.exp(-x * x));
+    }
+    return most;
+  }
+
+  // each piece of film is a stretch between two frames, or the standstill in an impact
+  function cut() {
+    pieces = [];
+    let film = 0, waiting = 0;
+    const hold = settings.slowdown > 1 ? settings.hold : 0;
+    const stand = frame => {
+      for (; waiting < slow.length && slow[waiting].time <= times[frame]; waiting++)
+        if (hold > 0) {
+          pieces.push({ film, length: hold, frame, impact: slow[waiting] });
+          film += hold;
+        }
+    };
+    for (let frame = 0; frame < frames; frame++) {
+      const width = frame + 1 < frames ? times[frame + 1] - times[frame] : 0;
+      if (!(width === 0 && frame + 1 < frames)) stand(frame);  // at an impact the second of its frames
+      if (width > 0) {
+        const length = width * slower(times[frame] + 0.5 * width) / settings.speed;
+        pieces.push({ film, length, frame, impact: null });
+        film += length;
+      }
+    }
+    if (!pieces.length) pieces.push({ film: 0, length: 0, frame: 0, impact: null });
+    duration = film;
+    find("film").max = Math.max(duration, 1e-9);
+    root.dataset.duration = duration;
+    for (const old of find("track").querySelectorAll("b")) old.remove();
+    if (!data.within) data.impacts.forEach((impact, i) => {
+      if (!impact.slow && data.impacts.length > 200) return;
+      const tick = document.createElement("b");
+      tick.style.left = `${duration > 0 ? 100 * filmOf(impact.time) / duration : 0}%`;
+      tick.title = `impact ${i + 1}: ${impact.source}`;
+      tick.onclick = () => toImpact(i);
+      find("track").appendChild(tick);
+    });
+  }
+
+  function pieceAt(film) {
+    let low = 0, high = pieces.length - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (pieces[middle].film <= film) low = middle; else high = middle - 1;
+    }
+    return pieces[low];
+  }
+
+  // when in the film a time of the motion comes; at an impact when it begins
+  function filmOf(t) {
+    for (const piece of pieces) {
+      if (piece.impact) {
+        if (times[piece.frame] >= t) return piece.film;
+        continue;
+      }
+      const a = times[piece.frame], b = times[piece.frame + 1];
+      if (t <= b) return piece.film + piece.length * Math.max(0, t - a) / (b - a);
+    }
+    return duration;
+  }
+
+  // --- one picture -------------------------------------------------------------------------------------------
+
+  const a = new THREE.Vector3(), b = new THREE.Vector3(), p = new THREE.Quaternion(), q = new THREE.Quaternion();
+  const world = (axes, v) => new THREE.Vector3(
+    axes[0] * v[0] + axes[3] * v[1] + axes[6] * v[2],
+    axes[1] * v[0] + axes[4] * v[1] + axes[7] * v[2],
+    axes[2] * v[0] + axes[5] * v[1] + axes[8] * v[2]);
+  let film = 0, playing = false;
+
+  function show(time) {
+    film = Math.min(Math.max(time, 0), duration);
+    const piece = pieceAt(film), next = Math.min(piece.frame + 1, frames - 1);
+    const share = piece.length > 0 ? Math.min(1, (film - piece.film) / piece.length) : 1;
+    const part = piece.impact ? 0 : share;
+    const t = (1 - part) * times[piece.frame] + part * times[next];
+    for (const { object, poses } of moving) {
+      object.position.copy(a.fromArray(poses, 7 * piece.frame)).lerp(b.fromArray(poses, 7 * next), part);
+      object.quaternion.copy(p.fromArray(poses, 7 * piece.frame + 3)).slerp(q.fromArray(poses, 7 * next + 3), part);
+    }
+    for (const [from, to, bar] of links) bar.set(from.position, to.position);
+    contacts.forEach((contact, i) => {
+      trails[i].show(piece.frame + (part > 0 ? 1 : 0));
+      if (!contact.forces) return;
+      b.fromArray(contact.forces, 3 * next);
+      const force = new THREE.Vector3().fromArray(contact.forces, 3 * piece.frame).lerp(b, part);
+      b.fromArray(contact.path, 3 * next);
+      const point = new THREE.Vector3().fromArray(contact.path, 3 * piece.frame).lerp(b, part);
+      forceArrows[i].set(point, force.multiplyScalar(data.scales.force));
+    });
+    const impact = piece.impact || nearest(t);
+    drawImpact(impact, piece.impact ? share : impact && impact.time <= t ? 1 : 0);
+    write(t, piece, share);
+    find("film").value = film;
+    root.dataset.time = t;
+    viewer.set_dirty();
+  }
+
+  // the impact that is shown at a time: the last one, for a while, or one that is about to happen
+  function nearest(t) {
+    let found = null;
+    for (const impact of data.impacts) {
+      const after = t - impact.time, shown = impact.slow ? 2.5 * data.width : 0.5 * data.width;
+      if (after >= 0 && after < shown && (impact.slow || !found || !found.slow)) found = impact;
+      if (after < 0 && -after < 1.5 * data.width && !found && impact.slow) found = impact;
+    }
+    return found;
+  }
+
+  function drawImpact(impact, share) {
+    const shown = impact ? impact.contacts : [];
+    marks.forEach((drawn, i) => {
+      const mark = shown[i];
+      for (const part of Object.values(drawn)) part.visible = false;
+      if (!mark) return;
+      const point = new THREE.Vector3(...mark.point), { velocity, impulse } = data.scales;
+      const normal = world(mark.axes, [0, 0, 1]);
+      const before = world(mark.axes, mark.velocity[0]).multiplyScalar(velocity);
+      drawn.before.set(point.clone().sub(before), before);
+      if (share <= 0) return;
+      const whole = mark.impulse[mark.impulse.length - 1];
+      const height = Math.min(impulse * whole[2], 0.3 * size / Math.max(mark.mu, 0.3));
+      drawn.cone.set(point, normal, height, mark.mu * height);
+      drawn.impulse.set(point, world(mark.axes, Drawing.along(mark, share, "impulse")).multiplyScalar(impulse));
+      drawn.after.set(point, world(mark.axes, Drawing.along(mark, share, "velocity")).multiplyScalar(velocity));
+    });
+    drawPanel(shown.find(mark => mark.segments.length), share);
+  }
+
+  function panelWidth() {
+    return Math.round(Math.min(data.within ? 380 : 250, 0.4 * window.innerWidth));
+  }
+
+  const canvas = find("hodograph");
+  function drawPanel(mark, share) {
+    canvas.hidden = !mark;
+    if (!mark) return;
+    const wide = panelWidth();
+    const tall = data.within ? Math.min(wide + 230, window.innerHeight - 70) : wide;
+    const dense = window.devicePixelRatio || 1;
+    canvas.width = wide * dense;
+    canvas.height = tall * dense;
+    canvas.style.width = `${wide}px`;
+    canvas.style.height = `${tall}px`;
+    const g = canvas.getContext("2d");
+    g.setTransform(dense, 0, 0, dense, 0, 0);
+    Drawing.hodograph(g, 8, 8, wide - 16, mark, share);
+    if (data.within) Drawing.history(g, 8, wide + 22, wide - 40, tall - wide - 46, mark, share);
+  }
+
+  // --- words -------------------------------------------------------------------------------------------------
+
+  const digits = x => x !== 0 && Math.abs(x) < 1e-3 ? x.toExponential(2) : String(Number(x.toPrecision(3)));
+  const energy = lost => lost >= 0 ? `energy lost ${digits(lost)} J` : `energy gained ${digits(-lost)} J`;
+
+  function write(t, piece, share) {
+    const lines = [data.within ? "" : `t = ${t.toFixed(4)} s`];
+    if (piece.impact) {
+      for (const mark of piece.impact.contacts) {
+        const whole = mark.impulse[mark.impulse.length - 1][2], now = Drawing.along(mark, share, "impulse")[2];
+        const segment = mark.segments.find(([, , start, end]) => now >= start && now <= end);
+        const what = segment ? `${segment[0]} in ${segment[1]}` : "no impulse";
+        lines.push(`${mark.name}: ${what}`, `P₃ = ${now.toFixed(3)} of ${whole.toFixed(3)} N s`);
+      }
+    } else {
+      const now = data.modes.filter(([, , start, end]) => start <= t && (t < end || t === end && end === times[frames - 1]));
+      lines.push(...(now.length ? now.map(([source, mode]) => `${source}: ${mode}`) : data.within ? [] : ["free"]));
+    }
+    const past = data.impacts.filter(impact => impact.time <= t);
+    const last = piece.impact || past[past.length - 1];
+    if (last) {
+      const number = data.impacts.indexOf(last) + 1;
+      if (!data.within) lines.push(`impact ${number} of ${data.impacts.length}, ${last.time.toFixed(4)} s: ${last.source}`);
+      const law = last.law === "energetic" ? "energetic law" : `${last.law[0].toUpperCase()}${last.law.slice(1)}'s law`;
+      lines.push(`${law}, e = ${digits(last.e)}, μ = ${digits(last.mu)}`, energy(last.lost));
+    }
+    const overlay = find("overlay");
+    overlay.textContent = "";
+    lines.filter(text => text).forEach((text, i) => {
+      const row = overlay.appendChild(document.createElement("div"));
+      row.textContent = text;
+      if (i === 0) row.className = "time";
+    });
+  }
+
+  function legend() {
+    const held = data.impacts.some(impact => impact.contacts.length), { longest } = data.scales;
+    const rows = [];
+    if (held) rows.push(
+      ["impulse", `impulse, the longest ${digits(longest.impulse)} N s`],
+      ["cone", "friction cone"],
+      ["before", `velocity before, the longest ${digits(longest.velocity)} m/s`],
+      ["after", "velocity after"]);
+    if (contacts.some(contact => contact.forces))
+      rows.push(["force", `force of contact, the longest ${digits(longest.force)} N`]);
+    if (contacts.length && !data.within) rows.push(["path", "way of a contact point"]);
+    if (data.surfaces.length) rows.push(["surface", "surface"]);
+    for (const [name, text] of rows) {
+      const row = find("legend").appendChild(document.createElement("div"));
+      const swatch = row.appendChild(document.createElement("i"));
+      swatch.style.background = COLORS[name];
+      if (name === "cone" || name === "surface") swatch.className = "wide";
+      row.append(text);
+    }
+    find("legend").hidden = !rows.length;
+  }
+
+  // --- controls ----------------------------------------------------------------------------------------------
+
+  function toImpact(number) {
+    play(false);
+    const impact = data.impacts[number], piece = pieces.find(piece => piece.impact === impact);
+    show(piece ? piece.film + 0.999 * piece.length : filmOf(impact.time));
+  }
+
+  function step(direction) {
+    const starts = data.impacts.map(impact => {
+      const piece = pieces.find(piece => piece.impact === impact);
+      return piece ? piece.film + 0.999 * piece.length : filmOf(impact.time);
+    });
+    const edge = 1e-6 * duration;
+    const number = direction > 0
+      ? starts.findIndex(start => start > film + edge)
+      : starts.reduce((found, start, i) => start < film - edge ? i : found, -1);
+    if (number >= 0) toImpact(number);
+  }
+
+  let clock = null, rest = 0;
+  function play(on) {
+    playing = on;
+    clock = null;
+    rest = 0;
+    find("play").textContent = on ? "pause" : "play";
+  }
+
+  function tick(now) {
+    requestAnimationFrame(tick);
+    if (!playing || recorder) { clock = null; return; }
+    if (clock !== null) {
+      const passed = Math.min(0.1, (now - clock) / 1000);
+      if (film < duration) show(film + passed);
+      else if ((rest += passed) > 1) { rest = 0; show(0); }
+    }
+    clock = now;
+  }
+
+  function options(id, values, chosen, change) {
+    for (const value of [...new Set([...values, chosen])].sort((x, y) => x - y)) {
+      const option = find(id).appendChild(document.createElement("option"));
+      option.value = value;
+      option.textContent = `${value} ×`;
+      option.selected = value === chosen;
+    }
+    find(id).onchange = event => {
+      const t = Number(root.dataset.time);
+      change(Number(event.target.value));
+      cut();
+      show(filmOf(t));
+    };
+  }
+
+  // the page as one flat picture: the view, the hodograph, the words
+  function compose(target) {
+    viewer.render();
+    const view = viewer.renderer.domElement, g = target.getContext("2d");
+    const scale = target.width / window.innerWidth;
+    g.setTransform(scale, 0, 0, scale, 0, 0);
+    g.fillStyle = "white";
+    g.fillRect(0, 0, window.innerWidth, window.innerHeight);
+    g.drawImage(view, 0, 0, window.innerWidth, window.innerHeight);
+    const panel = (element, draw) => {
+      if (element.hidden) return;
+      const box = element.getBoundingClientRect();
+      g.fillStyle = "rgba(255, 255, 255, 0.82)";
+      g.fillRect(box.left, box.top, box.width, box.height);
+      draw(box);
+    };
+    panel(canvas, box => g.drawImage(canvas, box.left, box.top, box.width, box.height));
+    for (const id of ["overlay", "legend"]) panel(find(id), () => {
+      for (const row of find(id).children) {
+        const box = row.getBoundingClientRect(), swatch = row.querySelector("i");
+        g.font = getComputedStyle(row).font;
+        g.fillStyle = "#111";
+        g.textBaseline = "middle";
+        g.textAlign = "left";
+        g.fillText(row.textContent, box.left + (swatch ? 29 : 0), box.top + box.height / 2, window.innerWidth);
+        if (swatch) {
+          const part = swatch.getBoundingClientRect();
+          g.fillStyle = swatch.style.background;
+          g.fillRect(part.left, part.top, part.width, part.height);
+        }
+      }
+    });
+  }
+
+  let recorder = null;
+  function record() {
+    if (recorder) { recorder.stop(); return; }
+    const target = document.createElement("canvas");
+    target.width = window.innerWidth;
+    target.height = window.innerHeight;
+    const chunks = [];
+    recorder = new MediaRecorder(target.captureStream(30));
+    recorder.ondataavailable = event => chunks.push(event.data);
+    recorder.onstop = () => {
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(new Blob(chunks, { type: recorder.mimeType }));
+      link.download = `replay.${recorder.mimeType.includes("mp4") ? "mp4" : "webm"}`;
+      link.click();
+      recorder = null;
+      find("record").textContent = "video";
+    };
+    recorder.start();
+    find("record").textContent = "stop";
+    const begun = performance.now();
+    const next = () => {
+      if (!recorder) return;
+      const now = (performance.now() - begun) / 1000;
+      show(now);
+      compose(target);
+      if (now < duration + 0.5) requestAnimationFrame(next); else recorder.stop();
+    };
+    next();
+  }
+
+  // all frames of a film as pictures in the page, for a program that reads them there: #frames=30
+  function writeFrames(rate) {
+    const target = document.createElement("canvas"), list = document.createElement("pre");
+    target.width = window.innerWidth;
+    target.height = window.innerHeight;
+    list.id = "frames";
+    const pictures = [];
+    for (let frame = 0; frame <= Math.round(duration * rate); frame++) {
+      show(frame / rate);
+      compose(target);
+      pictures.push(target.toDataURL("image/jpeg", 0.92).split(",")[1]);
+    }
+    list.textContent = pictures.join("\n");
+    document.body.textContent = "";
+    document.body.appendChild(list);
+  }
+
+  find("play").onclick = () => { if (!playing && film >= duration) show(0); play(!playing); };
+  find("previous").onclick = () => step(-1);
+  find("next").onclick = () => step(1);
+  find("record").onclick = record;
+  find("record").hidden = !window.MediaRecorder;
+  find("film").oninput = event => { play(false); show(Number(event.target.value)); };
+  window.addEventListener("keydown", event => {
+    if (["SELECT", "INPUT"].includes(event.target.tagName) && event.key !== "n" && event.key !== "p") return;
+    if (event.key === " ") { event.preventDefault(); find("play").onclick(); }
+    if (event.key === "n") step(1);
+    if (event.key === "p") step(-1);
+  });
+  window.addEventListener("resize", () => { makeRoom(); show(film); });
+  options("speed", [0.01, 0.1, 0.2, 0.5, 1, 2], settings.speed, value => { settings.speed = value; });
+  options("slowdown", [1, 5, 20, 100], settings.slowdown, value => { settings.slowdown = value; });
+  if (data.within || !data.impacts.length) for (const id of ["previous", "next"]) find(id).hidden = true;
+  if (data.within || !slow.length) find("slowdown").parentElement.hidden = true;
+  legend();
+  cut();
+  root.dataset.tracks = moving.length;
+  root.dataset.frames = frames;
+  show(0);
+  window.replay = { show, toImpact, play, get duration() { return duration; }, filmOf };
+
+  // #t=0.25 stands at a time of the motion, #impact=2 at an impact, #film=1.5 at a time of the film
+  const [name, value] = location.hash.slice(1).split("=");
+  if (name === "t") show(filmOf(Number(value)));
+  else if (name === "film") show(Number(value));
+  else if (name === "impact" && data.impacts[value - 1]) toImpact(value - 1);
+  else if (name !== "frames") play(true);
+  requestAnimationFrame(tick);
+  const started = () => {
+    viewer.set_3d_pane_size();
+    makeRoom();
+    viewer.render();
+    if (name === "frames") writeFrames(Number(value));
+    root.dataset.ready = "yes";
+  };
+  setTimeout(started, name === "frames" ? 500 : 0);
+})();

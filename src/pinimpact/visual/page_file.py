@@ -1,0 +1,81 @@
+"""A page of HTML that needs nothing but itself: the viewer, what it shows, and the player."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from .collada import one_material_per_mesh
+
+
+class Recorder:
+    """Stands where meshcat's Visualizer has its window to a server: it keeps what would be sent."""
+
+    web_url = None
+
+    def __init__(self) -> None:
+        self.commands: list[bytes] = []
+
+    def send(self, command: Any) -> None:
+        """Keep a command, with its meshes as the viewer shows them whole."""
+        import umsgpack  # with meshcat
+
+        message = command.lower()
+        if message["type"] == "set_object":
+            mesh = message["object"]["object"]
+            if mesh.get("format") == "dae":
+                mesh["data"] = one_material_per_mesh(mesh["data"])
+            for shape in message["object"].get("geometries", ()):
+                if shape["type"] == "_meshfile":  # as the viewer calls it now
+                    shape["type"] = "_meshfile_geometry"
+        self.commands.append(umsgpack.packb(message))
+
+
+def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
+    """Return the HTML of a replay.
+
+    Args:
+        title: Of the page.
+        commands: What the viewer is sent, as `Recorder` keeps it.
+        motion: What the player plays; see page/player.js.
+    """
+    import meshcat
+
+    viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
+    own = files(__package__) / "page"
+    return Template((own / "page.html").read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        shapes=_shapes(commands),
+        motion=_data(motion),
+        viewer=_script(viewer.read_text(encoding="utf-8")),
+        drawing=_script((own / "drawing.js").read_text(encoding="utf-8")),
+        player=_script((own / "player.js").read_text(encoding="utf-8")),
+    )
+
+
+def _shapes(commands: list[bytes]) -> str:
+    """Return commands one after another, each with its length before it, compressed, in base64."""
+    whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
+    return base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii")
+
+
+def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:
+    """Return an array as the player reads it: its bytes, lowest first, in base64."""
+    array = np.ascontiguousarray(numbers, dtype=np.dtype(kind).newbyteorder("<"))
+    return base64.b64encode(array.tobytes()).decode("ascii")
+
+
+def _data(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+
+
+def _script(text: str) -> str:
+    return text.replace("</script", "<\\/script")

@@ -1,0 +1,76 @@
+"""Whole figures, which need no pyplot: those that the command line writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ...contact_space.problem import ImpactProblem
+from ...contact_space.solution import Solution
+from ...scene.trajectory import Trajectory
+from .motions import energy, forces
+from .one_impact import Solved, energy_ledger, hodograph, velocities
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def impact_figure(problem: ImpactProblem, solution: Solution, title: str = "") -> Figure:
+    """Return a figure with the hodograph, the velocity over the normal impulse, and the energy by cause.
+
+    Args:
+        problem: What was solved.
+        solution: Its answer.
+        title: Above the figure.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.5, 6.2), layout="constrained")
+    figure.suptitle(title)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.1))
+    impact = Solved(problem, solution)
+    hodograph(impact, ax=figure.add_subplot(grid[:, 0]))
+    velocities(impact, ax=figure.add_subplot(grid[:2, 1]))
+    energy_ledger(impact, ax=figure.add_subplot(grid[2, 1]))
+    return figure
+
+
+def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
+    """Return a figure of how a run's energy changes over time, and by what."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    energy(trajectory, ax=figure.add_subplot()).set_title(title)
+    return figure
+
+
+def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = "") -> Figure:
+    """Return a figure of the forces of sustained contacts over time, one row a contact.
+
+    Raises:
+        UnknownNameError: A contact that the scene does not have.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 0.8 + 1.7 * len(contacts)), layout="constrained")
+    figure.suptitle(title)
+    rows = figure.subplots(len(contacts), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, contact in zip(rows, contacts, strict=True):
+        forces(trajectory, contact, ax=ax)
+        if ax is not rows[-1]:
+            ax.set_xlabel("")
+    handles = {handle.get_label(): handle for ax in rows for handle in ax.get_legend_handles_labels()[0]}
+    for ax in rows:
+        if ax.get_legend() is not None:
+            ax.get_legend().remove()
+    figure.legend(
+        handles=handles.values(), fontsize="small", loc="outside lower center", ncols=4, frameon=False
+    )
+    return figure
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG and return its path."""
+    figure.savefig(path, dpi=130)
+    return Path(path)

@@ -1,0 +1,219 @@
+"""Plots of one impact: the hodograph of slip, velocities and impulses over P₃, where the energy went."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...contact_space.problem import ImpactProblem
+from ...contact_space.solution import Path, Segment, Solution
+from ...contact_space.solve import solve_impact
+from ...errors import InputError
+from ..impact_marks import OneImpact
+from ..smooth_path import invariant_directions, smooth_path
+from .style import BLACK, COMPRESSION, FLOW, GREEN, RESTITUTION, RESUMED, STICK, axes_for, legend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+
+CAUSES = ("compression", "restitution", "friction", "surface")
+
+
+class Solved(NamedTuple):
+    """An impact problem with its solution: an `OneImpact` of no robot."""
+
+    problem: ImpactProblem
+    solution: Solution
+
+
+def solved(impact: OneImpact | ImpactProblem) -> OneImpact:
+    """Return what is drawn; a problem is solved first.
+
+    Raises:
+        InputError: What is neither a problem nor an impact.
+    """
+    if isinstance(impact, ImpactProblem):
+        return Solved(impact, solve_impact(impact, record=True))
+    if not isinstance(getattr(impact, "solution", None), Solution):
+        raise InputError(
+            f"impact: {impact!r} given; a Hit, an impact of a trajectory or an ImpactProblem expected",
+            field="impact",
+            value=impact,
+        )
+    return impact
+
+
+def hodograph(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+    """Draw the path of the sliding velocity v_t in the tangential plane.
+
+    Behind it stand the flow of slip dv_t/dP₃ = b − μ A v_t/|v_t|, the invariant directions, in which slip
+    does not turn (solid where its neighbours turn towards it, dashed where away), and, shaded, the directions
+    in which slip drives the surface in, dv₃/dP₃ < 0 (jam).
+
+    Args:
+        impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved.
+        ax: Axes to draw into.
+
+    Raises:
+        InputError: No impact.
+    """
+    impact = solved(impact)
+    ax = axes_for(ax, (5.6, 7.0))
+    path = smooth_path(impact.problem, impact.solution)
+    radius = 1.15 * max(float(np.abs(path.velocity[:, :2]).max()), 1e-12)
+    _draw_flow(ax, impact.problem, radius)
+    _draw_directions(ax, impact.problem, radius)
+    for segment, part in parts(path, impact.solution.segments):
+        v = path.velocity[part]
+        resumed = segment.mode == "slip" and not v[0, :2].any() and segment.start > 0.0
+        if segment.mode == "slip":
+            color = COMPRESSION if segment.phase == "compression" else RESTITUTION
+            ax.plot(v[:, 0], v[:, 1], color=color, lw=2.2, label=f"slip in {segment.phase}")
+            if resumed:
+                ax.plot(0.0, 0.0, "^", color=RESUMED, mec=BLACK, ms=9, zorder=4, label="slip resumes")
+        else:
+            ax.plot(0.0, 0.0, "D", color=STICK, mec=BLACK, ms=9, zorder=4, label="stick")
+    (first, last) = path.velocity[[0, -1], :2]
+    ax.plot(*first, "o", color="white", mec=COMPRESSION, mew=2, ms=7, zorder=5, label="first touch")
+    ax.plot(*last, "s", color="white", mec=RESTITUTION, mew=2, ms=6, zorder=5, label="separation")
+    ax.axhline(0.0, color=FLOW, lw=0.7, zorder=0)
+    ax.axvline(0.0, color=FLOW, lw=0.7, zorder=0)
+    ax.set(xlim=(-radius, radius), ylim=(-radius, radius), xlabel="v₁ [m/s]", ylabel="v₂ [m/s]")
+    ax.set_title("Sliding velocity (hodograph)")
+    ax.set_aspect("equal")
+    legend(ax, below=True)
+    return ax
+
+
+def velocities(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+    """Draw the contact velocity over the normal impulse (ZL, figs. 4 and 7).
+
+    Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
+    """
+    impact = solved(impact)
+    ax = axes_for(ax)
+    path = smooth_path(impact.problem, impact.solution)
+    rows = (("v₁", GREEN, "-"), ("v₂", RESUMED, "--"), ("v₃ (normal)", BLACK, "-"))
+    for row, (name, color, dash) in enumerate(rows):
+        ax.plot(path.normal_impulse, path.velocity[:, row], dash, color=color, label=name)
+    _mark_segments(ax, impact.solution)
+    ax.set(xlabel="normal impulse P₃ [N s]", ylabel="[m/s]", title="Contact velocity")
+    legend(ax)
+    return ax
+
+
+def impulses(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+    """Draw the tangential impulse over the normal impulse (ZL, fig. 4), within the cone |P_t| ≤ μP₃.
+
+    Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
+    """
+    impact = solved(impact)
+    ax = axes_for(ax)
+    path = smooth_path(impact.problem, impact.solution)
+    p3, mu = path.normal_impulse, float(impact.problem.friction)
+    rows = ((path.impulse[:, 0], "P₁", GREEN, "-"), (path.impulse[:, 1], "P₂", RESUMED, "--"))
+    for values, name, color, dash in rows:
+        ax.plot(p3, values, dash, color=color, label=name)
+    ax.plot(p3, np.hypot(path.impulse[:, 0], path.impulse[:, 1]), color=BLACK, label="|P_t|")
+    for sign in (1.0, -1.0):
+        ax.plot(p3[[0, -1]], sign * mu * p3[[0, -1]], ":", color=COMPRESSION, label="± μP₃")
+    _mark_segments(ax, impact.solution)
+    ax.set(xlabel="normal impulse P₃ [N s]", ylabel="[N s]", title="Tangential impulse")
+    legend(ax)
+    return ax
+
+
+def energy_ledger(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+    """Draw what each cause does to the kinetic energy, one after another, and the change they sum up to [J].
+
+    Arguments and errors as in `hodograph`.
+    """
+    impact = solved(impact)
+    ax = axes_for(ax, (6.4, 2.6))
+    work = impact.solution.work
+    causes = [name for name in CAUSES if name != "surface" or work.surface != 0.0]
+    bars = [(name, float(getattr(work, name))) for name in causes]
+    colors = dict(zip(CAUSES, (COMPRESSION, RESTITUTION, RESUMED, GREEN), strict=True))
+    reached = 0.0
+    for row, (name, value) in enumerate(bars):
+        ax.barh(row, value, left=reached, color=colors[name])
+        _number(ax, reached, value, row)
+        reached += value
+        ax.plot([reached, reached], [row - 0.4, row + 1.4], color=BLACK, lw=0.6)
+    ax.barh(len(bars), reached, color=BLACK)
+    _number(ax, 0.0, reached, len(bars))
+    ax.set_yticks(range(len(bars) + 1), [*(name for name, _ in bars), "all together"])
+    ax.invert_yaxis()
+    ax.use_sticky_edges = False
+    ax.margins(x=0.16)
+    ax.axvline(0.0, color=BLACK, lw=0.5)
+    ax.set(xlabel="[J]", title="Change of kinetic energy")
+    return ax
+
+
+def parts(path: Path, segments: tuple[Segment, ...]) -> list[tuple[Segment, slice]]:
+    """Return which points of a path each segment has; neighbours share the point between them.
+
+    Ends of segments and points of the path are sums of the same numbers in different orders, so the nearest
+    point counts.
+    """
+    p3 = path.normal_impulse
+    found, start = [], 0
+    for segment in segments:
+        end = start + int(np.abs(p3[start:] - segment.end).argmin())
+        found.append((segment, slice(start, end + 1)))
+        start = end
+    return found
+
+
+def _mark_segments(ax: Axes, solution: Solution) -> None:
+    compressed = [segment.end for segment in solution.segments if segment.phase == "compression"]
+    for segment in solution.segments:
+        if segment.mode == "stick":
+            ax.axvspan(segment.start, segment.end, color=STICK, alpha=0.3, lw=0.0, label="stick")
+    if compressed:
+        ax.axvline(compressed[-1], color=COMPRESSION, ls="-.", lw=1.0, label="compression ends")
+    ax.axhline(0.0, color=BLACK, lw=0.5)
+
+
+def _number(ax: Axes, start: float, value: float, row: int) -> None:
+    """Write a bar's value beyond its end."""
+    side = "left" if value >= 0.0 else "right"
+    ax.annotate(f" {value:.3g} ", (start + value, row), ha=side, va="center", size=8)
+
+
+def _draw_flow(ax: Axes, problem: ImpactProblem, radius: float) -> None:
+    """Draw the streamlines of dv_t/dP₃ = b − μ A v_t/|v_t|."""
+    w = np.asarray(problem.delassus, dtype=float)
+    ticks = np.linspace(-radius, radius, 40)
+    slip = np.array(np.meshgrid(ticks, ticks))
+    direction = slip / np.hypot(*slip)
+    rate = w[:2, 2, None, None] - problem.friction * np.einsum("ij,jkl->ikl", w[:2, :2], direction)
+    if np.any(rate):
+        ax.streamplot(ticks, ticks, rate[0], rate[1], color=FLOW, linewidth=0.7, arrowsize=0.7, density=0.9)
+
+
+def _draw_directions(ax: Axes, problem: ImpactProblem, radius: float) -> None:
+    """Draw the invariant directions of slip, and the sector of jam."""
+    from matplotlib.patches import Wedge
+
+    w, mu = np.asarray(problem.delassus, dtype=float), float(problem.friction)
+    for angle in invariant_directions(problem):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = np.array([-along[1], along[0]])
+        slope = -along @ (w[:2, 2] - mu * w[:2, :2] @ along) - mu * across @ w[:2, :2] @ across
+        dash, kind = ("-", "attracting") if slope < 0.0 else ("--", "repelling")
+        end = 2.0 * radius * along
+        label = f"invariant direction, {kind}"
+        ax.plot([0.0, end[0]], [0.0, end[1]], dash, color="#333333", lw=1.5, label=label)
+    coupling = float(np.hypot(*w[:2, 2]))
+    if mu * coupling > w[2, 2]:  # μ bᵀσ > c for the σ within this angle of b
+        half = np.degrees(np.arccos(w[2, 2] / (mu * coupling)))
+        middle = np.degrees(np.arctan2(w[1, 2], w[0, 2]))
+        sector = Wedge((0, 0), 2.0 * radius, middle - half, middle + half, color=RESUMED, alpha=0.18, lw=0.0)
+        sector.set_label("jam")
+        ax.add_patch(sector)

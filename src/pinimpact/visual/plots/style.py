@@ -1,0 +1,41 @@
+"""Colours that colour-blind readers tell apart (Okabe and Ito's), axes on demand, and legends beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COMPRESSION, RESTITUTION, STICK, RESUMED = "#d55e00", "#0072b2", "#e69f00", "#cc79a7"
+GREEN, SKY, BLACK, FLOW = "#009e73", "#56b4e9", "black", "#a3abb3"
+CYCLE = (RESTITUTION, COMPRESSION, GREEN, RESUMED, STICK, SKY, BLACK)
+"""Colours of things that are only counted."""
+
+
+def axes_for(ax: Any, size: tuple[float, float] = (6.4, 4.4), **options: Any) -> Any:
+    """Return the axes that are given, or those of a new figure [in], which pyplot shows where it can."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot
+
+    figure = pyplot.figure(figsize=size, layout="constrained")
+    return figure.add_subplot(**options)
+
+
+def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[Any] | None = None) -> None:
+    """Put a legend to the right of axes or below them, each name once; of `handles` alone if given."""
+    once: dict[str, Any] = {}
+    found: Sequence[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
+    for handle in found:
+        once.setdefault(str(handle.get_label()), handle)
+    if not once:
+        return
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+    if below:
+        # under the tick labels and the name of the axis, in parts of the size of the letters
+        place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 5.0, "ncols": columns}
+    if ax.name == "3d":  # whose room is as large as the figure, with space below what is drawn
+        place |= {"loc": "lower center", "borderaxespad": 0.0}
+    ax.legend(once.values(), once.keys(), fontsize="small", frameon=False, **place)

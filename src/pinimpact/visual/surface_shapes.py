@@ -1,0 +1,81 @@
+"""Surfaces as plates and balls that stand in the world or move with the body that carries them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..robot.names import frame_id
+from ..robot.plane import Plane
+from ..robot.sphere import Sphere
+from ..robot.surfaces import Surface, contact_axes
+from .impact_marks import short
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.15
+"""How far a plate reaches beyond the contacts' way over it [m]."""
+THICKNESS = 0.02
+"""Of a plate [m]."""
+NEAR = 0.2
+"""A plate on a body reaches as far as points come within this distance of it [m]."""
+
+
+def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
+    """Return the joint that a surface moves with, 0 for the world, and its axes' place in the joint's."""
+    if surface.body is None:
+        return 0, pin.SE3.Identity()
+    frame = model.frames[frame_id(model, surface.body, "body")]
+    return int(frame.parentJoint), frame.placement
+
+
+def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Array) -> dict[str, Any]:
+    """Return a surface as the player draws it.
+
+    Args:
+        model: The robot.
+        surface: What is drawn.
+        poses: (frames, joints, 7) of the joints.
+        points: (k, frames, 3) where the contacts that may meet it are, in world axes.
+    """
+    joint, place = carrier(model, surface)
+    seen = [
+        (pin.XYZQUATToSE3(pose) * place).inverse()
+        for pose in (poses[:, joint] if joint else poses[:1, 0].repeat(poses.shape[0], axis=0))
+    ]
+    local = np.array([[at.act(p) for at, p in zip(seen, way, strict=True)] for way in points]).reshape(-1, 3)
+    kind, size, inner = _SOLIDS[type(surface)](surface, local)
+    matrix = place.homogeneous @ inner
+    return {"kind": kind, "size": size, "joint": joint, "matrix": short(matrix.T.ravel())}
+
+
+def _plate(plane: Plane, points: Array) -> tuple[str, list[float], Array]:
+    """Return the part of a plane that the points come over, as a thin plate with a margin; its place."""
+    axes = contact_axes(plane.normal)
+    local = (points - np.asarray(plane.point)) @ axes.T
+    if plane.body is not None:
+        local = np.vstack([local[np.abs(local[:, 2]) < NEAR], np.zeros(3)])
+    low, high = local.min(axis=0) - MARGIN, local.max(axis=0) + MARGIN
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes.T
+    middle = np.array([*(0.5 * (low + high))[:2], -0.5 * THICKNESS])
+    matrix[:3, 3] = np.asarray(plane.point) + middle @ axes
+    return "plane", short(np.array([*(high - low)[:2], THICKNESS])), matrix
+
+
+def _ball(sphere: Sphere, _: Array) -> tuple[str, list[float], Array]:
+    """Return a whole sphere, and its place."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = sphere.center
+    return "sphere", [sphere.radius, sphere.radius, sphere.radius], matrix
+
+
+_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[str, list[float], Array]]] = {
+    Plane: _plate,
+    Sphere: _ball,
+}
+"""What each kind of surface is drawn as: (surface, points in its axes) -> kind, size, place."""

@@ -1,0 +1,120 @@
+"""A replay as a picture that moves: GIF by Pillow, other films by ffmpeg."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+import subprocess
+import tempfile
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..checks import above_zero
+from ..errors import InputError
+from .browser import find_browser, open_page
+
+if TYPE_CHECKING:
+    from .html_replay import Replay
+
+FILMS = (".mp4", ".webm", ".mkv", ".mov")
+"""What ffmpeg is asked for."""
+
+
+def write_video(
+    replay: Replay, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)
+) -> Path:
+    """Write a replay's film from its start to its end.
+
+    The frames are drawn by a browser without a window (Chromium, Chrome or Edge). Without one the page's own
+    button "video" does the same in any browser.
+
+    Args:
+        replay: What `pinimpact.replay` returned.
+        path: Ends in .gif, .mp4, .webm, .mkv or .mov.
+        rate: Pictures per second, > 0; a GIF has 50 at most.
+        size: Width and height of the window that is drawn [px].
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: Another ending, or no browser or ffmpeg on this machine.
+    """
+    path = Path(path)
+    rate = above_zero("rate", rate)
+    kind = path.suffix.lower()
+    if kind != ".gif" and kind not in FILMS:
+        raise InputError(
+            f"path: {path.name!r} given, a name that ends in .gif, {', '.join(FILMS)} expected",
+            field="path",
+            value=path,
+        )
+    ffmpeg = shutil.which("ffmpeg")
+    if kind in FILMS and ffmpeg is None:
+        raise InputError(
+            f"path: ffmpeg, which makes {kind} films, is not installed; a .gif needs none",
+            field="path",
+            value=path,
+        )
+    browser = find_browser()
+    if browser is None:
+        raise InputError(
+            "path: there is no Chromium, Chrome or Edge to draw the frames; open the replay in a browser and "
+            'press its button "video"',
+            field="path",
+            value=path,
+        )
+    if kind == ".gif":
+        rate = min(rate, 50.0)
+    frames = _frames(replay, browser, rate, size)
+    if kind == ".gif":
+        _write_gif(frames, path, rate)
+    else:
+        assert ffmpeg is not None  # looked for above
+        _write_film(frames, path, rate, ffmpeg)
+    return path
+
+
+def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int]) -> list[bytes]:
+    """Return the pictures of a film as JPEG files."""
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "replay.html"
+        page.write_text(replay.html, encoding="utf-8")
+        opened = open_page(browser, page, f"frames={rate:.9g}", size=size)
+    found = re.search(r'<pre id="frames">([^<]*)</pre>', opened.dom)
+    if found is None:
+        raise InputError(
+            f"path: {Path(browser).name} drew no frames: {' '.join(opened.console[-3:]) or 'no message'}",
+            field="path",
+        )
+    return [base64.b64decode(line) for line in found[1].split()]
+
+
+def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
+    from PIL import Image
+
+    pictures = [Image.open(BytesIO(frame)).convert("RGB").quantize(128) for frame in frames]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000.0 / rate, loop=0)
+
+
+def _write_film(frames: list[bytes], path: Path, rate: float, ffmpeg: str) -> None:
+    command = [
+        ffmpeg,
+        "-y",
+        "-loglevel",
+        "error",
+        "-f",
+        "image2pipe",
+        "-framerate",
+        f"{rate:.9g}",
+        "-c:v",
+        "mjpeg",
+    ]
+    command += ["-i", "-", "-vf", "scale=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p", str(path)]
+    done = subprocess.run(command, input=b"".join(frames), capture_output=True)
+    if done.returncode:
+        raise InputError(
+            f"path: ffmpeg: {done.stderr.decode('utf-8', 'replace').strip()}", field="path", value=path
+        )

@@ -1,0 +1,177 @@
+"""The pages: what stands in their blocks runs and prints what they say; every public name has its place."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import pinimpact
+from pinimpact.app.scene_file import SceneFile, bundled_scenes
+from pinimpact.scene.effects import DERIVED, SWITCHABLE
+from tools import pages, scene_keys
+
+ROOT, DOCS = pages.ROOT, pages.DOCS
+ALL = [*pages.pages(), ROOT / "CONTRIBUTING.md"]
+LANGUAGES = {"python", "sh", "text", "toml", "xml"}
+FIGURES_MARK = re.compile(r"<!-- (\w+\.txt) -->\n```text\n(.*?)```\n<!-- end -->", re.DOTALL)
+OTHER_TOOLS = {
+    "pip",
+    "pytest",
+    "mypy",
+    "ruff",
+    "lint-imports",
+    "mkdocs",
+    "coverage",
+    "pdb",
+    "tests.reference.generate",
+}
+"""What shell blocks may call besides pinimpact and scripts of the repository."""
+
+
+def having(*languages: str) -> list[Path]:
+    return [page for page in ALL if any(block.language in languages for block in pages.blocks_of(page))]
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT).with_suffix(""))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Attempting to set identical")
+@pytest.mark.parametrize("page", [p for p in having("python", "sh") if p.stem != "CONTRIBUTING"], ids=name_of)
+def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
+    pages.run_page(page, tmp_path)
+    for picture in pages.pictures_of(page):
+        assert (tmp_path / picture).stat().st_size > 1000, picture
+        assert (pages.PICTURES / picture).is_file(), f"python -m tools.pages {page.stem} makes {picture}"
+
+
+def test_a_page_that_promises_too_much_is_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text('```python\nprint("one")\n```\n\n```text\ntwo\n```\n', encoding="utf-8")
+    with pytest.raises(pages.PageError, match=r"page\.md:5 promises\ntwo"):
+        pages.run_page(page, tmp_path)
+    page.write_text("```sh\npinimpact plan nothing.toml\n```\n", encoding="utf-8")
+    with pytest.raises(pages.PageError, match=r"ends with 1"):
+        pages.run_page(page, tmp_path)
+
+
+@pytest.mark.parametrize("page", ALL, ids=name_of)
+def test_no_block_is_left_out(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    found = pages.blocks_of(page)
+    assert 2 * len(found) == len(re.findall(r"^ *```", text, re.MULTILINE)), "a fence that no test sees"
+    figures = {block for _, block in FIGURES_MARK.findall(text)}
+    for block in found:
+        assert block.language in LANGUAGES, block
+        if block.language in ("toml", "xml"):
+            assert block.title, block
+        if block.language == "text" and block.follows not in ("python", "sh"):
+            assert block.text in figures or page.stem == "architecture", block
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in ALL if FIGURES_MARK.search(p.read_text(encoding="utf-8"))], ids=name_of
+)
+def test_tables_of_figures_are_those_that_were_measured(page: Path) -> None:
+    for name, table in FIGURES_MARK.findall(page.read_text(encoding="utf-8")):
+        assert table.strip() == (DOCS / "figures" / name).read_text(encoding="utf-8").strip(), name
+
+
+def words_of(command: str) -> list[str]:
+    """Return the words of a command after variables that it sets."""
+    words = shlex.split(command, comments=True)
+    while words and "=" in words[0] and not words[0].startswith("-"):
+        words.pop(0)
+    return words
+
+
+@pytest.mark.parametrize("page", having("sh"), ids=name_of)
+def test_shell_commands_call_what_exists(page: Path) -> None:
+    lines = "".join(block.text for block in pages.blocks_of(page) if block.language == "sh").splitlines()
+    for command in (part for line in lines for part in line.split("&&")):
+        if not (words := words_of(command)):
+            continue
+        tool, *rest = words
+        if Path(tool).name.startswith("python") and rest[0] == "-m":
+            tool, *rest = rest[1:]
+        elif Path(tool).name.startswith("python"):
+            tool, *rest = rest
+            assert (ROOT / tool).is_file(), command
+        tool = tool.removeprefix(".venv/bin/")
+        if tool.split(".")[0] in ("benchmarks", "tools"):
+            spec = importlib.util.find_spec(tool)
+            assert spec is not None, command
+            source = Path(str(spec.origin)).read_text(encoding="utf-8")
+            for option in (word for word in rest if word.startswith("--")):
+                assert option in source, command
+        elif not tool.endswith(".py"):
+            assert tool in {"pinimpact", "venv", ".ci/run", "pre-commit", *OTHER_TOOLS}, command
+
+
+def test_every_public_name_has_its_place_in_the_reference() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    shown = re.findall(r"^::: pinimpact\.(\w+)$", text, re.MULTILINE)
+    assert sorted(shown) == sorted(pinimpact.__all__)
+
+
+def test_what_the_reference_shows_can_be_imported_as_written() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    for name in re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE):
+        module, _, last = name.rpartition(".")
+        shown = getattr(importlib.import_module(module), last)
+        assert shown.__doc__ or not callable(shown), name
+
+
+def test_every_page_is_in_the_menu() -> None:
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in DOCS.rglob("*.md"):
+        assert f": {page.relative_to(DOCS).as_posix()}\n" in menu, page
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {picture for page in pages.pages() for picture in pages.pictures_of(page)}
+    assert {path.name for path in pages.PICTURES.iterdir()} == shown
+
+
+def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
+    text = scene_keys.PAGE.read_text(encoding="utf-8")
+    assert scene_keys.page(text) == text, "python -m tools.scene_keys makes the tables anew"
+    schema = SceneFile.model_json_schema()
+    tables = {"Keys of the file": schema} | {
+        heading: schema["$defs"][model.__name__]
+        for model, heading in scene_keys.TABLES.values()
+        if model is not SceneFile
+    }
+    for heading, table in tables.items():
+        section = text.split(f"### {heading}\n")[1].split("\n### ")[0]
+        rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", section, re.MULTILINE))
+        keys = {key for key in table["properties"] if table is not schema or key not in scene_keys.TABLES}
+        assert set(rows) == keys
+        for key in set(table.get("required", ())) & keys:
+            assert "**must be given**" in rows[key]
+
+
+def test_every_example_is_listed() -> None:
+    text = (DOCS / "examples.md").read_text(encoding="utf-8")
+    for folder, kind in (("", "*.py"), ("notebooks/", "*.ipynb")):
+        for path in (ROOT / "examples" / folder).glob(kind):
+            assert f"/examples/{folder}{path.name})" in text, path.name
+    assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) == set(bundled_scenes())
+
+
+@pytest.mark.parametrize("page", [page for page in pages.pages() if page.stem != "README"], ids=name_of)
+def test_code_is_no_wider_than_a_page(page: Path) -> None:
+    for block in pages.blocks_of(page):
+        if block.language != "text":
+            assert all(len(line) <= 100 for line in block.text.splitlines()), block
+
+
+def test_every_effect_of_a_scene_is_told() -> None:
+    text = (DOCS / "effects.md").read_text(encoding="utf-8")
+    table = text.split("| effect |")[1].split("\n\n")[0]
+    assert tuple(re.findall(r"^\| ([a-z][a-z -]+) \|", table, re.MULTILINE)) == SWITCHABLE + DERIVED

@@ -1,0 +1,451 @@
+"""Replays: what is in the page, that it needs nothing else, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+import re
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from matplotlib.image import imread
+
+import pinimpact
+from pinimpact.visual.browser import find_browser, open_page
+from pinimpact.visual.collada import NAMESPACE, one_material_per_mesh
+
+umsgpack = pytest.importorskip("umsgpack")
+
+BROWSER = find_browser()
+in_a_browser = pytest.mark.skipif(BROWSER is None, reason="there is no browser to look at the page with")
+
+FLOOR = pinimpact.Plane()
+
+
+@pytest.fixture(scope="module")
+def fall():
+    """A rod whose tip strikes the floor, bounces, and comes to rest there while the rod topples."""
+    robot = pinimpact.load_robot("rod")
+    tip = pinimpact.Contact("tip", FLOOR, friction=0.6, restitution=0.3, name="tip")
+    scene = pinimpact.Scene(robot, [tip], without=["joint limits"])
+    return robot, pinimpact.simulate(scene, [0, 0, 0.6, 0, 0.5], [0.3, 0.1, 0, 0, 0], 0.6)
+
+
+@pytest.fixture(scope="module")
+def page(fall, tmp_path_factory):
+    return pinimpact.replay(*fall, tmp_path_factory.mktemp("replay") / "replay.html", speed=0.5)
+
+
+def motion_of(shown: pinimpact.visual.html_replay.Replay) -> dict:
+    (text,) = re.findall(r'<script id="motion" type="application/json">(.*?)</script>', shown.html)
+    return json.loads(text)
+
+
+def numbers(text: str, kind: str = "<f4") -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), dtype=kind).astype(float)
+
+
+def commands_of(shown) -> list[dict]:
+    (text,) = re.findall(r'<script id="shapes" type="application/gzip">(.*?)</script>', shown.html)
+    rest, found = gzip.decompress(base64.b64decode(text)), []
+    while rest:
+        length = int.from_bytes(rest[:4], "little")
+        found.append(umsgpack.unpackb(rest[4 : 4 + length]))
+        rest = rest[4 + length :]
+    return found
+
+
+def looked_at(shown, fragment: str) -> tuple[dict[str, str], list[str]]:
+    """Return the page's data and the rows of its overlay; it has to open without errors."""
+    opened = open_page(BROWSER, shown, fragment)
+    data = dict(re.findall(r'data-([a-z]+)="([^"]*)"', opened.dom.split(">", 2)[1] + ">"))
+    assert data["errors"] == "[]"
+    assert data["ready"] == "yes"
+    assert not [row for row in opened.console if re.search(r"uncaught|error|fail", row, re.IGNORECASE)]
+    (overlay,) = re.findall(r'<div id="overlay".*?>(.*?)</div></div>', opened.dom, re.DOTALL)
+    rows = re.findall(r"<div[^>]*>([^<]*)(?:</div>|$)", overlay)
+    return data, [html.unescape(row) for row in rows]
+
+
+def test_the_page_loads_nothing(page) -> None:
+    text = page.path.read_text(encoding="utf-8")
+    assert text == page.html
+    assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=", text)
+    assert text.count("<script") == text.count("</script>") == 5
+
+
+def test_frames_are_the_motion(fall, page) -> None:
+    robot, trajectory = fall
+    motion = motion_of(page)
+    times = numbers(motion["times"], "<f8")
+    assert (times[0], times[-1]) == (0.0, 0.6)
+    assert np.diff(times).min() >= 0.0
+    assert np.diff(times).max() <= 0.5 / 60 + 1e-12
+    assert {impact.time for impact in trajectory.impacts} == set(times[1:][np.diff(times) == 0.0])
+    poses = {int(joint): numbers(text).reshape(-1, 7) for joint, text in motion["joints"].items()}
+    assert poses.keys() == {shape.parentJoint for shape in robot.visual_model.geometryObjects}
+    data = robot.model.createData()
+    for frame in range(0, len(times), 50):
+        pin.forwardKinematics(robot.model, data, trajectory.at(times[frame])[0])
+        for joint, found in poses.items():
+            np.testing.assert_allclose(found[frame, :3], data.oMi[joint].translation, atol=1e-6)
+            turned = pin.Quaternion(found[frame, 3:] / np.linalg.norm(found[frame, 3:])).matrix()
+            np.testing.assert_allclose(turned, data.oMi[joint].rotation, atol=1e-6)
+
+
+def test_shapes_stand_at_their_place_in_the_axes_of_their_joint(fall, page) -> None:
+    robot, _ = fall
+    placed = {
+        command["path"]: np.array(command["matrix"]).reshape(4, 4).T
+        for command in commands_of(page)
+        if command["type"] == "set_transform"
+    }
+    for number, shape in enumerate(robot.visual_model.geometryObjects):
+        place = placed[f"/meshcat/robot/{shape.parentJoint}/{number}"]
+        np.testing.assert_allclose(place, shape.placement.homogeneous, atol=1e-12)
+
+
+def test_impacts_have_their_impulse_velocities_and_numbers(fall, page) -> None:
+    robot, trajectory = fall
+    shown = motion_of(page)["impacts"]
+    assert len(shown) == len(trajectory.impacts) > 1
+    data = robot.model.createData()
+    for impact, seen in zip(trajectory.impacts, shown, strict=True):
+        assert (seen["time"], seen["source"], seen["law"]) == (impact.time, "tip", "poisson")
+        before, after = (
+            pin.computeKineticEnergy(robot.model, data, impact.q, v)
+            for v in (impact.v_before, impact.v_after)
+        )
+        assert seen["lost"] == pytest.approx(before - after, abs=1e-12)
+        (mark,) = seen["contacts"]
+        pin.framesForwardKinematics(robot.model, data, impact.q)
+        tip = robot.model.getFrameId("tip")
+        np.testing.assert_allclose(mark["point"], data.oMf[tip].translation, atol=1e-6)
+        jacobian = pin.computeFrameJacobian(robot.model, data, impact.q, tip, pin.LOCAL_WORLD_ALIGNED)[:3]
+        axes = np.array(mark["axes"]).reshape(3, 3)
+        for row, v in ((0, impact.v_before), (-1, impact.v_after)):
+            np.testing.assert_allclose(mark["velocity"][row] @ axes, jacobian @ v, atol=1e-6)
+        np.testing.assert_allclose(mark["impulse"][-1] @ axes, impact.impulse_world, rtol=1e-5, atol=1e-9)
+
+
+def test_forces_are_those_of_the_motion(fall, page) -> None:
+    _, trajectory = fall
+    motion = motion_of(page)
+    (contact,) = motion["contacts"]
+    times = numbers(motion["times"], "<f8")
+    forces = numbers(contact["forces"]).reshape(-1, 3)
+    once = np.flatnonzero((np.diff(times, prepend=-1.0) > 0.0) & (np.diff(times, append=1.0) > 0.0))
+    free = [k for k in once if trajectory.mode_at("tip", times[k]) == "free"]
+    closed = [k for k in once if k not in free][1:-1]
+    assert len(free) > 10
+    assert len(closed) > 10
+    assert not forces[free].any()
+    np.testing.assert_allclose(
+        forces[closed], trajectory.forces_world("tip", times[closed]), rtol=1e-5, atol=1e-5
+    )
+    assert (forces[closed, 2] > 0.0).all()
+
+
+def fall_of(robot, surface) -> pinimpact.visual.html_replay.Replay:
+    tip = pinimpact.Contact("tip", surface)
+    trajectory = pinimpact.simulate(pinimpact.Scene(robot, [tip]), [0, 1, 1, 0, 0.5], [0, 0, 0, 0, 1], 0.1)
+    return pinimpact.replay(robot, trajectory, None)
+
+
+def test_surfaces_of_the_world_lie_under_the_way_of_their_contacts() -> None:
+    robot = pinimpact.load_robot("rod")
+    plane = pinimpact.Plane((0, 0, 0.1), (0, 0.6, 0.8))
+    motion = motion_of(fall_of(robot, plane))
+    (plate,) = motion["surfaces"]
+    assert (plate["kind"], plate["joint"]) == ("plane", 0)
+    matrix = np.array(plate["matrix"]).reshape(4, 4).T
+    np.testing.assert_allclose(matrix[:3, 2], plane.normal, atol=1e-6)
+    way = numbers(motion["contacts"][0]["path"]).reshape(-1, 3)
+    assert len(way) > 5
+    for point in way:
+        foot = point - np.dot(plane.normal, point - np.array(plane.point)) * np.array(plane.normal)
+        local = np.linalg.solve(matrix, [*foot, 1.0])[:3]
+        assert (np.abs(local) <= 0.5 * np.array(plate["size"]) + 1e-6).all()
+        assert local[2] == pytest.approx(0.5 * plate["size"][2], abs=1e-6)  # the upper side
+    (ball,) = motion_of(fall_of(robot, pinimpact.Sphere((1, 2, 3), 0.4)))["surfaces"]
+    assert (ball["kind"], ball["size"][0]) == ("sphere", 0.4)
+    np.testing.assert_allclose(np.array(ball["matrix"]).reshape(4, 4).T[:3, 3], (1, 2, 3))
+
+
+@pytest.mark.parametrize("kind", ["plane", "sphere"])
+def test_surfaces_on_bodies_move_with_them(kind) -> None:
+    robot = pinimpact.load_robot("two_link_arm")
+    model = robot.model
+    body = next(frame.name for frame in model.frames if frame.parentJoint == 2)
+    place = (0.1, 0.2, 0.3)
+    surface = {
+        "plane": pinimpact.Plane(place, (0, 0, 1), body=body),
+        "sphere": pinimpact.Sphere(place, 0.05, body=body),
+    }[kind]
+    contact = pinimpact.Contact(0, surface)
+    trajectory = pinimpact.simulate(pinimpact.Scene(model, [contact]), [0.3, 0.4], [1.0, -2.0], 0.1)
+    motion = motion_of(pinimpact.replay(robot, trajectory, None))
+    (shown,) = motion["surfaces"]
+    times, poses = (
+        numbers(motion["times"], "<f8"),
+        numbers(motion["joints"][str(shown["joint"])]).reshape(-1, 7),
+    )
+    data = model.createData()
+    for frame in (0, len(times) - 1):
+        pin.framesForwardKinematics(model, data, trajectory.at(times[frame])[0])
+        carrier = data.oMf[model.getFrameId(body)]
+        drawn = pin.XYZQUATToSE3(poses[frame]).homogeneous @ np.array(shown["matrix"]).reshape(4, 4).T
+        if kind == "sphere":
+            np.testing.assert_allclose(drawn[:3, 3], carrier.act(np.array(place)), atol=1e-5)
+        else:
+            np.testing.assert_allclose(drawn[:3, 2], carrier.rotation[:, 2], atol=1e-5)
+            side = drawn[:3, 3] + 0.5 * shown["size"][2] * drawn[:3, 2]
+            off = carrier.rotation.T @ (side - carrier.act(np.array(place)))
+            assert abs(off[2]) < 1e-5
+            assert (np.abs(off[:2]) < 0.5 * np.array(shown["size"][:2])).all()
+
+
+def test_a_bare_model_is_drawn_in_lines(fall) -> None:
+    robot, trajectory = fall
+    motion = motion_of(pinimpact.replay(robot.model, trajectory, None))
+    assert motion["links"] == [[int(robot.model.parents[j]), j] for j in range(1, robot.model.njoints)]
+    assert len(motion["joints"]) + len(motion["still"]) == robot.model.njoints - 1
+    tip = robot.model.frames[robot.model.getFrameId("tip")]
+    assert any(
+        spot[0] == tip.parentJoint and np.allclose(spot[1:], tip.placement.translation, atol=1e-6)
+        for spot in motion["spots"]
+    )
+
+
+def test_trajectories_know_their_contacts(fall, tmp_path: Path) -> None:
+    robot, trajectory = fall
+    trajectory.save(tmp_path / "fall.npz")
+    loaded = pinimpact.Trajectory.load(tmp_path / "fall.npz")
+    assert loaded.contacts == trajectory.contacts
+    seen, again = (motion_of(pinimpact.replay(robot, t, None)) for t in (trajectory, loaded))
+    for name in ("times", "surfaces", "impacts", "modes", "joints"):
+        assert seen[name] == again[name]
+
+
+def test_contacts_of_every_kind_are_saved(tmp_path: Path) -> None:
+    robot = pinimpact.load_robot("rod")
+    ball = pinimpact.Sphere((0, 0, -5), 0.4, angular_velocity=(0, 0, 1))
+    contacts = [
+        pinimpact.Contact("tip", ball, 0.3, lambda speed: 0.5, "newton", (0.1, 0, 0), 0.01, "head", 0.2),
+        pinimpact.Contact(robot.model.getFrameId("tip"), FLOOR, 0.3, 0.5),
+    ]
+    trajectory = pinimpact.simulate(
+        pinimpact.Scene(robot, contacts), np.add(robot.q0, [0, 0, 2, 0, 0]), np.zeros(5), 0.01
+    )
+    trajectory.save(tmp_path / "x.npz")
+    head, tip = pinimpact.Trajectory.load(tmp_path / "x.npz").contacts
+    assert tip == trajectory.contacts[1]
+    assert (head.plane, head.offset, head.radius, head.name) == (ball, (0.1, 0, 0), 0.01, "head")
+    assert head.restitution == 0.0  # a function is not kept
+
+
+def test_one_impact_beside_the_robot(fall) -> None:
+    robot, trajectory = fall
+    record = trajectory.impacts[0]
+    hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
+    alone = motion_of(pinimpact.replay(hit, path=None))
+    for motion in (
+        motion_of(pinimpact.replay(robot, hit, None, q=record.q)),
+        motion_of(pinimpact.replay(robot, record, None, contacts=trajectory.contacts)),
+        alone,
+    ):
+        assert motion["within"]
+        (mark,) = motion["impacts"][0]["contacts"]
+        np.testing.assert_allclose(mark["impulse"][-1], hit.solution.impulse, rtol=1e-6)
+        v, p = np.array(mark["velocity"]), np.array(mark["impulse"])
+        np.testing.assert_allclose(v, v[0] + p @ hit.problem.delassus, atol=1e-5)  # v = v° + W P all along
+        assert len(v) > 10
+    assert alone["surfaces"] == alone["joints"] == alone["contacts"] == [] or not alone["joints"]
+    with pytest.raises(pinimpact.InputError, match="q: a hit does not know"):
+        pinimpact.replay(robot, hit, None)
+
+
+def test_replay_refuses(fall) -> None:
+    robot, trajectory = fall
+    with pytest.raises(pinimpact.InputError, match=r"speed: 0\.0"):
+        pinimpact.replay(robot, trajectory, None, speed=0.0)
+    with pytest.raises(pinimpact.InputError, match=r"slowdown: 0\.5"):
+        pinimpact.replay(robot, trajectory, None, slowdown=0.5)
+    with pytest.raises(pinimpact.InputError, match="motion: None"):
+        pinimpact.replay(robot, None, None)
+    other = pinimpact.load_robot("ur5")
+    with pytest.raises(pinimpact.InputError, match=r"'ur5' is not the robot .* 6 coordinates .* 5"):
+        pinimpact.replay(other, trajectory, None)
+    twin = pin.Model()  # five coordinates too, of other joints
+    twin.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "a")
+    twin.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "b")
+    with pytest.raises(pinimpact.InputError, match="is not the robot"):
+        pinimpact.replay(twin, trajectory, None)
+    absent = pinimpact.Contact("nose", FLOOR)
+    with pytest.raises(pinimpact.UnknownNameError, match="nose"):
+        pinimpact.replay(robot, trajectory, None, contacts=[absent])
+
+
+def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
+    frame = page._repr_html_()
+    (inner,) = re.findall(r'<iframe srcdoc="([^"]*)"', frame)
+    assert html.unescape(inner) == page.html
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    shown = pinimpact.replay(*fall, tmp_path / "a b.html", open=True)
+    assert opened == [(tmp_path / "a b.html").as_uri()]
+    assert Path(shown) == tmp_path / "a b.html" == Path(str(shown))
+    unwritten = pinimpact.replay(*fall, None)
+    with pytest.raises(pinimpact.InputError, match=r"save\(\)"):
+        unwritten.open()
+    assert unwritten.save(tmp_path / "c.html").read_text(encoding="utf-8") == unwritten.html
+
+
+@pytest.mark.slow
+def test_a_panda_with_its_meshes_stays_small() -> None:
+    robot = pinimpact.load_robot("panda")
+    trajectory = pinimpact.simulate(pinimpact.Scene(robot), robot.q0, np.zeros(9), 0.5)
+    assert len(pinimpact.replay(robot, trajectory, None).html) < 20e6
+
+
+def film_length(motion: dict) -> float:
+    """Return how long a film is, by Simpson's rule."""
+    times = numbers(motion["times"], "<f8")
+    fine = np.linspace(times[0], times[-1], 200001)
+    slow = [impact["time"] for impact in motion["impacts"] if impact["slow"]]
+    rate = np.ones_like(fine)
+    for moment in slow:
+        bell = np.exp(-(((fine - moment) / motion["width"]) ** 2))
+        rate = np.maximum(rate, 1.0 + (motion["slowdown"] - 1.0) * bell)
+    weights = np.ones_like(fine)
+    weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0
+    return float(weights @ rate) * (fine[1] - fine[0]) / 3.0 / motion["speed"] + motion["hold"] * len(slow)
+
+
+@in_a_browser
+def test_a_browser_plays_it_to_the_end(fall, page) -> None:
+    _, trajectory = fall
+    motion = motion_of(page)
+    first = trajectory.impacts[0]
+    data, rows = looked_at(page, f"t={0.5 * first.time}")
+    assert float(data["duration"]) == pytest.approx(film_length(motion), rel=2e-3)
+    assert int(data["tracks"]) == len(motion["joints"])
+    assert int(data["frames"]) == len(numbers(motion["times"], "<f8"))
+    assert rows == [f"t = {0.5 * first.time:.4f} s", "free"]
+
+    _, rows = looked_at(page, "impact=1")
+    segment = first.solution.segments[-1]
+    number = f"impact 1 of {len(trajectory.impacts)}, {first.time:.4f} s: tip"
+    assert rows[:2] == [f"t = {first.time:.4f} s", f"tip: {segment.mode} in {segment.phase}"]
+    whole = first.solution.impulse[2]
+    now, of = map(float, re.fullmatch(r"P₃ = (\S+) of (\S+) N s", rows[2]).groups())
+    assert of == pytest.approx(whole, abs=5e-4)
+    assert now == pytest.approx(whole, rel=5e-3)
+    assert rows[3] == number
+    assert rows[4] == "Poisson's law, e = 0.3, μ = 0.6"
+    lost = float(re.fullmatch(r"energy lost (\S+) J", rows[5])[1])
+    assert lost == pytest.approx(-first.solution.work.total, rel=5e-3)
+
+    data, rows = looked_at(page, "t=0.6")
+    assert float(data["time"]) == pytest.approx(0.6, abs=1e-9)
+    assert rows[0] == "t = 0.6000 s"
+    mode = trajectory.mode_at("tip", 0.6)
+    assert mode in ("slip", "stick")
+    assert rows[1] == f"tip: {mode}"
+    assert rows[2].startswith(f"impact {len(trajectory.impacts)} of {len(trajectory.impacts)}")
+
+
+def colored(pixels: np.ndarray, color: str) -> int:
+    """Return how many pixels have a colour, #rrggbb, to a twentieth."""
+    wanted = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    return int((np.abs(pixels - wanted).max(axis=-1) < 0.05).sum())
+
+
+@in_a_browser
+def test_a_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
+    def pixels(fragment: str) -> np.ndarray:
+        picture = tmp_path / "page.png"
+        open_page(BROWSER, page, fragment, size=(800, 500), screenshot=picture)
+        view = imread(picture)[50:450, 250:, :3].copy()
+        view[:220, 280:] = 1.0  # what the hodograph may cover
+        return view
+
+    before, at = pixels("t=0.05"), pixels("impact=1")
+    for view in (before, at):
+        assert view.std() > 0.05
+        assert ((view[..., 2] > view[..., 0] + 0.2) & (view[..., 2] > 0.3)).sum() > 100  # the rod is blue
+        assert (view[..., 0] > view[..., 2] + 0.15).sum() > 1000  # the floor is brown
+    impulse, after = "#d55e00", "#0072b2"
+    assert colored(before, impulse) < 20
+    assert colored(at, impulse) > 100
+    assert colored(at, after) > 30
+
+
+@in_a_browser
+def test_a_browser_shows_one_impact(fall, tmp_path: Path) -> None:
+    robot, trajectory = fall
+    record = trajectory.impacts[0]
+    hit = pinimpact.impact(robot.model, robot.data, record.q, record.v_before, trajectory.contacts[0])
+    for shown in (pinimpact.replay(robot, hit, None, q=record.q), pinimpact.replay(hit, path=None)):
+        shown.save(tmp_path / "hit.html")
+        data, rows = looked_at(shown, "film=4")
+        assert float(data["duration"]) == 8.0
+        middle = 0.5 * hit.solution.impulse[2]
+        (segment,) = [s for s in hit.solution.segments if s.start <= middle < s.end]
+        assert rows[0] == f"tip: {segment.mode} in {segment.phase}"
+        assert float(re.fullmatch(r"P₃ = (\S+) of .* N s", rows[1])[1]) == pytest.approx(middle, abs=6e-4)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_a_film_is_written_as_gif(fall, tmp_path: Path) -> None:
+    from PIL import Image
+
+    shown = pinimpact.replay(*fall, None, slowdown=1.0)  # a film of 0.6 s
+    with Image.open(shown.video(tmp_path / "fall.gif", rate=10, size=(320, 240))) as film:
+        assert film.n_frames == 7
+        assert film.info["duration"] == 100
+        film.seek(0)
+        first = np.asarray(film.convert("RGB"), dtype=float)
+        film.seek(6)
+        last = np.asarray(film.convert("RGB"), dtype=float)
+    assert first.std() > 10.0
+    assert np.abs(first - last).mean() > 1.0
+    if shutil.which("ffmpeg"):
+        assert shown.video(tmp_path / "fall.mp4", rate=10, size=(320, 240)).stat().st_size > 1000
+
+
+def test_films_need_their_tools(fall, tmp_path: Path, monkeypatch) -> None:
+    shown = pinimpact.replay(*fall, None)
+    with pytest.raises(pinimpact.InputError, match=r"'x\.avi' given"):
+        shown.video(tmp_path / "x.avi")
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    with pytest.raises(pinimpact.InputError, match="ffmpeg"):
+        shown.video(tmp_path / "x.mp4")
+    with pytest.raises(pinimpact.InputError, match="button"):
+        shown.video(tmp_path / "x.gif")
+
+
+DAE = f"""<COLLADA xmlns="{NAMESPACE}"><library_geometries><geometry id="g"><mesh><source id="s"/>
+<triangles material="a" count="1"/><polylist material="b" count="2"/></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene><node><instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="a" target="#A"/><instance_material symbol="b" target="#B"/>
+</technique_common></bind_material></instance_geometry></node></visual_scene></library_visual_scenes></COLLADA>"""
+
+
+def test_meshes_are_split_by_material() -> None:
+    root = ElementTree.fromstring(one_material_per_mesh(DAE))
+    tag = f"{{{NAMESPACE}}}"
+    pieces = {g.get("id"): [part.get("material") for part in g[0] if part.get("material")] for g in root[0]}
+    assert sorted(pieces.values()) == [["a"], ["b"]]
+    instances = list(root.iter(f"{tag}instance_geometry"))
+    assert len(instances) == 2
+    for instance in instances:
+        bound = [binding.get("symbol") for binding in instance.iter(f"{tag}instance_material")]
+        assert bound == pieces[instance.get("url").lstrip("#")]
