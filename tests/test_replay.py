@@ -269,6 +269,8 @@ def test_one_impact_beside_the_robot(fall) -> None:
     assert alone["surfaces"] == alone["joints"] == alone["contacts"] == [] or not alone["joints"]
     with pytest.raises(pinimpact.InputError, match="q: a hit does not know"):
         pinimpact.replay(robot, hit, None)
+    with pytest.raises(pinimpact.InputError, match="contacts: none is called 'tip'"):
+        pinimpact.replay(robot, record, None)
 
 
 def test_replay_refuses(fall) -> None:
