@@ -55,6 +55,14 @@
     throw error;
   }
   viewer.gui.domElement.style.display = "none";
+  const kept = [], handle = viewer.handle_command.bind(viewer);
+  const whole = value => {
+    if (value === null || typeof value !== "object" || ArrayBuffer.isView(value)) return value;
+    if ("kept" in value) return kept[value.kept];
+    for (const name of Object.keys(value)) value[name] = whole(value[name]);
+    return value;
+  };
+  viewer.handle_command = command => command.type === "keep" ? kept.push(command.value) : handle(whole(command));
   const shapes = await unpacked(find("shapes").textContent), lengths = new DataView(shapes.buffer);
   for (let at = 0; at < shapes.length;) {
     const length = lengths.getUint32(at, true);
@@ -280,8 +288,18 @@
 
   // --- words -------------------------------------------------------------------------------------------------
 
+  const MANY = 8;
   const digits = x => x !== 0 && Math.abs(x) < 1e-3 ? x.toExponential(2) : String(Number(x.toPrecision(3)));
   const energy = lost => lost >= 0 ? `energy lost ${digits(lost)} J` : `energy gained ${digits(-lost)} J`;
+
+  // what is in which mode; where that would be many rows, one row a mode
+  function inWords(now) {
+    if (now.length <= MANY) return now.map(([source, mode]) => `${source}: ${mode}`);
+    const byMode = new Map();
+    for (const [source, mode] of now) byMode.set(mode, [...(byMode.get(mode) || []), source]);
+    return [...byMode].map(([mode, names]) =>
+      `${mode}: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`);
+  }
 
   function write(t, piece, share) {
     const lines = [data.within ? "" : `t = ${t.toFixed(4)} s`];
@@ -294,7 +312,7 @@
       }
     } else {
       const now = data.modes.filter(([, , start, end]) => start <= t && (t < end || t === end && end === times[frames - 1]));
-      lines.push(...(now.length ? now.map(([source, mode]) => `${source}: ${mode}`) : data.within ? [] : ["free"]));
+      lines.push(...(now.length ? inWords(now) : data.within ? [] : ["free"]));
     }
     const past = data.impacts.filter(impact => impact.time <= t);
     const last = piece.impact || past[past.length - 1];
