@@ -197,6 +197,21 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     assert facts["energy"]["not accounted for"] == trajectory.energy.residual[-1]
 
 
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        (
+            "falling_rot",
+            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod'?",
+        ),
+        (".", "cannot read .: Is a directory"),
+    ],
+)
+def test_a_scene_that_cannot_be_read_is_said_in_a_sentence(scene: str, said: str) -> None:
+    result = call("plan", scene)
+    assert (result.exit_code, result.output) == (1, f"Error: scene: {said}\n")
+
+
 def test_plan_as_json() -> None:
     effects = json.loads(call("plan", str(SCENES / "ball_on_conveyor.toml"), "--json").stdout)
     assert {effect["name"]: effect["on"] for effect in effects}["moving surfaces"] is True

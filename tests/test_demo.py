@@ -57,6 +57,13 @@ def test_a_urdf_strikes_with_what_suggests_itself_though_a_joint_moves_nothing(t
     assert shown.impact.solution.impulse[2] == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_urdf_without_shapes_is_replayed_in_lines(tmp_path: Path) -> None:
+    result = call("demo", written(tmp_path, PENDULUM), "-o", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.output
+    assert "Held as they are, since they move no inertia: idle." in result.output
+    assert (tmp_path / "out" / "replay.html").stat().st_size > 100_000
+
+
 def test_a_robot_strikes_as_it_is_asked_to() -> None:
     shown = run_demo(
         "ur5",

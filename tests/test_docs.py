@@ -117,6 +117,8 @@ def test_every_public_name_has_its_place_in_the_reference() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
     shown = re.findall(r"^::: pinimpact\.(\w+)$", text, re.MULTILINE)
     assert sorted(shown) == sorted(pinimpact.__all__)
+    plots = re.findall(r"^::: pinimpact\.visual\.plots\.(\w+)$", text, re.MULTILINE)
+    assert sorted(plots) == sorted(pinimpact.visual.plots.__all__)
 
 
 def test_what_the_reference_shows_can_be_imported_as_written() -> None:

@@ -159,6 +159,25 @@ def test_the_regimes_of_slip_in_the_hodograph() -> None:
         pyplot.close("all")
 
 
+@pytest.mark.parametrize(
+    "problem",
+    [
+        pinimpact.ImpactProblem(np.eye(3), (0.1, 0, 1), 0.5, 0.5),  # no impact
+        pinimpact.ImpactProblem(np.eye(3), (0, 0, -1), 0.0, 0.0),
+        pinimpact.ImpactProblem(np.eye(3), (0, 0, -1), 0.5, 0.5),
+        pinimpact.ImpactProblem(np.diag([1.0, 0.0, 1.0]), (0.1, 0, -1), 0.5, 0.5),
+        pinimpact.ImpactProblem([[1.2, 0, 0.9], [0, 1, 0], [0.9, 0, 0.7]], (2, 0.3, -1), 2.0, 0.6),
+        pinimpact.ImpactProblem(1e-9 * np.eye(3), (1e-12, 0, -1e-9), 0.5, 0.5),
+    ],
+)
+def test_every_impact_can_be_drawn(problem) -> None:
+    for plot in (plots.hodograph, plots.velocities, plots.impulses, plots.impulse_space, plots.energy_ledger):
+        ax = plot(problem)
+        ax.figure.draw_without_rendering()
+        assert ax.has_data()
+    assert plots.regime_map(problem, "restitution", resolution=8).has_data()
+
+
 def test_slip_that_resumes_is_marked() -> None:
     ax = plots.hodograph(ROD)
     assert len(lines(ax, "slip resumes")) == 1

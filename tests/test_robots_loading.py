@@ -233,3 +233,88 @@ def test_one_mesh_that_is_missing_costs_its_own_shape_only(urdf, tmp_path):
     assert "box.obj" not in str(caught[0].message)
     assert robot.visual_model.ngeoms == 3
     assert {shape.parentJoint for shape in robot.visual_model.geometryObjects} == {1}
+
+
+# ---- MuJoCo's files, and those that cannot be read
+
+MJCF = """<mujoco model="hopper"><compiler angle="degree" meshdir="shapes"/><option gravity="0 0 -3"/>
+<asset><mesh name="there" file="box.obj"/><mesh name="lost" file="lost.obj"/></asset>
+<worldbody><geom type="plane" size="1 1 .1"/>
+  <body name="base" pos="0 0 1"><freejoint name="root"/><geom type="box" size=".1 .1 .1" mass="2"/>{geoms}
+    <body name="leg" pos="0 0 -.1">
+      <joint name="knee" type="hinge" axis="0 1 0" range="-90 90"
+        damping="0.1" armature="0.01" frictionloss=".2"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/><site name="tip" pos="0 0 -.3"/>
+    </body>
+  </body>
+</worldbody>{more}
+<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0.3"/></keyframe></mujoco>"""
+
+
+@pytest.fixture
+def mjcf(tmp_path):
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "box.obj").write_text(OBJ)
+
+    def write(geoms="", more=""):
+        path = tmp_path / "hopper.xml"
+        path.write_text(MJCF.format(geoms=geoms, more=more))
+        return path
+
+    return write
+
+
+def test_a_robot_of_mujoco(mjcf):
+    robot = pinimpact.load_robot(mjcf())
+    model = robot.model
+    assert list(model.names)[1:] == ["root", "knee"]
+    assert robot.q0.tolist() == [0, 0, 1, 0, 0, 0, 1, 0.3]
+    assert (model.damping[6], model.armature[6], model.friction[6]) == (0.1, 0.01, 0.2)
+    assert model.lowerPositionLimit[7] == pytest.approx(-np.pi / 2)
+    assert model.gravity.linear.tolist() == [0, 0, -3]
+    assert robot.visual_model.ngeoms >= 2
+    ground = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)), restitution=0.5)
+    trajectory = pinimpact.simulate(
+        pinimpact.Scene(robot, [ground], without=["joint damping", "joint friction"]),
+        robot.q0,
+        np.zeros(7),
+        0.5,
+    )
+    gap = ground.gap(model, robot.data, robot.q0)
+    assert trajectory.impacts[0].time == pytest.approx(np.sqrt(2 * gap / 3), rel=1e-8)
+
+
+def test_a_mesh_of_mujoco_that_is_missing_costs_its_own_shape_only(mjcf):
+    without = pinimpact.load_robot(mjcf()).visual_model.ngeoms
+    meshes = '<geom type="mesh" mesh="there" mass="1"/><geom type="mesh" mesh="lost" mass="1"/>'
+    with pytest.warns(UserWarning, match=r"meshes .*: lost\.obj$") as caught:
+        robot = pinimpact.load_robot(mjcf(meshes))
+    assert caught[0].filename == __file__
+    assert robot.visual_model.ngeoms == without + 1
+
+
+def test_what_mujoco_has_and_pinocchio_leaves_out_is_told(mjcf):
+    weld = '<equality><weld body1="leg"/></equality>'
+    with pytest.warns(UserWarning, match=r"equality constraints of .* \(weld\) are left out"):
+        pinimpact.load_robot(mjcf(more=weld))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("robot.sdf", "<sdf version='1.7'><model name='x'/></sdf>", "without SDFormat"),
+        ("robot.urdf.xacro", "<robot name='x'/>", r"xacro robot\.urdf\.xacro > robot\.urdf"),
+        ("robot.xml", "<mujoco model='x'><worldbody/></mujoco>", "not an MJCF file that Pinocchio can read"),
+    ],
+)
+def test_files_that_pinocchio_does_not_read_are_told(tmp_path, name, text, said):
+    if "sdf" in name and pin.WITH_SDFORMAT:
+        pytest.skip("this Pinocchio reads SDF")
+    (tmp_path / name).write_text(text)
+    with pytest.raises(pinimpact.ModelError, match=said):
+        pinimpact.load_robot(tmp_path / name)
+
+
+def test_a_robot_without_a_joint_that_moves_is_said_to_be_one(urdf):
+    with pytest.raises(pinimpact.ModelError, match="has no joint that moves"):
+        pinimpact.load_robot(urdf(kind="fixed"))

@@ -179,9 +179,9 @@ WRONG = {
     "no TOML": (("duration =", "duration"), pinimpact.InputError, "is not TOML"),
     "no robot": (("urdf =", "# urdf ="), pinimpact.InputError, r"robot\[0\]: give either"),
     "fixed base moves": (
-        ("free_flyer = true", "free_flyer = false\nvelocity = [1, 0, 0]"),
+        ("[plane.belt]", '[[robot]]\nname = "ur5"\nprefix = "arm_"\nvelocity = [1, 0, 0]\n\n[plane.belt]'),
         pinimpact.InputError,
-        r"robot\[0\]\.velocity.*fixed",
+        r"robot\[1\]\.velocity.*fixed",
     ),
     "start of wrong length": (
         ("[output]", "[start]\nq = [1.0, 2.0]\n[output]"),

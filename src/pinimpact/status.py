@@ -45,7 +45,7 @@ _SENTENCES = {
 
 
 class Flag(enum.IntFlag):
-    """What was special about an impact; ``describe()`` puts it in sentences."""
+    """What was special about an impact; ``str(flags)`` puts it in sentences, ``describe()`` one by one."""
 
     NONE = 0
     JAM = 1
@@ -64,6 +64,12 @@ class Flag(enum.IntFlag):
     def _missing_(cls, value: object) -> Any:
         """Take NumPy's integers too, such as the rows of ``batch.flags``."""
         return super()._missing_(index(value))  # type: ignore[arg-type]
+
+    def __str__(self) -> str:
+        return " ".join(self.describe()) or "Nothing special."
+
+    def __format__(self, format_spec: str) -> str:
+        return format(str(self), format_spec)
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence for each flag that is set, in the order of their values."""

@@ -260,7 +260,7 @@ def _is_number(cell: str) -> bool:
     try:
         float(cell)
     except ValueError:
-        return cell == "none"
+        return cell in ("none", "")
     return True
 
 

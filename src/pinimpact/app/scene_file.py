@@ -234,8 +234,16 @@ def read_scene_file(path: Path) -> SceneFile:
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(
+            f"scene: there is no file {path}, and no scene of that name; "
+            f"{near_matches(str(path), bundled_scenes())}",
+            field="scene",
+            value=str(path),
+        ) from error
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"scene: cannot read {path}: {error}", field="scene", value=str(path)) from error
+        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error.strerror
+        raise InputError(f"scene: cannot read {path}: {reason}", field="scene", value=str(path)) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"scene: {path} is not TOML: {error}", field="scene", value=str(path)) from error
     try:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..html_tables import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_ROWS, Array, Inputs
 from .methods import load_method
@@ -172,6 +173,30 @@ class Solution:
             self.path is not None,
         )
         return tuple(name for name, present in zip(EFFECTS, computed, strict=True) if present)
+
+    def _repr_html_(self) -> str:
+        work = self.work
+        causes = [
+            (cause, getattr(work, cause)) for cause in ("compression", "restitution", "friction", "surface")
+        ]
+        return (
+            html_table(
+                "Impact, in contact axes",
+                ("", "t₁", "t₂", "n"),
+                [
+                    ("velocity before [m/s]", *self._inputs[6:9]),
+                    ("velocity after [m/s]", *self.velocity.tolist()),
+                    ("impulse [N s]", *self.impulse.tolist()),
+                ],
+            )
+            + html_table(
+                "Segments",
+                ("mode", "phase", "P₃ from", "to [N s]"),
+                [(s.mode, s.phase, s.start, s.end) for s in self.segments],
+            )
+            + html_table("Work [J]", ("", ""), [*causes, ("total", work.total)])
+            + html_lines([str(self.status), *self.flags.describe()])
+        )
 
     def __repr__(self) -> str:
         return (

@@ -41,8 +41,8 @@ class Contact:
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
         offset: From the frame's origin, in the frame's axes [m].
         radius: Of a spherical tip [m], 0 for a point.
-        name: How reports call the contact; None for "frame on plane" or "frame on sphere",
-            with the name of the body that carries the surface where one does.
+        name: How reports call the contact; None for "frame on surface", with the surface's own name, or that
+            of the body that carries it, or "plane" or "sphere".
         sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact, slip and stick between impacts; None
             for `friction`.
         stiffness: Relative normal stiffness > 0, which counts where several contacts collide at one instant.
@@ -90,7 +90,7 @@ class Contact:
         """The name, or what stands in for it."""
         if self.name is not None:
             return self.name
-        return f"{self.frame} on {self.plane.kind if self.plane.body is None else self.plane.body}"
+        return f"{self.frame} on {self.plane.label}"
 
     @property
     def sustained_friction(self) -> float:

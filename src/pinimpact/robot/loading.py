@@ -13,6 +13,7 @@ import pinocchio as pin
 from example_robot_data.robots_loader import ROBOTS
 
 from ..errors import ModelError, UnknownNameError
+from .mjcf import load_mjcf
 from .names import near_matches
 
 
@@ -40,14 +41,15 @@ def load_robot(
 
     Args:
         robot: Name of a model that comes with pinimpact (see `bundled_models`), a name of
-            example-robot-data, or the path of a URDF file.
+            example-robot-data, or the path of a file: URDF, MuJoCo's MJCF (with its gravity, and its key
+            "home" as ``q0``), or SDF where Pinocchio is built with SDFormat, which pip's is not.
         free_flyer: Whether the base flies freely; None: as the named robot comes, and fixed for a file.
         mimic: Whether joints with a ``<mimic>`` tag follow the joint that it names, with no coordinate of
             their own: impacts take account of them, scenes refuse them, since Pinocchio has no forward
             dynamics for them. False: each moves on its own. None: as False, and a file that has such joints
             gives a warning.
-        package_dirs: Folders in which the packages of a file's meshes are looked for, before the file's own
-            folder and those above it, and those of the environment variable ROS_PACKAGE_PATH.
+        package_dirs: Folders in which the packages of a URDF file's meshes are looked for, before the file's
+            own folder and those above it, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
         Pinocchio's RobotWrapper; ``q0`` is its reference configuration. A warning names meshes that are not
@@ -69,7 +71,7 @@ def load_robot(
         wrapper = _from_file(path, bool(free_flyer), package_dirs)
     else:
         raise UnknownNameError(
-            f"robot: {name!r} is neither a robot's name nor the path of a URDF file; "
+            f"robot: {name!r} is neither a robot's name nor the path of a file; "
             f"{near_matches(name, [*models, *ROBOTS])}",
             field="robot",
             value=robot,
@@ -103,6 +105,8 @@ def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, 
     try:
         loaded = loader()
     except Exception as error:
+        if "SDF" in str(error):
+            raise _no_sdf(name) from error
         raise ModelError(
             f"robot: example-robot-data cannot load {name}: {str(error).strip()}", field="robot", value=name
         ) from error
@@ -113,6 +117,20 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
     if not path.is_file():
         raise ModelError(f"robot: there is no file {path}", field="robot", value=str(path))
     root_joint = (pin.JointModelFreeFlyer(),) if free_flyer else ()
+    kind = _kind_of(path)
+    if kind == "mujoco":
+        return load_mjcf(path, root_joint)
+    if kind == "sdf":
+        if not pin.WITH_SDFORMAT:
+            raise _no_sdf(path)
+        return pin.RobotWrapper.BuildFromSDF(str(path), [str(folder) for folder in package_dirs], *root_joint)
+    if path.suffix == ".xacro":
+        raise ModelError(
+            f"robot: {path} is a xacro file, which is a recipe for a URDF file; make that first: "
+            f"xacro {path.name} > {path.with_suffix('.urdf').name}",
+            field="robot",
+            value=str(path),
+        )
     try:
         model = pin.buildModelFromUrdf(str(path), *root_joint)
     except Exception as error:  # urdfdom and Pinocchio raise what they like
@@ -137,6 +155,25 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
             stacklevel=3,
         )
     return pin.RobotWrapper(model, *shapes)
+
+
+def _kind_of(path: Path) -> str:
+    """Return the outermost tag of an XML file, "" where there is none."""
+    try:
+        for _, element in ElementTree.iterparse(path, events=("start",)):
+            return str(element.tag)
+    except ElementTree.ParseError:
+        pass
+    return ""
+
+
+def _no_sdf(what: str | Path) -> ModelError:
+    return ModelError(
+        f"robot: {what} is an SDF file, and this Pinocchio is built without SDFormat (pip's is); take a URDF "
+        "or MJCF file of the robot",
+        field="robot",
+        value=str(what),
+    )
 
 
 def _check_masses(path: Path) -> None:

@@ -26,6 +26,7 @@ class Plane(Surface):
         velocity: Velocity of the surface's material at `point` [m/s].
         angular_velocity: Angular velocity of the surface's material about `point` [rad/s].
         body: Frame that carries the plane, by name or id; None for the world.
+        name: How reports call it, as in "hand on table"; None for what it is, or for what carries it.
 
     The velocities are rates of this instant: they do not move `point` or turn `normal`.
 
@@ -39,6 +40,7 @@ class Plane(Surface):
     velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
         self._check()

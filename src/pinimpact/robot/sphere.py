@@ -30,6 +30,7 @@ class Sphere(Surface):
         velocity: Velocity of the surface's material at `center` [m/s].
         angular_velocity: Angular velocity of the surface's material about `center` [rad/s].
         body: Frame that carries the sphere, by name or id; None for the world.
+        name: How reports call it, as in "hand on table"; None for what it is, or for what carries it.
 
     The velocities are rates of this instant: they do not move `center`.
 
@@ -43,6 +44,7 @@ class Sphere(Surface):
     velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
         self._check()

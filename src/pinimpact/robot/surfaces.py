@@ -28,12 +28,14 @@ class Surface(ABC):
         velocity: Velocity of the surface's material at `origin`, beyond its carrier's [m/s].
         angular_velocity: Angular velocity of the surface's material, beyond its carrier's [rad/s].
         body: Frame that carries the surface, by name or id; None for the world.
+        name: How reports call it; None for what it is, or for what carries it.
     """
 
     code: ClassVar[int]
     velocity: Vector
     angular_velocity: Vector
     body: str | int | None
+    name: str | None
 
     @property
     @abstractmethod
@@ -68,6 +70,13 @@ class Surface(ABC):
     def kind(self) -> str:
         """What reports call such a surface."""
         return type(self).__name__.lower()
+
+    @property
+    def label(self) -> str:
+        """The name, or what stands in for it."""
+        if self.name is not None:
+            return self.name
+        return self.kind if self.body is None else str(self.body)
 
     def at_rest(self) -> Surface:
         """Return the surface with its material at rest on its carrier."""

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InputError, UnknownNameError
+from ..html_tables import html_table
 from ..robot.contact import Contact
 from ..robot.names import counted, near_matches
 
@@ -79,6 +80,12 @@ class Plan:
     def switched_off(self) -> tuple[str, ...]:
         """Effects switched off although the scene calls for them, so that the answer changes."""
         return tuple(effect.name for effect in self.effects if effect.changes_answer)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (e.name, "OFF" if e.changes_answer else "yes" if e.on else "no", e.reason) for e in self.effects
+        ]
+        return html_table("Effects", ("effect", "computed", "why"), rows)
 
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects)

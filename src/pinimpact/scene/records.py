@@ -18,7 +18,7 @@ from ..contact_space.solve import solve_impact
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImpactRecord:
     """One impact of a trajectory.
 
@@ -67,6 +67,18 @@ class ImpactRecord:
             problem, place, policy = self.group
             return solve_impact(problem, record=True, simultaneous=policy).part(place)
         return solve_impact(self.problem, record=self.record)
+
+    def __repr__(self) -> str:
+        solution = self.solution
+        before, after = float(np.asarray(self.problem.velocity)[2]), float(solution.velocity[2])
+        marks = [word for word in ("resting", "simultaneous") if getattr(self, word)]
+        marks += [effect for effect in ("stick", "resumed slip", "jam") if effect in solution.effects]
+        return (
+            f"ImpactRecord({self.source!r} at t = {self.time:.6g} s: normal velocity {before:.6g} to "
+            f"{after:.6g} m/s, impulse {float(np.linalg.norm(solution.impulse)):.6g} N s, "
+            f"work {solution.work.total:.6g} J"
+            f"{'; ' + ', '.join(marks) if marks else ''})"
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         # what can be made anew is left out, and what makes it is replaced by what it makes
@@ -155,7 +167,7 @@ def group_notes(notes: Sequence[Note]) -> tuple[NoteGroup, ...]:
 _NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(\.\d*)?(e[-+]?\d+)?(?= (m|s|N|rad|J)\b)")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Energy:
     """Energies and works at the samples [J], each (m,); works are counted from the start.
 
@@ -177,6 +189,19 @@ class Energy:
     surface: Array
     impacts: Array
 
+    def __repr__(self) -> str:
+        works = ", ".join(f"{cause} {float(work[-1]):.6g}" for cause, work in self.works().items())
+        return (
+            f"Energy({float(self.total[0]):.6g} J to {float(self.total[-1]):.6g} J; works: {works}; "
+            f"not accounted for {float(self.residual[-1]):.2g} J)"
+        )
+
+    def works(self) -> dict[str, Array]:
+        """Return the works (m,) by what does them."""
+        return {
+            cause: getattr(self, cause) for cause in ("control", "joints", "friction", "surface", "impacts")
+        }
+
     @property
     def total(self) -> Array:
         """(m,) kinetic and potential energy."""
@@ -185,5 +210,4 @@ class Energy:
     @property
     def residual(self) -> Array:
         """(m,) change of the total energy less all works: zero to the tolerance of the run."""
-        works = self.control + self.joints + self.friction + self.surface + self.impacts
-        return self.total - self.total[0] - works
+        return self.total - self.total[0] - sum(self.works().values())

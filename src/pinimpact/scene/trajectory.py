@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..html_tables import html_lines, html_table
 from ..robot.contact import Contact
-from ..robot.names import near_matches
+from ..robot.names import counted, near_matches
 from ..robot.surfaces import contact_axes
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
-from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
+from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
+
+
+SHOWN = 20
+"""Impacts that a notebook shows of a trajectory."""
 
 
 class Trajectory:
@@ -314,7 +320,49 @@ class Trajectory:
         return _restored, (self._parts(),)
 
     def __repr__(self) -> str:
-        return f"Trajectory({self.duration:.6g} s, {len(self.impacts)} impacts; {self.termination})"
+        return (
+            f"Trajectory({self.duration:.6g} s, {counted(len(self.impacts), 'impact')}; {self.termination})"
+        )
+
+    def __str__(self) -> str:
+        """Return what the motion came to in some lines; notes that say the same are one line."""
+        hits = ", ".join(
+            f"{source} {count}" for source, count in Counter(i.source for i in self.impacts).items()
+        )
+        lines = [
+            f"{self.duration:.6g} s in {counted(len(self.t) - 1, 'sample')}, "
+            f"{counted(len(self.impacts), 'impact')}{f' ({hits})' if hits else ''}. {self.termination}",
+            f"Energy {float(self.energy.total[0]):.6g} J to {float(self.energy.total[-1]):.6g} J, "
+            f"{float(self.energy.residual[-1]):.2g} J not accounted for.",
+            *map(str, self.events),
+            *map(str, group_notes(self.notes)),
+        ]
+        if self.switched_off:
+            lines.append("Switched off: " + ", ".join(self.switched_off))
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        energy = self.energy
+        rows = [("kinetic and potential", float(energy.total[-1] - energy.total[0]))]
+        rows += [(f"work of {cause}", float(work[-1])) for cause, work in energy.works().items()]
+        rows.append(("not accounted for", float(energy.residual[-1])))
+        impacts = html_table(
+            f"{self.duration:.6g} s, {counted(len(self.impacts), 'impact')}"
+            + (f", the first {SHOWN}" if len(self.impacts) > SHOWN else ""),
+            ("t [s]", "contact or limit", "approach [m/s]", "impulse [N s]", "energy [J]"),
+            [
+                (
+                    impact.time,
+                    impact.source,
+                    -float(np.asarray(impact.problem.velocity)[2]),
+                    float(np.linalg.norm(impact.solution.impulse)),
+                    impact.solution.work.total,
+                )
+                for impact in self.impacts[:SHOWN]
+            ],
+        )
+        changes = html_table("Energy, change over the run [J]", ("", ""), rows)
+        return impacts + changes + html_lines([self.termination, *map(str, group_notes(self.notes))])
 
 
 def _restored(parts: dict[str, Any]) -> Trajectory:

@@ -197,12 +197,16 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
             "q: a hit does not know where the robot was; give q=, the configuration of the impact", field="q"
         )
     q = finite_array("q", q, (model.nq,))
-    drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source]
-    places = {}
-    for contact in drawn:
-        geometry = contact_geometry(model, model.createData(), q, contact)
-        places[contact.label] = (geometry.point, geometry.axes)
-    mark = impact_mark(impact, source, places)
+    drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source][:1]
+    if not drawn:
+        raise InputError(
+            f"contacts: none is called {source!r}; give contacts=, those of the scene (a joint limit that is "
+            "struck has no contact to show)",
+            field="contacts",
+            value=given,
+        )
+    geometry = contact_geometry(model, model.createData(), q, drawn[0])
+    mark = impact_mark(impact, source, {source: (geometry.point, geometry.axes)})
     return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], settings, [])
 
 

@@ -6,6 +6,7 @@ import base64
 import gzip
 import html
 import json
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -15,6 +16,9 @@ import numpy as np
 
 from .collada import one_material_per_mesh
 
+LARGE = 10_000
+"""What is at least as long, a mesh or a texture, is sent once and then named by its number."""
+
 
 class Recorder:
     """Stands where meshcat's Visualizer has its window to a server: it keeps what would be sent."""
@@ -23,6 +27,8 @@ class Recorder:
 
     def __init__(self) -> None:
         self.commands: list[bytes] = []
+        self._kept: dict[str | bytes, int] = {}
+        self._split: dict[str, str] = {}
 
     def send(self, command: Any) -> None:
         """Keep a command, with its meshes as the viewer shows them whole."""
@@ -32,11 +38,28 @@ class Recorder:
         if message["type"] == "set_object":
             mesh = message["object"]["object"]
             if mesh.get("format") == "dae":
-                mesh["data"] = one_material_per_mesh(mesh["data"])
+                document = mesh["data"]
+                if document not in self._split:
+                    self._split[document] = one_material_per_mesh(document)
+                mesh["data"] = self._split[document]
             for shape in message["object"].get("geometries", ()):
                 if shape["type"] == "_meshfile":  # as the viewer calls it now
                     shape["type"] = "_meshfile_geometry"
+        message = self._without_repeats(message, umsgpack.packb)
         self.commands.append(umsgpack.packb(message))
+
+    def _without_repeats(self, value: Any, pack: Callable[[Any], bytes]) -> Any:
+        """Return a message with numbers for its meshes and textures, which are sent once each."""
+        if isinstance(value, dict):
+            return {name: self._without_repeats(part, pack) for name, part in value.items()}
+        if isinstance(value, list):
+            return [self._without_repeats(part, pack) for part in value]
+        if not isinstance(value, (str, bytes)) or len(value) < LARGE:
+            return value
+        if value not in self._kept:
+            self._kept[value] = len(self._kept)
+            self.commands.append(pack({"type": "keep", "value": value}))
+        return {"kept": self._kept[value]}
 
 
 def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
@@ -64,7 +87,7 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
 def _shapes(commands: list[bytes]) -> str:
     """Return commands one after another, each with its length before it, compressed, in base64."""
     whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
-    return base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(whole, 2, mtime=0)).decode("ascii")
 
 
 def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:

@@ -76,10 +76,15 @@ def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]
     """Return a robot without shapes as lines.
 
     Returns:
-        Pairs of joints, each with the one it hangs from; and each frame that is away from its joint as the
-        joint and a point in its axes.
+        Pairs of joints, each with the one it hangs from, but for a base that moves away from the world's
+        origin; and each frame that is away from its joint as the joint and a point in its axes.
     """
-    links = [(int(model.parents[joint]), joint) for joint in range(1, model.njoints)]
+    data, q = model.createData(), pin.neutral(model)
+    links = [
+        (int(model.parents[joint]), joint)
+        for joint in range(1, model.njoints)
+        if model.parents[joint] > 0 or not pin.computeJointJacobian(model, data, q, joint)[:3].any()
+    ]
     spots = {
         (int(frame.parentJoint), *short(frame.placement.translation))
         for frame in model.frames

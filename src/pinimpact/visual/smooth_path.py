@@ -38,6 +38,8 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
         assert recorded is not None  # it was asked for
     w, start = np.asarray(problem.delassus, dtype=float), np.asarray(problem.velocity, dtype=float)
     velocity, impulse = recorded.velocity, recorded.impulse
+    if len(impulse) == 0:  # no impact: the velocity stays what it was
+        return Path(np.zeros(2), np.array([start, start]), np.zeros((2, 3)))
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     angle = np.arctan2(velocity[:, 1], velocity[:, 0])
     turn = np.abs(np.angle(np.exp(1j * np.diff(angle))))

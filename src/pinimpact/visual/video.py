@@ -82,7 +82,7 @@ def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int]) ->
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
         page.write_text(replay.html, encoding="utf-8")
-        opened = open_page(browser, page, f"frames={rate:.9g}", size=size)
+        opened = open_page(browser, page, f"frames={rate:.9g},{size[0]},{size[1]}", size=size)
     found = re.search(r'<pre id="frames">([^<]*)</pre>', opened.dom)
     if found is None:
         raise InputError(

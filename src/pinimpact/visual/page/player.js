@@ -14,6 +14,17 @@
   window.addEventListener("error", event => fail(String(event.message)));
   window.addEventListener("unhandledrejection", event => fail(String(event.reason)));
 
+  // #t=0.25 stands at a time of the motion, #impact=2 at an impact, #film=1.5 at a time of the film; a program
+  // that wants all frames of the film says how many a second, and how large: #frames=25,960,540
+  const [place, value, wide, tall] = location.hash.slice(1).split(/[=,]/);
+  const room = { get wide() { return Number(wide) || innerWidth; }, get tall() { return Number(tall) || innerHeight; } };
+  function fit() {
+    document.body.style.width = `${room.wide}px`;
+    document.body.style.height = `${room.tall}px`;
+    document.body.style.fontSize = `${Math.min(14, Math.max(8, room.tall / 42))}px`;
+  }
+  fit();
+
   const THREE = MeshCat.THREE;
   const data = JSON.parse(find("motion").textContent);
   const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -44,6 +55,14 @@
     throw error;
   }
   viewer.gui.domElement.style.display = "none";
+  const kept = [], handle = viewer.handle_command.bind(viewer);
+  const whole = value => {
+    if (value === null || typeof value !== "object" || ArrayBuffer.isView(value)) return value;
+    if ("kept" in value) return kept[value.kept];
+    for (const name of Object.keys(value)) value[name] = whole(value[name]);
+    return value;
+  };
+  viewer.handle_command = command => command.type === "keep" ? kept.push(command.value) : handle(whole(command));
   const shapes = await unpacked(find("shapes").textContent), lengths = new DataView(shapes.buffer);
   for (let at = 0; at < shapes.length;) {
     const length = lengths.getUint32(at, true);
@@ -85,7 +104,7 @@
 
   const { center, size } = data.view;
   function look() {
-    const wide = Math.min(1, window.innerWidth / window.innerHeight);
+    const wide = Math.min(1, room.wide / room.tall);
     const away = (data.within ? 1.35 : 1.2) * size / (2 * Math.tan(Math.PI / 8)) / wide;
     viewer.camera.fov = 45;
     viewer.camera.near = 0.005 * size;
@@ -97,9 +116,11 @@
   look();
 
   // beside the pictures of one impact the robot stands in the middle of what is left
-  function makeRoom() {
-    const [wide, tall] = [window.innerWidth, window.innerHeight];
-    if (data.within) viewer.camera.setViewOffset(wide, tall, 0.5 * panelWidth(), 0, wide, tall);
+  function resize() {
+    fit();
+    viewer.set_3d_pane_size(room.wide, room.tall);
+    if (data.within)
+      viewer.camera.setViewOffset(room.wide, room.tall, 0.5 * panelWidth(), 0, room.wide, room.tall);
   }
 
   // --- film time ---------------------------------------------------------------------------------------------
@@ -244,7 +265,8 @@
   }
 
   function panelWidth() {
-    return Math.round(Math.min(data.within ? 380 : 250, 0.4 * window.innerWidth));
+    return Math.round(data.within
+      ? Math.min(380, 0.4 * room.wide, 0.6 * room.tall) : Math.min(250, 0.4 * room.wide, 0.45 * room.tall));
   }
 
   const canvas = find("hodograph");
@@ -252,7 +274,7 @@
     canvas.hidden = !mark;
     if (!mark) return;
     const wide = panelWidth();
-    const tall = data.within ? Math.min(wide + 230, window.innerHeight - 70) : wide;
+    const tall = data.within ? Math.min(wide + 230, room.tall - 70) : wide;
     const dense = window.devicePixelRatio || 1;
     canvas.width = wide * dense;
     canvas.height = tall * dense;
@@ -266,8 +288,18 @@
 
   // --- words -------------------------------------------------------------------------------------------------
 
+  const MANY = 8;
   const digits = x => x !== 0 && Math.abs(x) < 1e-3 ? x.toExponential(2) : String(Number(x.toPrecision(3)));
   const energy = lost => lost >= 0 ? `energy lost ${digits(lost)} J` : `energy gained ${digits(-lost)} J`;
+
+  // what is in which mode; where that would be many rows, one row a mode
+  function inWords(now) {
+    if (now.length <= MANY) return now.map(([source, mode]) => `${source}: ${mode}`);
+    const byMode = new Map();
+    for (const [source, mode] of now) byMode.set(mode, [...(byMode.get(mode) || []), source]);
+    return [...byMode].map(([mode, names]) =>
+      `${mode}: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`);
+  }
 
   function write(t, piece, share) {
     const lines = [data.within ? "" : `t = ${t.toFixed(4)} s`];
@@ -280,7 +312,7 @@
       }
     } else {
       const now = data.modes.filter(([, , start, end]) => start <= t && (t < end || t === end && end === times[frames - 1]));
-      lines.push(...(now.length ? now.map(([source, mode]) => `${source}: ${mode}`) : data.within ? [] : ["free"]));
+      lines.push(...(now.length ? inWords(now) : data.within ? [] : ["free"]));
     }
     const past = data.impacts.filter(impact => impact.time <= t);
     const last = piece.impact || past[past.length - 1];
@@ -315,7 +347,7 @@
       const row = find("legend").appendChild(document.createElement("div"));
       const swatch = row.appendChild(document.createElement("i"));
       swatch.style.background = COLORS[name];
-      if (name === "cone" || name === "surface") swatch.className = "wide";
+      if (place === "cone" || place === "surface") swatch.className = "wide";
       row.append(text);
     }
     find("legend").hidden = !rows.length;
@@ -379,11 +411,11 @@
   function compose(target) {
     viewer.render();
     const view = viewer.renderer.domElement, g = target.getContext("2d");
-    const scale = target.width / window.innerWidth;
+    const scale = target.width / room.wide;
     g.setTransform(scale, 0, 0, scale, 0, 0);
     g.fillStyle = "white";
-    g.fillRect(0, 0, window.innerWidth, window.innerHeight);
-    g.drawImage(view, 0, 0, window.innerWidth, window.innerHeight);
+    g.fillRect(0, 0, room.wide, room.tall);
+    g.drawImage(view, 0, 0, room.wide, room.tall);
     const panel = (element, draw) => {
       if (element.hidden) return;
       const box = element.getBoundingClientRect();
@@ -399,7 +431,7 @@
         g.fillStyle = "#111";
         g.textBaseline = "middle";
         g.textAlign = "left";
-        g.fillText(row.textContent, box.left + (swatch ? 29 : 0), box.top + box.height / 2, window.innerWidth);
+        g.fillText(row.textContent, box.left + (swatch ? 29 : 0), box.top + box.height / 2, room.wide);
         if (swatch) {
           const part = swatch.getBoundingClientRect();
           g.fillStyle = swatch.style.background;
@@ -413,8 +445,8 @@
   function record() {
     if (recorder) { recorder.stop(); return; }
     const target = document.createElement("canvas");
-    target.width = window.innerWidth;
-    target.height = window.innerHeight;
+    target.width = room.wide;
+    target.height = room.tall;
     const chunks = [];
     recorder = new MediaRecorder(target.captureStream(30));
     recorder.ondataavailable = event => chunks.push(event.data);
@@ -442,8 +474,8 @@
   // all frames of a film as pictures in the page, for a program that reads them there: #frames=30
   function writeFrames(rate) {
     const target = document.createElement("canvas"), list = document.createElement("pre");
-    target.width = window.innerWidth;
-    target.height = window.innerHeight;
+    target.width = room.wide;
+    target.height = room.tall;
     list.id = "frames";
     const pictures = [];
     for (let frame = 0; frame <= Math.round(duration * rate); frame++) {
@@ -468,7 +500,7 @@
     if (event.key === "n") step(1);
     if (event.key === "p") step(-1);
   });
-  window.addEventListener("resize", () => { makeRoom(); show(film); });
+  window.addEventListener("resize", () => { resize(); show(film); });
   options("speed", [0.01, 0.1, 0.2, 0.5, 1, 2], settings.speed, value => { settings.speed = value; });
   options("slowdown", [1, 5, 20, 100], settings.slowdown, value => { settings.slowdown = value; });
   if (data.within || !data.impacts.length) for (const id of ["previous", "next"]) find(id).hidden = true;
@@ -480,19 +512,16 @@
   show(0);
   window.replay = { show, toImpact, play, get duration() { return duration; }, filmOf };
 
-  // #t=0.25 stands at a time of the motion, #impact=2 at an impact, #film=1.5 at a time of the film
-  const [name, value] = location.hash.slice(1).split("=");
-  if (name === "t") show(filmOf(Number(value)));
-  else if (name === "film") show(Number(value));
-  else if (name === "impact" && data.impacts[value - 1]) toImpact(value - 1);
-  else if (name !== "frames") play(true);
+  if (place === "t") show(filmOf(Number(value)));
+  else if (place === "film") show(Number(value));
+  else if (place === "impact" && data.impacts[value - 1]) toImpact(value - 1);
+  else if (place !== "frames") play(true);
   requestAnimationFrame(tick);
   const started = () => {
-    viewer.set_3d_pane_size();
-    makeRoom();
+    resize();
     viewer.render();
-    if (name === "frames") writeFrames(Number(value));
+    if (place === "frames") writeFrames(Number(value));
     root.dataset.ready = "yes";
   };
-  setTimeout(started, name === "frames" ? 500 : 0);
+  setTimeout(started, place === "frames" ? 500 : 0);
 })();

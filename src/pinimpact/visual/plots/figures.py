@@ -26,9 +26,9 @@ def impact_figure(problem: ImpactProblem, solution: Solution, title: str = "") -
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.5, 6.2), layout="constrained")
+    figure = Figure(figsize=(11.5, 6.4), layout="constrained")
     figure.suptitle(title)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.1))
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
     impact = Solved(problem, solution)
     hodograph(impact, ax=figure.add_subplot(grid[:, 0]))
     velocities(impact, ax=figure.add_subplot(grid[:2, 1]))

@@ -150,6 +150,7 @@ def energy_ledger(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) 
     ax.invert_yaxis()
     ax.use_sticky_edges = False
     ax.margins(x=0.16)
+    ax.locator_params(axis="x", nbins=6)
     ax.axvline(0.0, color=BLACK, lw=0.5)
     ax.set(xlabel="[J]", title="Change of kinetic energy")
     return ax

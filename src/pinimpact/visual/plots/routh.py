@@ -79,7 +79,7 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
 
 def _reach(problem: ImpactProblem, impulse: Array) -> tuple[float, float]:
     """Return how high, and how far aside, the picture goes [N s]."""
-    top = 1.12 * float(impulse[-1, 2])
+    top = 1.12 * float(impulse[-1, 2]) or 1.0
     aside = max(
         1.25 * float(np.abs(impulse[:, :2]).max()), min(float(problem.friction), 1.0) * top, 0.15 * top
     )

@@ -1,0 +1,143 @@
+"""What is printed of results, in terminals and notebooks."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import pinimpact
+from pinimpact.scene.records import Note, group_notes
+
+PROBLEM = pinimpact.ImpactProblem(
+    [[1.3, 0.2, 0.4], [0.2, 0.8, -0.3], [0.4, -0.3, 0.9]], (0.2, 0.1, -1.0), 0.8, 0.5
+)
+
+
+@pytest.fixture(scope="module")
+def toss():
+    robot = pinimpact.load_robot("ellipsoid")
+    floor = pinimpact.Plane(name="floor <wet>")
+    contact = pinimpact.Contact("tip", floor, friction=0.3, restitution=0.5)
+    scene = pinimpact.Scene(robot, [contact])
+    q = robot.q0.copy()
+    q[2] += 0.3 - contact.gap(robot, robot.data, q)
+    return scene, pinimpact.simulate(scene, q, np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]), 2.0)
+
+
+class Tables(HTMLParser):
+    """Rows of cells, and text beside them; the tags have to be closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.rows: list[list[str]] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open[-1] in ("td", "th"):
+            self.rows[-1][-1] += data
+        else:
+            self.texts.append(data)
+
+
+def test_flags_are_printed_in_words():
+    flags = pinimpact.solve_impact(PROBLEM).flags
+    assert pinimpact.Flag.STICK in flags
+    assert str(flags) == f"{flags}" == " ".join(flags.describe())
+    assert "The contact came to stick." in str(flags)
+    assert str(pinimpact.Flag.NONE) == "Nothing special."
+    assert repr(pinimpact.Flag.STICK) == "<Flag.STICK: 8>"
+    assert f"{pinimpact.Status.SEPARATED}" == str(pinimpact.Status.SEPARATED)
+
+
+def test_a_solution_in_a_notebook():
+    solution = pinimpact.solve_impact(PROBLEM)
+    found = Tables(solution._repr_html_())
+    rows = {row[0]: row[1:] for row in found.rows if row}
+    assert np.array(rows["velocity after [m/s]"], float) == pytest.approx(
+        solution.velocity, rel=1e-5, abs=1e-9
+    )
+    assert np.array(rows["impulse [N s]"], float) == pytest.approx(solution.impulse, rel=1e-5, abs=1e-9)
+    assert float(rows["total"][0]) == pytest.approx(solution.work.total, rel=1e-5)
+    assert str(solution.status) in found.texts
+
+
+def test_a_plan_in_a_notebook(toss):
+    plan = toss[0].plan()
+    rows = Tables(plan._repr_html_()).rows[1:]
+    assert [row[0] for row in rows] == [effect.name for effect in plan]
+    assert [row[1] == "yes" for row in rows] == [effect.on for effect in plan]
+
+
+def test_a_trajectory_in_words_and_in_a_notebook(toss):
+    _, trajectory = toss
+    count = len(trajectory.impacts)
+    assert count > 0
+    assert f"{count} impact" in repr(trajectory)
+    assert f"{count} impacts (tip on floor <wet> {count})" in str(trajectory) or count == 1
+    assert trajectory.termination in str(trajectory)
+    found = Tables(trajectory._repr_html_())
+    rows = [row for row in found.rows if len(row) == 5][1:]
+    assert [row[1] for row in rows] == [impact.source for impact in trajectory.impacts[:20]]
+    assert float(rows[0][0]) == pytest.approx(trajectory.impacts[0].time, rel=1e-5)
+
+
+def test_energy_and_impacts_say_what_matters(toss):
+    _, trajectory = toss
+    energy, impact = trajectory.energy, trajectory.impacts[0]
+    numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", repr(energy))]
+    assert len(repr(energy)) < 250
+    assert numbers[:2] == pytest.approx([energy.total[0], energy.total[-1]], rel=1e-5)
+    assert numbers[2:7] == pytest.approx([work[-1] for work in energy.works().values()], rel=1e-5)
+    assert len(repr(impact)) < 250
+    assert impact.source in repr(impact)
+    numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", repr(impact).split("velocity")[1])]
+    expected = [
+        impact.problem.velocity[2],
+        impact.solution.velocity[2],
+        np.linalg.norm(impact.solution.impulse),
+    ]
+    assert numbers[:3] == pytest.approx(expected, rel=1e-5)
+
+
+def test_notes_that_say_the_same_are_one_line(toss):
+    _, trajectory = toss
+    notes = [note for note in trajectory.notes if "resting" in note.text]
+    assert len(notes) >= 1
+    assert sum("resting" in line for line in str(trajectory).splitlines()) == 1
+    some = [
+        Note(0.1, "a on floor is taken as resting: it would bounce slower than 0.0003 m/s."),
+        Note(0.2, "b on floor is taken as resting: it would bounce slower than 0.0003 m/s."),
+        Note(0.3, "a on floor is taken as resting: it would bounce slower than 0.0004 m/s."),
+        Note(0.4, "held: 'a 1' would have to pull with 0.3 N s to hold; leave it out"),
+        Note(0.5, "held: 'a 2' would have to pull with 0.3 N s to hold; leave it out"),
+        Note(0.6, "held: 'a 2' would have to pull with 1.5e-05 N s to hold; leave it out"),
+    ]
+    groups = group_notes(some)
+    assert [group.times for group in groups] == [(0.1, 0.3), (0.2,), (0.4,), (0.5, 0.6)]
+    assert str(groups[0]).startswith("t = 0.1000 to 0.3000 s, 2 times: a on floor")
+    assert str(groups[1]).startswith("t = 0.2000 s: b on floor")
+
+
+def test_surfaces_have_names():
+    table = pinimpact.Plane(name="table")
+    assert pinimpact.Contact("hand", table).label == "hand on table"
+    assert pinimpact.Contact("hand", pinimpact.Sphere(radius=1.0, name="ball")).label == "hand on ball"
+    assert pinimpact.Contact("hand", pinimpact.Plane(body="tray")).label == "hand on tray"
+    assert pinimpact.Contact("hand", pinimpact.Plane(body="tray", name="tray")).label == "hand on tray"
+    assert pinimpact.Contact("hand", pinimpact.Plane(name="table"), name="grip").label == "grip"
