@@ -31,7 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from . import company
 from .ahead import Job, jobs, types_ahead
-from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp
+from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp, without_collecting
 from .sources import PACKAGE, memory, stamp
 from .waiting import COUNT, LOG, expected, tell
 
@@ -137,7 +137,7 @@ def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
     try:
         if missing:
             tell(_together, kept, 1 + helpers)
-        with company.company(jobs(missing) if helpers else [], helpers):
+        with without_collecting(), company.company(jobs(missing) if helpers else [], helpers):
             for done, (kernel, types) in enumerate(wanted, start=1):
                 kernel.compile.alone(types)
                 if kernel.stats.cache_misses:
