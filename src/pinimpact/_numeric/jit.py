@@ -185,8 +185,11 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     )
 
     def reduce(self, result: Any) -> Any:
-        library, fndesc, env, signature, *_, envs = result._reduce()
-        return type(result.library), library, fndesc, env, signature, tuple(one for one in envs if one.consts)
+        fndesc = result.fndesc
+        fndesc.typemap = fndesc.calltypes = None  # as numba does; nobody asks for them any more
+        envs = tuple(one for one in result._find_referenced_environments() if one.consts)
+        library = result.library.serialize_using_object_code()
+        return type(result.library), library, fndesc, result.environment, result.signature, envs
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         made, state, fndesc, env, signature, envs = payload
