@@ -9,6 +9,7 @@ whatever reason, the process that waits compiles itself, and it ends its helpers
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import importlib
 import os
@@ -32,7 +33,7 @@ from .waiting import COUNT, LOG
 T = TypeVar("T")
 
 MOST = 4
-"""Processes, at most: from there on, each would wait for the others; and each takes 0.4 GB."""
+"""Processes, at most: from there on, each would wait for the others; and each takes 0.5 GB."""
 
 PAUSE = 0.005
 """Time between looks at what others have done [s]."""
@@ -181,6 +182,7 @@ def help_out() -> None:
     source = sys.stdin.buffer
     numba.config.CACHE_DIR, folder = pickle.load(source)
     jobs = pickle.load(source)
+    gc.disable()  # see `linking`; it ends before that matters
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
     present = Company(folder)
     present.share(jobs)

@@ -31,7 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from . import company
 from .ahead import Job, jobs, types_ahead
-from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp
+from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp, without_collecting
 from .sources import PACKAGE, memory, stamp
 from .waiting import COUNT, LOG, expected, tell
 
@@ -137,7 +137,7 @@ def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
     try:
         if missing:
             tell(_together, kept, 1 + helpers)
-        with company.company(jobs(missing) if helpers else [], helpers):
+        with without_collecting(), company.company(jobs(missing) if helpers else [], helpers):
             for done, (kernel, types) in enumerate(wanted, start=1):
                 kernel.compile.alone(types)
                 if kernel.stats.cache_misses:
@@ -185,8 +185,11 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     )
 
     def reduce(self, result: Any) -> Any:
-        library, fndesc, env, signature, *_, envs = result._reduce()
-        return type(result.library), library, fndesc, env, signature, tuple(one for one in envs if one.consts)
+        fndesc = result.fndesc
+        fndesc.typemap = fndesc.calltypes = None  # as numba does; nobody asks for them any more
+        envs = tuple(one for one in result._find_referenced_environments() if one.consts)
+        library = result.library.serialize_using_object_code()
+        return type(result.library), library, fndesc, result.environment, result.signature, envs
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         made, state, fndesc, env, signature, envs = payload

@@ -15,10 +15,12 @@ from typing import Any
 from unittest.mock import patch
 
 from llvmlite.ir import Type
-from numba.core import base, event, ir, lowering, postproc, transforms
+from numba.core import base, event, ir, postproc, transforms
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.rewrites import rewrite_registry
 from numba.core.types.functions import BaseFunction
+
+from .lowering import counted
 
 
 def _remembering_types(original: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,35 +95,6 @@ def shortcuts() -> Iterator[None]:
         for owner, name, shortcut in _SHORTCUTS:
             stack.enter_context(patch.object(owner, name, shortcut))
         yield
-
-
-@cache
-def counted(models: Any, kind: Any) -> bool:
-    """Whether references to what a type stands for, or to a part of it, are counted."""
-    found: bool = models[kind].contains_nrt_meminfo()
-    return found
-
-
-class Lowering(lowering.Lower):
-    """Lowering without a thought of the references of what has none: numbers, and tuples of them."""
-
-    def _counted(self, kind: Any) -> bool:
-        return counted(self.context.data_model_manager, kind)
-
-    def incref(self, typ: Any, val: Any) -> None:
-        """Count one more reference."""
-        if self._counted(typ):
-            super().incref(typ, val)
-
-    def decref(self, typ: Any, val: Any) -> None:
-        """Count one less."""
-        if self._counted(typ):
-            super().decref(typ, val)
-
-    def delvar(self, name: str) -> None:
-        """End the life of a variable."""
-        if self._counted(self.typeof(name)):
-            super().delvar(name)
 
 
 class Passes(PassManager):

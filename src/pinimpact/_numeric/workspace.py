@@ -40,9 +40,9 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-from numba.np import arrayobj
 from numpy.typing import NDArray
 
+from .lowering import view
 from .sources import stamp
 
 T = TypeVar("T")
@@ -346,6 +346,8 @@ class WorkspaceType(types.Type):
     Its name changes with the declaration and with this module, so that no code in a cache outlives them.
     """
 
+    lends = True  # the workspace outlives the kernels that use it, see `lowering`
+
     def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:
         self.layout = layout
         super().__init__(f"Workspace({hashlib.sha256((_CODE + repr(layout)).encode()).hexdigest()[:16]})")
@@ -425,16 +427,18 @@ def _read(context: Any, builder: Any, kind: WorkspaceType, pointer: Any, name: s
     for length in shape[:0:-1] if order == "C" else shape[:-1]:
         strides.append(builder.mul(strides[-1], length))
     array_type = _array_type(*rest)
-    array = arrayobj.make_array(array_type)(context, builder)
-    arrayobj.populate_array(
-        array,
-        data=builder.inttoptr(value, array.data.type),
-        shape=shape,
-        strides=strides[::-1] if order == "C" else strides,
-        itemsize=width,
-        meminfo=None,
+    pointer_type = context.get_value_type(array_type.dtype).as_pointer()
+    nobody = ir.Constant(ir.IntType(8).as_pointer(), None)
+    return view(
+        context,
+        builder,
+        array_type,
+        (nobody, nobody),
+        width,
+        builder.inttoptr(value, pointer_type),
+        shape,
+        strides[::-1] if order == "C" else strides,
     )
-    return array._getvalue()
 
 
 @lower_setattr_generic(WorkspaceType)

@@ -1,0 +1,483 @@
+"""From typed code to LLVM's intermediate code, on short ways for what kernels are full of.
+
+numba writes 30 to 100 instructions for an element of an array or the head of a loop over a range, with memory
+of its own for each array that it looks at, and counts references to arrays that others hold. LLVM takes most
+of that away again, but to write it down, to parse it and to take it away is a third of the time that kernels
+take to compile. What is short here means the same; all else goes numba's way.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable
+from functools import cache, partial
+from typing import Any
+
+from llvmlite import ir as llvm_ir
+from numba import core
+from numba.core import analysis, cgutils, ir, lowering
+
+errors: Any = core.errors  # no stub tells all that is in them
+types: Any = core.types
+
+_ARRAY = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
+"""The fields of an array, as they are known here."""
+
+_MEMINFO, _PARENT, _NITEMS, _ITEMSIZE, _DATA, _SHAPE, _STRIDES = range(len(_ARRAY))
+
+_RANGE = ("start", "stop", "step")
+_RANGE_ITERATOR = ("iter", "stop", "step", "count")
+
+_REFERENCE = types.MemInfoPointer(types.voidptr)
+
+_INTEGER, _REAL = llvm_ir.IntType(64), llvm_ir.DoubleType()
+
+_SUMS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul"}
+_COMPARISONS = {
+    operator.lt: "<",
+    operator.le: "<=",
+    operator.gt: ">",
+    operator.ge: ">=",
+    operator.eq: "==",
+    operator.ne: "!=",
+}
+
+
+@cache
+def counted(models: Any, kind: Any) -> bool:
+    """Whether references to what a type stands for, or to a part of it, are counted."""
+    found: bool = models[kind].contains_nrt_meminfo()
+    return found
+
+
+@cache
+def _has(models: Any, kind: Any, fields: tuple[str, ...]) -> bool:
+    """Whether a type is laid out with these fields."""
+    return tuple(getattr(models[kind], "_fields", ())) == fields
+
+
+def _is_index(kind: Any) -> bool:
+    return isinstance(kind, types.Integer) and kind.signed and kind.bitwidth == 64
+
+
+def _is_number(kind: Any) -> bool:
+    return kind is types.float64 or _is_index(kind)
+
+
+def _constant(value: Any) -> int | None:
+    """Return a value of LLVM's if it is a number that is known."""
+    known = isinstance(value, llvm_ir.Constant) and isinstance(value.constant, int)
+    return value.constant if known else None
+
+
+def parts(builder: Any, value: Any, count: int) -> list[Any]:
+    """Return the parts of an aggregate: as they were put in, where that is seen."""
+    found: list[Any] = [None] * count
+    made = value
+    while isinstance(made, llvm_ir.instructions.InsertValue) and len(made.indices) == 1:
+        if found[made.indices[0]] is None:
+            found[made.indices[0]] = made.operands[1]
+        made = made.operands[0]
+    return [builder.extract_value(value, k) if part is None else part for k, part in enumerate(found)]
+
+
+def aggregate(context: Any, builder: Any, kind: Any, values: Iterable[tuple[Any, Any]]) -> Any:
+    """Return a structure of numba's, of fields by their places and what goes there."""
+    made = llvm_ir.Constant(context.get_value_type(kind), llvm_ir.Undefined)
+    for place, value in values:
+        made = builder.insert_value(made, value, place)
+    return made
+
+
+def view(
+    context: Any,
+    builder: Any,
+    kind: Any,
+    owner: tuple[Any, Any],
+    itemsize: Any,
+    data: Any,
+    shape: list[Any],
+    strides: list[Any],
+) -> Any:
+    """Return an array of a type `kind` over memory of others, whose `owner` is its `meminfo` and `parent`."""
+    count = shape[0]
+    for length in shape[1:]:
+        count = builder.mul(count, length, flags=["nsw"])
+    return aggregate(
+        context,
+        builder,
+        kind,
+        [
+            (_MEMINFO, owner[0]),
+            (_PARENT, owner[1]),
+            (_NITEMS, count),
+            (_ITEMSIZE, itemsize),
+            (_DATA, data),
+            *(((_SHAPE, k), length) for k, length in enumerate(shape)),
+            *(((_STRIDES, k), stride) for k, stride in enumerate(strides)),
+        ],
+    )
+
+
+class Lowering(lowering.Lower):
+    """Lowering on short ways, without a thought of the references of what has none."""
+
+    def _find_singly_assigned_variable(self) -> None:
+        """Find the variables that need no memory of their own, and the arrays that need no count."""
+        super()._find_singly_assigned_variable()
+        self._debugged = self._disable_sroa_like_opt
+        self._unowned: set[str] = set()
+        self._to_unowned = False
+        if self._debugged or self.func_ir.func_id.is_generator:
+            return
+        blocks = self.func_ir.blocks
+        values: dict[str, list[Any]] = {}
+        places: dict[str, int] = {}
+        for offset, block in blocks.items():
+            for inst in block.find_insts(ir.Assign):
+                values.setdefault(inst.target.name, []).append(inst.value)
+                places[inst.target.name] = offset
+        self._unowned = self._find_unowned(values)
+        first = min(blocks)
+        if any(first in block.terminator.get_targets() for block in blocks.values()):
+            return
+        used: dict[str, int] = {}
+        for offset, names in analysis.compute_use_defs(blocks).usemap.items():
+            for name in names:
+                used[name] = min(offset, used.get(name, offset))
+        for name, given in values.items():
+            # assigned once, and before all that uses it: on Python's stack, or where the function begins
+            before = places[name] < used.get(name, math.inf) and (name[0] == "$" or places[name] == first)
+            if len(given) == 1 and before and not self._is_counted(name):
+                self._singly_assigned_vars.add(name)
+
+    def _is_counted(self, name: str) -> bool:
+        """Whether references to what a variable holds are counted."""
+        return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
+
+    def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:
+        """Return the arrays that need no count of references, for others outlive them.
+
+        They are arguments, the views that a type `lends`, and rows of such ones.
+
+        Args:
+            values: What each variable is assigned.
+        """
+        found = {name for name in values if isinstance(self.typeof(name), types.Array)}
+
+        def lent(name: str, value: Any) -> bool:
+            kind = self.typeof(name)
+            if isinstance(value, ir.Arg):
+                return self.typeof(f"arg.{value.name}") == kind
+            if isinstance(value, ir.Var):
+                return value.name in found and self.typeof(value.name) == kind
+            if not isinstance(value, ir.Expr) or value.op not in ("getattr", "getitem", "static_getitem"):
+                return False
+            owner = self.typeof(value.value.name)
+            if value.op == "getattr":
+                return getattr(owner, "lends", False)
+            index = value.index if value.op == "getitem" else value.index_var
+            if value.value.name not in found or index is None:
+                return False
+            return self.fndesc.calltypes[value].return_type == kind and self._is_row(kind, owner, index)
+
+        while owned := {name for name in found if not all(lent(name, value) for value in values[name])}:
+            found -= owned
+        return found
+
+    def _counted(self, kind: Any) -> bool:
+        return counted(self.context.data_model_manager, kind)
+
+    def _has(self, kind: Any, fields: tuple[str, ...]) -> bool:
+        return _has(self.context.data_model_manager, kind, fields)
+
+    def incref(self, typ: Any, val: Any) -> None:
+        """Count one more reference."""
+        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
+            super().incref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        elif self._counted(typ):
+            super().incref(typ, val)
+
+    def decref(self, typ: Any, val: Any) -> None:
+        """Count one less."""
+        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
+            super().decref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        elif self._counted(typ):
+            super().decref(typ, val)
+
+    def delvar(self, name: str) -> None:
+        """End the life of a variable."""
+        if self._debugged or self._is_counted(name):
+            super().delvar(name)
+
+    def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
+        """Give a variable a value."""
+        if self._debugged or self._is_counted(name):
+            super().storevar(value, name, argidx)
+        elif name in self._singly_assigned_vars:
+            self._blk_local_varmap[name] = value
+        else:
+            self.builder.store(value, self.getvar(name))
+
+    def lower_block(self, block: Any) -> None:
+        """Lower a block of instructions."""
+        self.pre_block(block)
+        try:
+            for inst in block.body:
+                self.loc = inst.loc
+                self.lower_inst(inst)
+        except Exception:
+            where = partial(errors.LoweringError, loc=self.loc)
+            with errors.new_error_context(
+                'lowering "{inst}" at {loc}', inst=inst, loc=self.loc, errcls_=where
+            ):
+                raise
+        self.post_block(block)
+
+    def lower_inst(self, inst: Any) -> None:
+        """Lower one instruction."""
+        if type(inst) is ir.Assign and not self._debugged:
+            name, value = inst.target.name, inst.value
+            self._to_unowned = name in self._unowned
+            if self._to_unowned and isinstance(value, ir.Arg):
+                self.storevar(self.fnargs[value.index], name)
+            elif self._to_unowned and isinstance(value, ir.Var):
+                self.storevar(self.loadvar(value.name), name)
+            else:
+                self.storevar(self.lower_assign(self.typeof(name), inst), name)
+        else:
+            super().lower_inst(inst)
+
+    def lower_expr(self, resty: Any, expr: Any) -> Any:
+        """Lower an expression."""
+        short = _SHORT.get(expr.op)
+        if short is not None:
+            found = short(self, resty, expr)
+            if found is not None:
+                return found
+        return super().lower_expr(resty, expr)
+
+    def lower_getitem(self, resty: Any, expr: Any, value: Any, index: Any, signature: Any) -> Any:
+        """Lower what reads an item."""
+        found = None
+        kind = self.typeof(value.name)
+        if isinstance(kind, types.Array) and signature.return_type == resty:
+            found = self._item(resty, kind, value, index)
+        return super().lower_getitem(resty, expr, value, index, signature) if found is None else found
+
+    def lower_setitem(self, target_var: Any, index_var: Any, value_var: Any, signature: Any) -> None:
+        """Lower what sets an item."""
+        kind = self.typeof(target_var.name)
+        count = self._integers(kind, index_var)
+        if not count or count < kind.ndim:
+            super().lower_setitem(target_var, index_var, value_var, signature)
+            return
+        value = self.context.cast(
+            self.builder, self.loadvar(value_var.name), self.typeof(value_var.name), kind.dtype
+        )
+        self.builder.store(value, self._place(kind, self.loadvar(target_var.name), self._indices(index_var)))
+
+    # ---- arrays
+
+    def _integers(self, kind: Any, index: Any) -> int:
+        """Return how many integers an index into an array of numbers consists of; 0 for others."""
+        number = isinstance(kind, types.Array) and kind.dtype in (types.float64, types.int64)
+        if not number or kind.layout == "A" or not kind.aligned or not self._has(kind, _ARRAY):
+            return 0
+        form = self.typeof(index.name)
+        count = 1 if _is_index(form) else 0
+        if isinstance(form, types.BaseTuple) and all(map(_is_index, form.types)):
+            count = len(form)
+        return 0 if self.context.enable_boundscheck or count > kind.ndim else count
+
+    def _is_row(self, resty: Any, kind: Any, index: Any) -> bool:
+        return 0 < self._integers(kind, index) < kind.ndim and kind.layout == resty.layout == "C"
+
+    def _indices(self, index: Any) -> list[Any]:
+        """Return the values of an index of integers."""
+        form = self.typeof(index.name)
+        if isinstance(form, types.BaseTuple):
+            return parts(self.builder, self.loadvar(index.name), len(form))
+        return [self._loaded(index, form)]
+
+    def _loaded(self, variable: Any, form: Any) -> Any:
+        if isinstance(form, types.IntegerLiteral):
+            return _INTEGER(form.literal_value)
+        return self.loadvar(variable.name)
+
+    def _place(self, kind: Any, array: Any, indices: list[Any]) -> Any:
+        """Return where an item or a row of an array begins."""
+        builder = self.builder
+        lengths = [builder.extract_value(array, (_SHAPE, k)) for k in range(kind.ndim)]
+        inside = [self._from_start(*pair) for pair in zip(indices, lengths, strict=False)]
+        places = inside + [None] * (kind.ndim - len(inside))
+        order = range(kind.ndim) if kind.layout == "C" else range(kind.ndim - 1, -1, -1)
+        offset = None
+        for k in order:
+            if offset is not None:
+                offset = builder.mul(offset, lengths[k])
+            if places[k] is not None:
+                offset = places[k] if offset is None else builder.add(offset, places[k])
+        return builder.gep(builder.extract_value(array, _DATA), [offset])
+
+    def _from_start(self, index: Any, length: Any) -> Any:
+        """Return an index that counts from the start."""
+        known = _constant(index)
+        if known is not None and known >= 0:
+            return index
+        builder = self.builder
+        negative = builder.icmp_signed("<", index, _INTEGER(0))
+        return builder.select(negative, builder.add(index, length), index)
+
+    def _item(self, resty: Any, kind: Any, value: Any, index: Any) -> Any:
+        builder, array = self.builder, self.loadvar(value.name)
+        if self._integers(kind, index) == kind.ndim:
+            return builder.load(self._place(kind, array, self._indices(index)))
+        if not isinstance(resty, types.Array) or not self._is_row(resty, kind, index):
+            return None
+        indices = self._indices(index)
+        left = range(len(indices), kind.ndim)
+        row = view(
+            self.context,
+            builder,
+            resty,
+            (builder.extract_value(array, _MEMINFO), builder.extract_value(array, _PARENT)),
+            builder.extract_value(array, _ITEMSIZE),
+            self._place(kind, array, indices),
+            [builder.extract_value(array, (_SHAPE, k)) for k in left],
+            [builder.extract_value(array, (_STRIDES, k)) for k in left],
+        )
+        if not self._to_unowned:
+            self.incref(resty, row)
+        return row
+
+    def _attribute(self, resty: Any, expr: Any) -> Any:
+        kind = self.typeof(expr.value.name)
+        if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, _ARRAY):
+            return self.builder.extract_value(self.loadvar(expr.value.name), _SHAPE)
+        return None
+
+    # ---- tuples
+
+    def _known_item(self, resty: Any, expr: Any) -> Any:
+        kind, index = self.typeof(expr.value.name), expr.index
+        if not isinstance(kind, types.BaseTuple) or not isinstance(index, int):
+            return None
+        if not -len(kind) <= index < len(kind) or kind.types[index] != resty:
+            return None
+        found = parts(self.builder, self.loadvar(expr.value.name), len(kind))[index]
+        self.incref(resty, found)
+        return found
+
+    def _of_pair(self, resty: Any, expr: Any, which: int) -> Any:
+        if not self._has(self.typeof(expr.value.name), ("first", "second")):
+            return None
+        found = parts(self.builder, self.loadvar(expr.value.name), 2)[which]
+        self.incref(resty, found)
+        return found
+
+    # ---- loops over ranges
+
+    def _start_loop(self, resty: Any, expr: Any) -> Any:
+        """Lower the start of a loop: what it counts, and how often it is still to run, in memory."""
+        known = resty == types.range_iter64_type and self._has(resty, _RANGE_ITERATOR)
+        if not known or not self._has(self.typeof(expr.value.name), _RANGE):
+            return None
+        builder = self.builder
+        start, stop, step = parts(builder, self.loadvar(expr.value.name), 3)
+        if _constant(step) not in (1, -1):
+            return None
+        count = builder.sub(*((stop, start) if _constant(step) == 1 else (start, stop)))
+        return aggregate(
+            self.context, builder, resty, enumerate((self._kept(start), stop, step, self._kept(count)))
+        )
+
+    def _kept(self, value: Any) -> Any:
+        place = cgutils.alloca_once(self.builder, _INTEGER)
+        self.builder.store(value, place)
+        return place
+
+    def _next_of_loop(self, resty: Any, expr: Any) -> Any:
+        kind = self.typeof(expr.value.name)
+        if kind != types.range_iter64_type or not self._has(kind, _RANGE_ITERATOR):
+            return None
+        builder, iterator = self.builder, self.loadvar(expr.value.name)
+        place, step, left = (builder.extract_value(iterator, k) for k in (0, 2, 3))
+        value, count = builder.load(place), builder.load(left)
+        builder.store(builder.add(value, step), place)
+        builder.store(builder.sub(count, _INTEGER(1), flags=["nsw"]), left)
+        pair = value, builder.icmp_signed(">", count, _INTEGER(0))
+        return aggregate(self.context, builder, resty, enumerate(pair))
+
+    # ---- calls and sums
+
+    def _call(self, resty: Any, expr: Any) -> Any:
+        called = getattr(self.typeof(expr.func.name), "typing_key", None)
+        if called not in (range, len, bool) or expr.kws or expr.vararg:
+            return None
+        kinds = [self.typeof(one.name) for one in expr.args]
+        if called is len:
+            if isinstance(kinds[0], types.Array) and kinds[0].ndim and self._has(kinds[0], _ARRAY):
+                return self.builder.extract_value(self.loadvar(expr.args[0].name), (_SHAPE, 0))
+        elif called is bool:
+            if kinds[0] == types.boolean:
+                return self.loadvar(expr.args[0].name)
+        elif resty == types.range_state64_type and all(map(_is_index, kinds)):
+            numbers = [self._loaded(*pair) for pair in zip(expr.args, kinds, strict=True)]
+            if len(numbers) == 1:
+                numbers.insert(0, _INTEGER(0))
+            if len(numbers) == 2:
+                numbers.append(_INTEGER(1))
+            return aggregate(self.context, self.builder, resty, enumerate(numbers))
+        return None
+
+    def _binary(self, resty: Any, expr: Any) -> Any:
+        """Lower a sum, product, quotient or comparison of two numbers of one type."""
+        fn = expr.fn if expr.op == "binop" else expr.immutable_fn
+        left, right = self.typeof(expr.lhs.name), self.typeof(expr.rhs.name)
+        builder = self.builder
+        if _is_index(left) and _is_index(right):
+            if isinstance(left, types.IntegerLiteral) and isinstance(right, types.IntegerLiteral):
+                return None
+            lhs, rhs = self._loaded(expr.lhs, left), self._loaded(expr.rhs, right)
+            if resty is types.int64 and fn in _SUMS:
+                return getattr(builder, _SUMS[fn])(lhs, rhs, flags=["nsw"])
+            if resty is types.boolean and fn in _COMPARISONS:
+                return builder.icmp_signed(_COMPARISONS[fn], lhs, rhs)
+        elif _is_number(left) and _is_number(right):
+            if resty is types.float64 and fn in _SUMS:
+                return getattr(builder, "f" + _SUMS[fn])(
+                    self._real(expr.lhs, left), self._real(expr.rhs, right)
+                )
+            if (
+                resty is types.float64
+                and fn is operator.truediv
+                and not self.context.error_model.raise_on_fp_zero_division
+            ):
+                return builder.fdiv(self._real(expr.lhs, left), self._real(expr.rhs, right))
+            if resty is types.boolean and fn in _COMPARISONS:
+                compare = builder.fcmp_unordered if fn is operator.ne else builder.fcmp_ordered
+                return compare(_COMPARISONS[fn], self._real(expr.lhs, left), self._real(expr.rhs, right))
+        return None
+
+    def _real(self, variable: Any, kind: Any) -> Any:
+        """Return the value of a number as a real one."""
+        if kind is types.float64:
+            return self.loadvar(variable.name)
+        if isinstance(kind, types.IntegerLiteral):
+            return _REAL(float(kind.literal_value))
+        return self.builder.sitofp(self.loadvar(variable.name), _REAL)
+
+
+_SHORT: dict[str, Any] = {
+    "binop": Lowering._binary,
+    "inplace_binop": Lowering._binary,
+    "call": Lowering._call,
+    "getattr": Lowering._attribute,
+    "getiter": Lowering._start_loop,
+    "iternext": Lowering._next_of_loop,
+    "pair_first": partial(Lowering._of_pair, which=0),
+    "pair_second": partial(Lowering._of_pair, which=1),
+    "static_getitem": Lowering._known_item,
+}

@@ -1,0 +1,172 @@
+"""Kernels as they are compiled against the same functions in Python."""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from pinimpact._numeric.linking import KernelCompiler
+
+compiled = numba.njit(pipeline_class=KernelCompiler, error_model="numpy")
+
+
+def items(a, b, k):
+    """Items of arrays, from the front and from the back, and by a tuple."""
+    at = (k, -1)
+    b[-1, k] = a[at] + 2
+    b[at] += a[k][-2] * a[-1][k]
+    return a[k, -2], b[0, -1], a[-k, k]
+
+
+def cube(a, i):
+    """Items and rows of three dimensions, and rows of rows."""
+    page = a[i]
+    row = page[-1]
+    again = a[-1, i]
+    again[0] = 7
+    return page[0, 1], row[-1], len(row), page.shape[1], a[i, 1][2], again[0], a.shape[2]
+
+
+def integers(n):
+    found = np.zeros(n, dtype=np.int64)
+    for i in range(n):
+        found[i] = 3 * i - 1
+    return found[-1] + found[1]
+
+
+def loops(n, step):
+    """Ranges of all kinds, and what their variables hold when they are over."""
+    found = np.zeros(9)
+    last = -5
+    for i in range(n):
+        found[0] += i
+        last = i
+    for i in range(2, n):
+        found[1] += i
+    for i in range(n - 1, -1, -1):
+        found[2] = 10 * found[2] + i
+    for i in range(0, n, 2):
+        found[3] += i * i
+    for i in range(n, 0, step):
+        found[4] += i
+    for i in range(n):
+        for j in range(i, n):
+            if j == 3:
+                break
+            found[5] += i * j
+    each = range(1, n, 1)
+    for _ in range(2):
+        for i in each:
+            found[6] += i
+    found[7], found[8] = last, len(range(0, n, 3))
+    return found
+
+
+def numbers(x, y, i, j):
+    """Sums and comparisons of numbers, of two types and of what is known."""
+    return (
+        x + y,
+        x - i,
+        2 * x,
+        i * j - 3,
+        x / y,
+        j / x,
+        1 / y,
+        x < y,
+        x <= i,
+        x != y,
+        x == 1,
+        i > j,
+        i != 2,
+        x != x,
+        (i, x, j)[-2],
+        -x * i,
+    )
+
+
+def owned(n):
+    """A row of an array that nobody else holds any more."""
+    a = np.ones((n, 3))
+    row = a[1]
+    a = np.full((n, 3), 5.0)
+    for i in range(3):
+        row[i] += i
+    return row
+
+
+def taken(a, n):
+    """An argument whose name is used again, and one that is handed back."""
+    b = a
+    for i in range(n):
+        a = np.full(2, float(i))
+        b[0] += a[1]
+    return a, b
+
+
+def early(a):
+    """Variables that only one branch sets, and a loop at the very start."""
+    while a[0] > 0.0:
+        step = a[1]
+        a[0] -= step
+    c = 0.0
+    if a[0] < -1.0:
+        c = math.sqrt(-a[0])
+    return a[0], c
+
+
+CASES = [
+    (items, lambda: (np.arange(12.0).reshape(3, 4), np.ones((3, 4)), 1)),
+    (items, lambda: (np.arange(12.0).reshape(4, 3).T, np.ones((4, 3)).T, 2)),
+    (items, lambda: (np.arange(24.0).reshape(3, 8)[:, ::2], np.ones((4, 4))[:, 1:], 1)),
+    (cube, lambda: (np.arange(24.0).reshape(2, 4, 3), 1)),
+    (cube, lambda: (np.arange(24.0).reshape(2, 4, 3), -2)),
+    (integers, lambda: (4,)),
+    (loops, lambda: (5, -2)),
+    (loops, lambda: (0, 1)),
+    (loops, lambda: (-3, 2)),
+    (numbers, lambda: (1.5, 0.0, 2, 7)),
+    (numbers, lambda: (math.nan, -2.0, 2, 2)),
+    (numbers, lambda: (1.0, math.inf, -1, 7)),
+    (taken, lambda: (np.array([1.0, 2.0]), 3)),
+    (taken, lambda: (np.array([1.0, 2.0]), 0)),
+    (early, lambda: (np.array([2.5, 2.0]),)),
+    (early, lambda: (np.array([0.1, 2.0]),)),
+]
+
+
+@pytest.mark.parametrize(("function", "arguments"), CASES)
+def test_a_kernel_does_what_python_does(function, arguments):
+    ours, theirs = arguments(), arguments()
+    with np.errstate(all="ignore"):
+        theirs = [np.float64(one) if isinstance(one, float) else one for one in theirs]  # 1/0 is no error
+        expected = function(*theirs)
+    found = compiled(function)(*ours)
+    if not isinstance(expected, tuple):
+        found, expected = (found,), (expected,)
+    for one, other in zip(found, expected, strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+    for one, other in zip(ours, theirs, strict=True):  # what was written into arguments
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_what_a_kernel_returns_outlives_it():
+    rows = [compiled(owned)(n) for n in range(2, 50)]
+    gc.collect()
+    rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
+    assert all(np.array_equal(row, [1.0, 2.0, 3.0]) for row in rows)
+    assert len(rubbish) == len(rows)
+
+
+def test_references_to_arguments_are_left_as_they_were():
+    a = np.ones(2)
+    kernel = compiled(taken)
+    kernel(a, 2)
+    before = sys.getrefcount(a)
+    for _ in range(10):
+        kernel(a, 2)
+    assert sys.getrefcount(a) == before
