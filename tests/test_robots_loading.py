@@ -313,8 +313,3 @@ def test_files_that_pinocchio_does_not_read_are_told(tmp_path, name, text, said)
     (tmp_path / name).write_text(text)
     with pytest.raises(pinimpact.ModelError, match=said):
         pinimpact.load_robot(tmp_path / name)
-
-
-def test_a_robot_without_a_joint_that_moves_is_said_to_be_one(urdf):
-    with pytest.raises(pinimpact.ModelError, match="has no joint that moves"):
-        pinimpact.load_robot(urdf(kind="fixed"))

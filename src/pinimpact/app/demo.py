@@ -190,6 +190,10 @@ def run_demo(
 def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tuple[str, ...]]:
     """Return the robot without the joints that move no inertia, and the names of these."""
     model = robot.model
+    if model.nv == 0:
+        raise ModelError(
+            f"robot: {name} has no joint that moves, so it cannot strike", field="robot", value=name
+        )
     idle = sorted(_idle_joints(model, robot.q0))
     if not idle:
         return robot, ()

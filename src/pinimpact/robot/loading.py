@@ -76,8 +76,6 @@ def load_robot(
             field="robot",
             value=robot,
         )
-    if wrapper.model.nv == 0:
-        raise ModelError(f"robot: {name} has no joint that moves", field="robot", value=name)
     if not any(inertia.mass > 0.0 for inertia in wrapper.model.inertias):
         raise ModelError(
             f"robot: {name} has no inertia: no link that a joint moves has a mass; give its links <inertial>",
