@@ -262,7 +262,7 @@
       drawn.after.set(point, world(mark.axes, Drawing.along(mark, share, "velocity")).multiplyScalar(velocity));
     });
     const height = mark => mark.impulse[mark.impulse.length - 1][2];
-    drawPanel(shown.filter(mark => mark.segments.length).sort((a, b) => height(b) - height(a))[0], share);
+    drawPanel(shown.filter(mark => mark.segments.length).sort((a, b) => height(b) - height(a))[0], share, shown.length > 1);
   }
 
   function panelWidth() {
@@ -271,7 +271,7 @@
   }
 
   const canvas = find("hodograph");
-  function drawPanel(mark, share) {
+  function drawPanel(mark, share, named) {
     canvas.hidden = !mark;
     if (!mark) return;
     const wide = panelWidth();
@@ -283,7 +283,7 @@
     canvas.style.height = `${tall}px`;
     const g = canvas.getContext("2d");
     g.setTransform(dense, 0, 0, dense, 0, 0);
-    Drawing.hodograph(g, 8, 8, wide - 16, mark, share);
+    Drawing.hodograph(g, 8, 8, wide - 16, mark, share, named ? `${mark.name}: ` : "");
     if (data.within) Drawing.history(g, 8, wide + 22, wide - 40, tall - wide - 46, mark, share);
   }
 
