@@ -276,6 +276,33 @@ def test_one_impact_beside_the_robot(fall) -> None:
         pinimpact.replay(robot, record, None)
 
 
+def test_one_impact_at_many_contacts() -> None:
+    robot = pinimpact.load_robot("solo12")
+    feet = [
+        pinimpact.Contact(f, FLOOR, 0.5, 0.3, "energetic", name=f) for f in ("FL_FOOT", "FR_FOOT", "HL_FOOT")
+    ]
+    v = np.zeros(robot.model.nv)
+    v[:3] = 0.3, 0.1, -1.0
+    hit = pinimpact.impact(robot.model, robot.data, robot.q0, v, feet)
+    (shown,) = motion_of(pinimpact.replay(robot, hit, None, q=robot.q0, contacts=feet))["impacts"]
+    assert (shown["e"], shown["mu"], shown["law"]) == (0.3, 0.5, "energetic")
+    data = robot.model.createData()
+    before, after = (pin.computeKineticEnergy(robot.model, data, robot.q0, u) for u in (v, hit.v))
+    assert shown["lost"] == pytest.approx(before - after, rel=1e-6)
+    pin.framesForwardKinematics(robot.model, data, robot.q0)
+    assert [mark["name"] for mark in shown["contacts"]] == [foot.label for foot in feet]
+    for mark, impulse, foot in zip(shown["contacts"], hit.impulses_world, feet, strict=True):
+        place = data.oMf[robot.model.getFrameId(foot.frame)].translation
+        np.testing.assert_allclose(mark["point"], place, atol=1e-6)
+        axes = np.array(mark["axes"]).reshape(3, 3)
+        np.testing.assert_allclose(mark["impulse"][-1] @ axes, impulse, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(mark["velocity"][0] @ axes, v[:3], atol=1e-6)
+        assert np.all(np.diff(mark["clock"]) >= 0.0)
+        assert (mark["clock"][0], mark["clock"][-1]) == (0.0, 1.0)
+    with pytest.raises(pinimpact.InputError, match="give the 3 contacts"):
+        pinimpact.replay(robot, hit, None, q=robot.q0)
+
+
 def test_replay_refuses(fall) -> None:
     robot, trajectory = fall
     with pytest.raises(pinimpact.InputError, match=r"speed: 0\.0"):

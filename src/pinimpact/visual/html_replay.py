@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import above_zero, finite_array
 from ..errors import InputError
 from ..robot.contact import Contact
+from ..robot.many_impact import ManyHit
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id, model_of
 from ..robot.robot_impact import Hit
@@ -24,7 +25,7 @@ from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
 from .film import frame_times, slowed, width_of_slowness
-from .impact_marks import ImpactMark, impact_mark, short
+from .impact_marks import ImpactMark, impact_mark, many_mark, short
 from .page_file import Recorder, packed, page
 from .robot_shapes import joint_poses, joints_as_data, send_background, send_meshes, skeleton
 from .surface_shapes import surface_as_data
@@ -35,6 +36,8 @@ HOLD = 1.5
 """How long the film of a motion stands still within an impact [s]."""
 HOLD_WITHIN = 8.0
 """How long the film of one impact takes [s]."""
+WITHIN = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
+"""Settings of the player for one impact."""
 LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.25
 """Lengths of the longest arrows, in parts of the size of what is shown."""
 
@@ -91,7 +94,7 @@ class Replay(os.PathLike[str]):
 
 def replay(
     robot: pin.RobotWrapper | pin.Model | Hit,
-    motion: Trajectory | Hit | ImpactRecord | None = None,
+    motion: Trajectory | Hit | ManyHit | ImpactRecord | None = None,
     path: str | Path | None = "replay.html",
     *,
     contacts: Sequence[Contact] | None = None,
@@ -113,11 +116,11 @@ def replay(
 
     Args:
         robot: The robot with its visual geometry; without any, or as a bare model, it is drawn in lines.
-        motion: A `Trajectory`, a `Hit`, or an impact of a trajectory.
+        motion: A `Trajectory`, a `Hit`, a `ManyHit`, or an impact of a trajectory.
         path: The file to write, in a folder that exists; None for none.
         contacts: Contacts whose surfaces, ways, forces and impacts are drawn. By default those of the
-            trajectory, or the one of the hit.
-        q: (nq,) the configuration of a `Hit`.
+            trajectory, or the one of the hit; those of a `ManyHit` have to be given, in their order.
+        q: (nq,) the configuration of a hit.
         speed: Seconds of motion per second of film, > 0, away from impacts.
         slowdown: How much slower it is at an impact, ≥ 1; 1 also leaves out the standstill.
         open: Whether to show the page in the browser.
@@ -134,7 +137,9 @@ def replay(
         raise InputError(
             f"slowdown: {slowdown!r} given, a number of at least 1 expected", field="slowdown", value=slowdown
         )
-    if isinstance(motion, (Hit, ImpactRecord)):
+    if isinstance(motion, ManyHit):
+        text = _many_page(robot, motion, contacts, q)
+    elif isinstance(motion, (Hit, ImpactRecord)):
         text = _impact_page(robot, motion, contacts, q)
     elif isinstance(motion, Trajectory):
         text = _motion_page(robot, motion, contacts, speed, float(slowdown))
@@ -186,17 +191,12 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
         source = contacts[0].label
     else:
         source, q = impact.source, impact.q if q is None else q
-    settings = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
     if robot is None:
         assert isinstance(impact, Hit)  # a robot is left out with a hit alone
         mark = impact_mark(impact, source, {source: (np.zeros(3), impact.axes)})
-        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], settings, [])
+        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], WITHIN, [])
     model = model_of(robot)
-    if q is None:
-        raise InputError(
-            "q: a hit does not know where the robot was; give q=, the configuration of the impact", field="q"
-        )
-    q = finite_array("q", q, (model.nq,))
+    q = _configuration(model, q)
     drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source][:1]
     if not drawn:
         raise InputError(
@@ -207,7 +207,29 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
         )
     geometry = contact_geometry(model, model.createData(), q, drawn[0])
     mark = impact_mark(impact, source, {source: (geometry.point, geometry.axes)})
-    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], settings, [])
+    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
+
+
+def _many_page(robot: Any, hit: ManyHit, contacts: Sequence[Contact] | None, q: Any) -> str:
+    model = model_of(robot)
+    if contacts is None or len(contacts) != len(hit.axes):
+        raise InputError(
+            f"contacts: give the {len(hit.axes)} contacts of the impact, in their order",
+            field="contacts",
+            value=contacts,
+        )
+    q, data, drawn = _configuration(model, q), model.createData(), _contacts(model, contacts)
+    points = [contact_geometry(model, data, q, contact).point for contact in drawn]
+    mark = many_mark(hit, drawn, points)
+    return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
+
+
+def _configuration(model: pin.Model, q: Any) -> Array:
+    if q is None:
+        raise InputError(
+            "q: a hit does not know where the robot was; give q=, the configuration of the impact", field="q"
+        )
+    return finite_array("q", q, (model.nq,))
 
 
 def _page(

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
+from ..contact_space.solve import solve_impact
+from ..robot.contact import Contact
+from ..robot.many_impact import ManyHit
 from .smooth_path import invariant_directions, smooth_path
 
 Array = NDArray[np.float64]
@@ -40,33 +43,39 @@ class ContactMark:
         point: (3,) where it is, in world axes [m].
         axes: (3, 3) t₁, t₂, n as rows, in world axes.
         friction: μ.
-        delassus: (3, 3) its own block.
+        delassus: (3, 3) W, or None where other contacts push too, so that slip has no flow of its own.
         velocity: (m, 3) along the impact, before it first and after it last [m/s].
         impulse: (m, 3) so far [N s].
         segments: Mode, phase, and P₃ at start and end of each.
+        clock: (m,) how much of the impact is over at each point, 0 to 1; None for as much as of its P₃.
     """
 
     name: str
     point: Array
     axes: Array
     friction: float
-    delassus: Array
+    delassus: Array | None
     velocity: Array
     impulse: Array
     segments: Sequence[tuple[str, str, float, float]]
+    clock: Array | None = None
 
     def as_data(self) -> dict[str, Any]:
-        """Return it as JSON has it; `clock` is how much of the impact is over at each point, 0 to 1."""
-        p3 = self.impulse[:, 2]
-        clock = p3 / p3[-1] if p3[-1] > 0.0 else np.linspace(0.0, 1.0, len(p3))
-        problem = ImpactProblem(self.delassus, self.velocity[0], self.friction, 0.0)
+        """Return it as JSON has it."""
+        p3, clock = self.impulse[:, 2], self.clock
+        if clock is None:
+            clock = p3 / p3[-1] if p3[-1] > 0.0 else np.linspace(0.0, 1.0, len(p3))
+        delassus, invariant = np.zeros((3, 3)), np.empty(0)
+        if self.delassus is not None:
+            delassus = self.delassus
+            invariant = invariant_directions(ImpactProblem(delassus, self.velocity[0], self.friction, 0.0))
         return {
             "name": self.name,
             "point": short(self.point),
             "axes": short(self.axes.ravel()),
             "mu": self.friction,
-            "delassus": short(self.delassus.ravel()),
-            "invariant": short(invariant_directions(problem)),
+            "delassus": short(delassus.ravel()),
+            "invariant": short(invariant),
             "clock": short(clock),
             "velocity": [short(row) for row in self.velocity],
             "impulse": [short(row) for row in self.impulse],
@@ -81,7 +90,7 @@ class ImpactMark:
     Attributes:
         time: When [s].
         source: Name of the contact, or of the joint limit.
-        law, restitution, friction: What it was solved with.
+        law, restitution, friction: What it was solved with; None where its contacts differ.
         lost: Kinetic energy that it took [J], < 0 where a moving surface gave some.
         contacts: The contacts that take part, none for a joint limit.
         slow: Whether the replay slows down for it.
@@ -90,8 +99,8 @@ class ImpactMark:
     time: float
     source: str
     law: str
-    restitution: float
-    friction: float
+    restitution: float | None
+    friction: float | None
     lost: float
     contacts: Sequence[ContactMark]
     slow: bool
@@ -166,6 +175,49 @@ def impact_mark(
         marks,
         slow,
     )
+
+
+def many_mark(hit: ManyHit, contacts: Sequence[Contact], points: Sequence[Array]) -> ImpactMark:
+    """Return what a replay shows of an impact at many contacts, in their order.
+
+    Args:
+        hit: The impact.
+        contacts: Those that it was solved for.
+        points: (3,) where each of them is, in world axes [m].
+    """
+    problem, solution = hit.problem, hit.solution
+    path = solution.path
+    if path is None:
+        path = solve_impact(problem, record=True, simultaneous=solution.simultaneous).path
+    clock, velocity, impulse = np.array([0.0, 1.0]), problem.velocity, solution.impulse
+    ways = np.array([velocity, solution.velocity]), np.array([np.zeros_like(impulse), impulse])
+    if path is not None and len(path.clock) > 1:
+        span = float(path.clock[-1] - path.clock[0])
+        clock = (path.clock - path.clock[0]) / span if span > 0.0 else np.linspace(0.0, 1.0, len(path.clock))
+        ways = path.velocity, path.impulse
+    marks = [
+        ContactMark(
+            contact.label,
+            points[k],
+            hit.axes[k],
+            contact.friction,
+            None,
+            ways[0][:, k],
+            ways[1][:, k],
+            [(s.mode, s.phase, s.start, s.end) for s in (solution.segments or [()] * len(contacts))[k]],
+            clock,
+        )
+        for k, contact in enumerate(contacts)
+    ]
+    lost = -float(np.sum(solution.work.total))
+    source = f"{len(contacts)} contacts"
+    same = (_same(problem.restitution), _same(problem.friction))
+    return ImpactMark(0.0, source, solution.law, *same, lost, marks, True)
+
+
+def _same(values: Any) -> float | None:
+    found = np.unique(np.asarray(values, dtype=float))
+    return float(found[0]) if len(found) == 1 else None
 
 
 def short(values: Array) -> list[float]:

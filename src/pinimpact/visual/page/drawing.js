@@ -162,7 +162,7 @@ const Drawing = (() => {
   }
 
   // the sliding velocity in the tangential plane: flow of slip, invariant directions, path up to `share`
-  function hodograph(g, x0, y0, size, mark, share) {
+  function hodograph(g, x0, y0, size, mark, share, title) {
     const [w11, w12, w13, , w22, w23] = mark.delassus, mu = mark.mu;
     const reach = 1.15 * Math.max(1e-12, ...mark.velocity.map(v => Math.max(Math.abs(v[0]), Math.abs(v[1]))));
     const middle = [x0 + size / 2, y0 + size / 2], scale = size / 2 / reach;
@@ -198,7 +198,7 @@ const Drawing = (() => {
     g.restore();
     line(g, [[x0, y0], [x0 + size, y0], [x0 + size, y0 + size], [x0, y0 + size], [x0, y0]], "#888", 1);
     g.font = "12px system-ui, sans-serif";
-    label(g, `sliding velocity, ± ${reach.toPrecision(2)} m/s`, x0 + 4, y0 + 14);
+    label(g, `${title}sliding velocity, ± ${reach.toPrecision(2)} m/s`, x0 + 4, y0 + 14);
     if (mark.invariant.length) label(g, "dashed: invariant directions", x0 + 4, y0 + size - 6);
     label(g, "v₁", x0 + size - 18, middle[1] - 5);
     label(g, "v₂", middle[0] + 5, y0 + 30);

@@ -261,7 +261,8 @@
       drawn.impulse.set(point, world(mark.axes, Drawing.along(mark, share, "impulse")).multiplyScalar(impulse));
       drawn.after.set(point, world(mark.axes, Drawing.along(mark, share, "velocity")).multiplyScalar(velocity));
     });
-    drawPanel(shown.find(mark => mark.segments.length), share);
+    const height = mark => mark.impulse[mark.impulse.length - 1][2];
+    drawPanel(shown.filter(mark => mark.segments.length).sort((a, b) => height(b) - height(a))[0], share, shown.length > 1);
   }
 
   function panelWidth() {
@@ -270,7 +271,7 @@
   }
 
   const canvas = find("hodograph");
-  function drawPanel(mark, share) {
+  function drawPanel(mark, share, named) {
     canvas.hidden = !mark;
     if (!mark) return;
     const wide = panelWidth();
@@ -282,7 +283,7 @@
     canvas.style.height = `${tall}px`;
     const g = canvas.getContext("2d");
     g.setTransform(dense, 0, 0, dense, 0, 0);
-    Drawing.hodograph(g, 8, 8, wide - 16, mark, share);
+    Drawing.hodograph(g, 8, 8, wide - 16, mark, share, named ? `${mark.name}: ` : "");
     if (data.within) Drawing.history(g, 8, wide + 22, wide - 40, tall - wide - 46, mark, share);
   }
 
@@ -300,6 +301,8 @@
     return [...byMode].map(([mode, names]) =>
       `${mode}: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`);
   }
+
+  const given = x => x === null ? "of each contact" : `= ${digits(x)}`;
 
   function write(t, piece, share) {
     const lines = [data.within ? "" : `t = ${t.toFixed(4)} s`];
@@ -320,7 +323,7 @@
       const number = data.impacts.indexOf(last) + 1;
       if (!data.within) lines.push(`impact ${number} of ${data.impacts.length}, ${last.time.toFixed(4)} s: ${last.source}`);
       const law = last.law === "energetic" ? "energetic law" : `${last.law[0].toUpperCase()}${last.law.slice(1)}'s law`;
-      lines.push(`${law}, e = ${digits(last.e)}, μ = ${digits(last.mu)}`, energy(last.lost));
+      lines.push(`${law}, e ${given(last.e)}, μ ${given(last.mu)}`, energy(last.lost));
     }
     const overlay = find("overlay");
     overlay.textContent = "";
