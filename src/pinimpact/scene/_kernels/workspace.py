@@ -145,6 +145,7 @@ class SceneWorkspace(Workspace):
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
     drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
+    flat_bounce = real("fastest of the bounces just begun that would not rise above the gaps' floor [m/s]")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
     start_gaps = reals("contacts", 2, meaning="gap and rate at the start")
