@@ -62,6 +62,9 @@ def close(work, reference):
     for m in range(len(scalars)):
         velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m])
     work.forces_unique = True
+    known = work.inner_forces
+    for m in range(len(known)):
+        known[m] = 0.0
 
 
 @jit

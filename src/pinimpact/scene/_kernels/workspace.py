@@ -107,6 +107,9 @@ class SceneWorkspace(Workspace):
     system = reals("closed_rows", "closed_rows", meaning="equations of the forces")
     target = reals("closed_rows", meaning="their right-hand side")
     solution = reals("closed_rows", meaning="their solution")
+    inner_forces = reals(
+        "closed_rows", meaning="within their bounds, where others that are not unique are not"
+    )
     stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     samples = integer("how many samples of the step under way there are, see `samples`")
     sample_times = reals(7, meaning="where in the step, from 0 to 1")
