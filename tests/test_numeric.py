@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pinimpact._numeric import cone_program, elimination, least_norm, lu, semidefinite
+from pinimpact._numeric import cone_program, elimination, least_norm, lu
 
 TOLERANCE = 1e-9
 COMPILES = settings(deadline=None)
@@ -24,12 +24,6 @@ def solve_least_norm(matrix, right, x, null):
 def solve_square(matrix, right, x):
     """Call the kernel, which only kernels can."""
     return elimination.solve(matrix, right, x, TOLERANCE)
-
-
-@numba.njit
-def solve_semidefinite(matrix, right, x):
-    """Call the kernel, which only kernels can."""
-    semidefinite.impulses(matrix, right, x)
 
 
 def matrix_of_rank(seed, rows, columns, rank):
@@ -74,17 +68,6 @@ def test_elimination_solves_and_knows_the_sign_of_the_determinant(seed, size):
     assert x == pytest.approx(np.linalg.solve(matrix, right), rel=1e-11, abs=1e-12)
     singular = matrix_of_rank(seed, size, size, size - 1)
     assert solve_square(singular, right, x) == 0
-
-
-@COMPILES
-@given(st.integers(0, 10**6), st.integers(1, 10), st.integers(1, 10))
-def test_impulses_of_a_semidefinite_matrix_reproduce_what_it_can_produce(seed, size, rank):
-    factor = matrix_of_rank(seed, size, min(rank, size), min(rank, size))
-    matrix = factor @ factor.T
-    target = matrix @ np.random.default_rng(seed + 1).normal(size=size)
-    x = np.empty(size)
-    solve_semidefinite(matrix, target, x)
-    assert matrix @ x == pytest.approx(target, rel=1e-10, abs=1e-10)
 
 
 @numba.njit

@@ -69,7 +69,7 @@ def test_a_free_base_starts_as_said(tmp_path: Path) -> None:
 def test_control_leaves_a_free_base_alone() -> None:
     loaded = load_scene(SCENES / "solo12_landing.toml")
     moved = pin.integrate(loaded.robot.model, loaded.q, 0.1 * np.ones(18))
-    force = loaded.scene.control(0.0, moved, np.ones(18))
+    force = loaded.scene.control.drives(loaded.robot.model)(0.0, moved, np.ones(18))
     np.testing.assert_allclose(force, [0.0] * 6 + [-6.0 * 0.1 - 0.15] * 12, rtol=1e-9)
 
 
@@ -237,3 +237,13 @@ def test_quantities(text, kind, value) -> None:
 def test_what_is_no_length(bad) -> None:
     with pytest.raises(ValueError, match="is not a length"):
         quantity(bad, "length")
+
+
+def test_motors_of_a_file_are_a_joint_pd_within_their_effort(tmp_path: Path) -> None:
+    text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
+    control = scene_of(tmp_path, text.replace("[control]", "[control]\nlargest_effort = 1.5")).scene.control
+    assert isinstance(control, pinimpact.JointPD)
+    assert control.limits == 1.5
+    for wrong in ("largest_effort = 0.0", "largest_effort = 1.5\ncancel_gravity = true"):
+        with pytest.raises(pinimpact.InputError, match=r"control\.largest_effort"):
+            scene_of(tmp_path, text.replace("[control]", f"[control]\n{wrong}"))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
 from pinimpact.robot._kernels import contact_motion
-from pinimpact.scene._kernels import gap_bounds, lie_charts
+from pinimpact.scene._kernels import closed_set, gap_bounds, lie_charts
 from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
 from pinimpact.scene.joint_charts import joint_table
@@ -242,3 +242,40 @@ def test_the_bounds_of_a_gap_hold_between_any_two_times_of_a_step(seed, where, f
         slack = blur + 1e-3 * np.abs(between).max()
         assert -between.min() <= fall + slack
         assert np.abs(between).max() <= bend + slack
+
+
+@numba.njit
+def stop_along(rows, velocity, minverse, v):
+    """Call the kernel, which only kernels can."""
+    return closed_set.stop_along(rows, velocity, minverse, v)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 9), st.integers(1, 9), st.booleans())
+def test_what_stops_along_rows_does_so_by_the_least_change(seed, rows, size, rank, moving):
+    """Of all velocities that agree with the rows it is the one nearest in the metric of the mass matrix."""
+    rng = np.random.default_rng(seed)
+    rank = min(rank, rows, size)
+    matrix = rng.normal(size=(rows, rank)) @ rng.normal(size=(rank, size))
+    root = np.tril(rng.normal(size=(size, size)), -1) + np.diag(rng.uniform(0.5, 2.0, size=size))
+    mass = root @ root.T
+    before = rng.normal(size=size)
+    surface = matrix @ rng.normal(size=size) * moving
+    v = before.copy()
+    energy = stop_along(matrix, matrix @ before - surface, np.linalg.inv(mass), v)
+    assert matrix @ v == pytest.approx(surface, abs=1e-9 * (1.0 + np.abs(surface).max()))
+    # the change of momentum is a combination of the rows
+    impulse = mass @ (v - before)
+    part = matrix.T @ np.linalg.lstsq(matrix.T, impulse, rcond=1e-10)[0]
+    assert part == pytest.approx(impulse, abs=1e-8 * (1.0 + np.abs(impulse).max()))
+    gained = 0.5 * (v @ mass @ v - before @ mass @ before)
+    assert energy == pytest.approx(gained, rel=1e-9, abs=1e-9)
+
+
+def test_rows_that_hardly_differ_are_stopped_too_where_that_costs_little():
+    """Two rows but for 10⁻⁷ the same: what moves along their difference only is seen as 10⁻¹¹."""
+    rows = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 + 1e-7, 0.0]])
+    right, off = np.array([0.3, -0.3, 1.0]), np.array([-1e-4, 1e-4, 0.0])
+    v = right + off
+    stop_along(rows, rows @ off, np.eye(3), v)
+    assert v == pytest.approx(right, abs=1e-8)

@@ -13,15 +13,16 @@ import numpy as np
 
 from .ahead import FLOAT_ROWS, FLOATS, ahead
 from .jit import inner, separate
+from .loops import assign
 
 
 @inner
-def decompose(matrix, right, rank_tolerance, order, factor):
-    """Replace a matrix (m, n) by its complete orthogonal decomposition, and right (m,) by Qᵀ right.
+def decompose(matrix, rights, rank_tolerance, order, factor):
+    """Replace a matrix (m, n) by its complete orthogonal decomposition, and each of rights (k, m) by Qᵀ b.
 
     Args:
         matrix: A; takes T above the diagonal of the rank, and beside it the vectors of Z.
-        right: b.
+        rights: Right-hand sides b.
         rank_tolerance: Part of the largest pivot below which pivots count as zero.
         order: (n,) takes the columns Π.
         factor: (min(m, n),) takes what else Z needs.
@@ -30,7 +31,7 @@ def decompose(matrix, right, rank_tolerance, order, factor):
         The rank.
     """
     m, n = matrix.shape
-    r, b = matrix, right
+    r = matrix
     for j in range(n):
         order[j] = j
     rank, largest = 0, 0.0
@@ -61,12 +62,13 @@ def decompose(matrix, right, rank_tolerance, order, factor):
             total *= scale
             for i in range(k, m):
                 r[i, j] += total * r[i, k]
-        total = 0.0
-        for i in range(k, m):
-            total += r[i, k] * b[i]
-        total *= scale
-        for i in range(k, m):
-            b[i] += total * r[i, k]
+        for b in rights:
+            total = 0.0
+            for i in range(k, m):
+                total += r[i, k] * b[i]
+            total *= scale
+            for i in range(k, m):
+                b[i] += total * r[i, k]
         r[k, k] = pivot
         rank += 1
     # reflections from the right take rows [R₁₁ R₁₂] to [T 0], from the last row up; each acts on its own
@@ -107,6 +109,31 @@ def rotate_back(matrix, rank, order, factor, y, x):
         x[order[k]] = y[k]
 
 
+@ahead(FLOAT_ROWS, FLOAT_ROWS, float, FLOAT_ROWS, FLOAT_ROWS)
+@separate
+def least_norms(matrix, rights, rank_tolerance, found, null):
+    """Fill found (k, n) with solutions of least norm for right-hand sides (k, m), see `least_norm`."""
+    m, n = matrix.shape
+    r, sides, y = matrix.copy(), rights.copy(), np.zeros(n)
+    order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
+    rank = decompose(r, sides, rank_tolerance, order, factor)
+    for c in range(len(sides)):
+        for j in range(n):
+            y[j] = 0.0
+        for k in range(rank - 1, -1, -1):
+            total = sides[c, k]
+            for j in range(k + 1, rank):
+                total -= r[k, j] * y[j]
+            y[k] = total / r[k, k]
+        rotate_back(r, rank, order, factor, y, found[c])
+    for k in range(min(n - rank, len(null))):
+        for j in range(n):
+            y[j] = 0.0
+        y[rank + k] = 1.0
+        rotate_back(r, rank, order, factor, y, null[k])
+    return rank
+
+
 @ahead(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
 @separate
 def least_norm(matrix, right, rank_tolerance, x, null):
@@ -123,19 +150,8 @@ def least_norm(matrix, right, rank_tolerance, x, null):
     Returns:
         The rank.
     """
-    m, n = matrix.shape
-    r, b, y = matrix.copy(), right.copy(), np.zeros(n)
-    order, factor = np.empty(n, dtype=np.int64), np.empty(min(m, n))
-    rank = decompose(r, b, rank_tolerance, order, factor)
-    for k in range(rank - 1, -1, -1):
-        total = b[k]
-        for j in range(k + 1, rank):
-            total -= r[k, j] * y[j]
-        y[k] = total / r[k, k]
-    rotate_back(r, rank, order, factor, y, x)
-    for k in range(min(n - rank, len(null))):
-        for j in range(n):
-            y[j] = 0.0
-        y[rank + k] = 1.0
-        rotate_back(r, rank, order, factor, y, null[k])
+    rights, found = np.empty((1, len(right))), np.empty((1, len(x)))
+    assign(rights[0], right)
+    rank = least_norms(matrix, rights, rank_tolerance, found, null)
+    assign(x, found[0])
     return rank

@@ -149,8 +149,8 @@ class StartTable(_Table):
 class ControlTable(_Table):
     """``[control]``: what the motors do; those of a free base are never driven.
 
-    Stiffness and damping act on every joint alike. With a period they are sampled and held, and act late by
-    the delay.
+    Stiffness and damping act on every joint alike, up to the largest effort. With a period they are sampled
+    and held, and act late by the delay.
     """
 
     cancel_gravity: bool = False
@@ -159,6 +159,8 @@ class ControlTable(_Table):
     """Towards the configuration at the start [N m/rad or N/m]."""
     damping: Annotated[float, Field(ge=0.0)] = 0.0
     """Against motion [N m s/rad or N s/m]."""
+    largest_effort: Annotated[float, Field(gt=0.0)] | None = None
+    """Which no motor exceeds [N m or N]. Left out: there is no limit."""
     period: Time | None = None
     """Between two samples of the control. Left out: it is continuous."""
     delay: Annotated[float, _of("time"), Field(ge=0.0)] = 0.0

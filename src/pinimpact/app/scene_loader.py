@@ -16,6 +16,7 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
+from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
@@ -157,7 +158,24 @@ def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict
             field="control.delay",
             value=table.delay,
         )
-    return {"control": JointControl(table, model, start), "period": table.period, "delay": table.delay}
+    return {"control": _law(table, model, start), "period": table.period, "delay": table.delay}
+
+
+def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | JointControl:
+    """Return the control: a `JointPD` where it can be one."""
+    limited = table.largest_effort is not None
+    if limited and table.cancel_gravity:
+        raise InputError(
+            "control.largest_effort: efforts that cancel gravity have no limit; leave out one of the two",
+            field="control.largest_effort",
+            value=table.largest_effort,
+        )
+    drives = JointPD(table.stiffness, table.damping, start, table.largest_effort)
+    plain = all(nq == nv == 1 for nq, nv in zip(model.nqs, model.nvs, strict=True) if nv not in (0, 6))
+    if limited or (plain and not table.cancel_gravity):
+        drives.drives(model)  # says so where it cannot drive a joint
+        return drives
+    return JointControl(table, model, start)
 
 
 def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from types import ModuleType
@@ -27,7 +28,7 @@ from .events import EventWatch, Interruption, as_events
 from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
 from .records import Energy, ModeInterval
-from .scene import Scene
+from .scene import STANDARD_GRAVITY, Scene
 from .simulation_state import SimulationState
 from .trajectory import Trajectory
 
@@ -40,6 +41,10 @@ CERTAIN = 10.0
 
 DIRECTED = 1e-3
 """Part of the speed of sticking below which slip has no direction but the one last known."""
+
+CROWD = 10
+"""Changes of modes within the time in which gravity changes a velocity by the speed of sticking, after which
+slip slower than that counts as none: where they accumulate, as in a spiral, it comes to rest."""
 
 MAX_STALLED = 200
 """Steps without progress in time, after which slip is stopped, or a simulation gives up."""
@@ -211,6 +216,8 @@ class Motion:
                 self._continuous = scene.control
         self._length = 0.0
         self._ahead_at = -math.inf
+        self._changes: deque[float] = deque(maxlen=CROWD)
+        self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._counted = 0
         self._sample()
         self._consistent = self._lengths()
@@ -279,6 +286,7 @@ class Motion:
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
+        twin._changes = self._changes.copy()
         return twin
 
     def stop(self, error: PinimpactError) -> NoReturn:
@@ -358,6 +366,9 @@ class Motion:
         self.dynamics.set_saturation(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
+        if work.flat_bounce > 0.0 and work.resting_speed > 0.0:
+            state.rest_below(work.flat_bounce)
+            self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
@@ -516,6 +527,9 @@ class Motion:
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         if arriving is None:
             state.stop_jammed_slip(leaving=bounded)
+            self._changes.append(t)
+            if t - self._changes[0] < self._settling_time and len(self._changes) == CROWD:
+                self.work.certain_speed = self.work.stick_speed
         self._settle(arriving)
         self._begin_motion()
         # forces that a correction has brought back into their bounds leave them again soon; modes ahead that

@@ -45,6 +45,9 @@ SINGULAR = 1e-5
 LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
 
+ROUNDING = 1e-9
+"""Part of a speed that is none."""
+
 MAX_ROUNDS = 1000
 """Impacts at one instant, after which the approach left is taken away at once (and noted)."""
 
@@ -232,6 +235,15 @@ class SimulationState:
             "resting": impact.resting,
             "record": self._record and i < len(self.dynamics.contacts),
         }
+
+    def rest_below(self, speed: float) -> None:
+        """Let contacts and limits rest that part no faster than this, since they would be back at once."""
+        work = self.dynamics.work
+        usual, work.resting_speed = work.resting_speed, max(work.resting_speed, (1.0 + ROUNDING) * speed)
+        try:
+            self.settle()
+        finally:
+            work.resting_speed = usual
 
     def change_velocity(self, v: Array) -> None:
         """Go on with another velocity, and count the kinetic energy that it brings."""

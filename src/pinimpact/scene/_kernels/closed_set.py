@@ -7,15 +7,23 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._numeric.cone_program import cholesky
 from ..._numeric.jit import inner, jit, separate
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply, products
-from ..._numeric.semidefinite import impulses
 from .contact_forces import FREE, HELD, SLIP
 from .workspace import SceneWorkspace
 
 NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
 """Which rows of a contact that slips: those whose velocity vanishes, or the tangential ones too."""
+
+
+DIFFERENT, HARDLY_DIFFERENT = 1e-5, 1e-9
+"""Part of the largest by which rows differ at least from each other, else they count as the same."""
+
+SMALL = 1e-3
+"""Part of all velocities that the difference of rows that hardly differ may cost."""
 
 
 @inner
@@ -54,6 +62,9 @@ def close(work, reference):
     for m in range(len(scalars)):
         velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m])
     work.forces_unique = True
+    known = work.inner_forces
+    for m in range(len(known)):
+        known[m] = 0.0
 
 
 @jit
@@ -102,19 +113,38 @@ def delassus_of_rows(rows, minverse, response, delassus):
 @ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
 @separate
 def stop_along(rows, velocity, minverse, v):
-    """Change v by impulses along the rows so that their velocities vanish; return the energy gained."""
+    """Change v by the least impulses along rows so that their velocities vanish; return the energy gained.
+
+    With M⁻¹ = L Lᵀ and v = L w this is the least change of w. Rows that hardly differ from others count where
+    what they ask for is small.
+    """
     m, n = rows.shape
-    response, delassus, x = np.empty((m, n)), np.empty((m, m)), np.empty(m)
-    delassus_of_rows(rows, minverse, response, delassus)
-    impulses(delassus, velocity, x)
+    if m == 0:
+        return 0.0
+    lower, scaled = minverse.copy(), np.empty((m, n))
+    cholesky(lower)
+    for a in range(m):
+        for j in range(n):
+            scaled[a, j] = 0.0
+            for k in range(j, n):
+                scaled[a, j] += rows[a, k] * lower[k, j]
+    change, finer, no_basis = np.empty(n), np.empty(n), np.empty((0, n))
+    least_norm(scaled, velocity, DIFFERENT, change, no_basis)
+    least_norm(scaled, velocity, HARDLY_DIFFERENT, finer, no_basis)
+    w = np.empty(n)
+    size = more = 0.0
+    for i in range(n):  # w = L⁻¹ v
+        total = v[i]
+        for j in range(i):
+            total -= lower[i, j] * w[j]
+        w[i] = total / lower[i, i]
+        size, more = size + w[i] ** 2, more + (finer[i] - change[i]) ** 2
+    if more <= SMALL**2 * size:
+        assign(change, finer)
     energy = 0.0
-    for a in range(m):
-        for j in range(n):
-            energy -= 0.5 * x[a] * rows[a, j] * v[j]
-    for a in range(m):
-        for j in range(n):
-            v[j] -= x[a] * response[a, j]
-    for a in range(m):
-        for j in range(n):
-            energy -= 0.5 * x[a] * rows[a, j] * v[j]
+    for j in range(n):
+        energy -= change[j] * (w[j] - 0.5 * change[j])
+    for i in range(n):
+        for j in range(i + 1):
+            v[i] -= lower[i, j] * change[j]
     return energy

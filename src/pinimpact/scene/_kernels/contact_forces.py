@@ -27,8 +27,8 @@ MISSING = 1e-9
 """Accelerations by which the equations may be missed, in parts of the largest; where more is missed, the rank
 that was taken is too low."""
 
-FINEST = 1e-13
-"""The least part of the largest pivot at which a rank is decided."""
+FINEST = 1e-11
+"""Part of the largest pivot at which the rank is decided then."""
 
 RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
@@ -133,28 +133,40 @@ def set_up_equations(work, acceleration):
 @ahead(SceneWorkspace)
 @separate
 def solve_least_norm(work):
-    """Fill the solution of least norm, without contacts that pull where the others can do without them."""
+    """Fill the solution of least norm, without contacts that pull where the others can do without them.
+
+    Where forces within their bounds are known from before it is the solution nearest to them: the motion is
+    the same, and it shows that such forces still exist.
+
+    Returns:
+        Whether there are no other solutions.
+    """
     modes, system, target, solution = work.closed_mode, work.system, work.target, work.solution
+    known = work.inner_forces
     size = len(target)
     no_basis = np.empty((0, size))
-    trial, columns, part = np.empty(size), np.empty((size, size)), np.empty(size)
-    largest = 0.0
+    trial, columns, part, right = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
+    largest = given = 0.0
     for a in range(size):
-        largest = max(largest, abs(target[a]))
-    rank = SINGULAR_STILL
-    least_norm(system, target, rank, solution, no_basis)
-    off = missed_by(system, target, solution)
-    work.rank_tolerance = rank
-    while off > MISSING * largest and rank > FINEST:
+        largest, given = max(largest, abs(target[a])), max(given, abs(known[a]))
+        right[a] = target[a]
+        for b in range(size):
+            right[a] -= system[a, b] * known[b]
+    work.rank_tolerance = SINGULAR_STILL
+    unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
+    off = missed_by(system, right, solution)
+    if off > MISSING * largest:
         # what little moves along a closed row is not to be moved at all, however large its force
-        rank *= 1e-2
-        least_norm(system, target, rank, trial, no_basis)
-        missed = missed_by(system, target, trial)
-        if missed < 0.1 * off:
-            off, work.rank_tolerance = missed, rank
+        least_norm(system, right, FINEST, trial, no_basis)
+        if missed_by(system, right, trial) < 0.1 * off:
+            work.rank_tolerance = FINEST
             assign(solution, trial)
-    pushes = np.ones(size, dtype=np.bool_)
+    if given > 0.0:
+        for a in range(size):
+            solution[a] += known[a]
+        return unique
     assign(trial, solution)
+    pushes = np.ones(size, dtype=np.bool_)
     while True:
         pull, pulling, width = 0.0, size, 0
         a = 0
@@ -165,7 +177,7 @@ def solve_least_norm(work):
             a += rows
         if pulling == size:
             assign(solution, trial)
-            return
+            return unique
         for a in range(pulling, pulling + width):
             pushes[a] = False
         for b in range(size):
@@ -173,8 +185,18 @@ def solve_least_norm(work):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
         least_norm(columns, target, work.rank_tolerance, part, no_basis)
         if not missed_by(columns, target, part) <= MISSING * largest:
-            return
+            return unique
         assign(trial, part)
+
+
+@inner
+def rubs(work):
+    """Return whether a contact slips against friction."""
+    modes, mu = work.closed_mode, work.closed_friction
+    found = False
+    for k in range(len(modes)):
+        found |= modes[k] == SLIP and mu[k] > 0.0
+    return found
 
 
 @inner

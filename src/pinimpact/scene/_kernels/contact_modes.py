@@ -156,9 +156,10 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
             stopped[a] = closed
         elif abs(free[a]) > pace and abs(strength[m]) >= INSIDE * upper[m]:
-            # a force at its bound holds what it does not let move; what it lets move begins from rest
+            # a force at its bound holds what it does not let move; what it lets move begins or goes on
             closed = False
             breaking[scalars[m]] = strength[m]
+            stopped[a] = v[scalars[m]] * strength[m] > 0.0
         modes[work.contacts + j] = 1 if closed else 0
     taken, fastest = 0, 0.0
     speeds = np.empty(size)

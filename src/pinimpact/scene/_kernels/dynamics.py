@@ -173,9 +173,7 @@ def evaluate(work, t, out):
         work.contact_gap,
     )
     effective = contact_forces.set_up_equations(work, out[:n])
-    rank = RANK if work.forces_unique else contact_forces.SINGULAR_STILL
     system, target = work.system, work.target
-    orientation = solve(system, target, work.solution, rank)
     total = 0.0
     for a in range(len(target)):
         total += target[a]
@@ -185,9 +183,13 @@ def evaluate(work, t, out):
         for j in range(len(out)):
             out[j] = math.nan
         return
+    orientation, rubs = 0, contact_forces.rubs(work)
+    if work.forces_unique or rubs:  # else it says nothing new, and there is no jam
+        rank = RANK if work.forces_unique else contact_forces.SINGULAR_STILL
+        orientation = solve(system, target, work.solution, rank)
     work.forces_unique = orientation != 0
     if orientation == 0:
-        contact_forces.solve_least_norm(work)
+        work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
     lost = effective <= LEAST_EFFECTIVE or orientation < 0

@@ -58,8 +58,12 @@ def begin(work, t, q, v):
     record_sample(work, 0, 0.0)
     work.slip_stiffness = stiffness_of_slip(work)
     work.drive_rate = rate_of_drives(work)
-    work.previous_length = 0.0
+    work.previous_length = work.flat_bounce = 0.0
     guess = math.inf
+    for k in range(work.limits):
+        gap, rate = limit_gap(work, k, q, v)
+        if modes[work.contacts + k] == FREE and gap <= work.touching_gap and rate > 0.0:
+            note_flat_bounce(work, rate, -work.limit_sign[k] * rates[0, n + work.limit_v[k]])
     if len(gaps) == 0:
         return guess
     contact_gaps(work, gaps)
@@ -72,7 +76,15 @@ def begin(work, t, q, v):
                 fall -= jacobian[2, j] * (rates[0, n + j] - work.acceleration[j])
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
+            note_flat_bounce(work, gaps[i, 1], fall)
     return guess
+
+
+@inner
+def note_flat_bounce(work, rate, fall):
+    """Keep the rate at which something has bounced off, if it turns before its gap shows."""
+    if rate * rate < 2.0 * fall * work.gap_floor:
+        work.flat_bounce = max(work.flat_bounce, rate)
 
 
 @jit

@@ -14,12 +14,11 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, INTEGERS, ahead
-from ..._numeric.elimination import RANK, solve
+from ..._numeric.elimination import RANK
 from ..._numeric.jit import inner, jit, separate
-from ..._numeric.least_norm import least_norm
+from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
-from .contact_forces import SINGULAR_STILL
 from .dynamics import evaluate, invert_mass_matrix, set_state
 from .radau import (
     CONVERGED,
@@ -75,22 +74,22 @@ def law(work, j):
 def respond(work, driven, response):
     """Fill (k, nv) what a unit of each drive's force does to v̇ at the state last evaluated, with its M⁻¹."""
     rows, effect, minverse = work.equation_rows, work.force_response, work.minverse
-    n, size = len(minverse), len(rows)
-    target, reaction, no_basis = np.empty(size), np.empty(size), np.empty((0, size))
-    for c in range(len(driven)):
+    n, size, count = len(minverse), len(rows), len(driven)
+    targets, reactions, no_basis = np.empty((count, size)), np.empty((count, size)), np.empty((0, size))
+    for c in range(count):
         assign(response[c], minverse[driven[c]])
-        if size == 0:
-            continue
         for m in range(size):
             total = 0.0
             for j in range(n):
                 total -= rows[m, j] * response[c, j]
-            target[m] = total
-        if solve(work.system, target, reaction, RANK) == 0:
-            least_norm(work.system, target, SINGULAR_STILL, reaction, no_basis)
+            targets[c, m] = total
+    if size > 0:
+        rank = RANK if work.forces_unique else work.rank_tolerance
+        least_norms(work.system, targets, rank, reactions, no_basis)
+    for c in range(count):
         for m in range(size):
             for j in range(n):
-                response[c, j] += reaction[m] * effect[m, j]
+                response[c, j] += reactions[c, m] * effect[m, j]
 
 
 @ahead(SceneWorkspace)

@@ -17,7 +17,7 @@ from ..._numeric.ahead import ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from .contact_forces import SLIP, STICK
+from .contact_forces import SLIP, STICK, rubs
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
@@ -28,7 +28,10 @@ LARGEST = 1e4
 @ahead(SceneWorkspace)
 @separate
 def widest_margin(work):
-    """Return the largest margin of all forces that the modes need at the state last evaluated [N]."""
+    """Return the largest margin of all forces that the modes need at the state last evaluated [N].
+
+    Where the motion is the same for all of them its forces are kept, see `contact_forces.solve_least_norm`.
+    """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
@@ -51,6 +54,12 @@ def widest_margin(work):
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, sizes, ACCURACY, y, s, z)
+    if y[free] > 0.0 and not rubs(work):
+        known = work.inner_forces
+        for a in range(size):
+            known[a] = x[a]
+            for j in range(free):
+                known[a] += unit * y[j] * null[j, a]
     return unit * y[free]
 
 

@@ -107,6 +107,9 @@ class SceneWorkspace(Workspace):
     system = reals("closed_rows", "closed_rows", meaning="equations of the forces")
     target = reals("closed_rows", meaning="their right-hand side")
     solution = reals("closed_rows", meaning="their solution")
+    inner_forces = reals(
+        "closed_rows", meaning="within their bounds, where others that are not unique are not"
+    )
     stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     samples = integer("how many samples of the step under way there are, see `samples`")
     sample_times = reals(7, meaning="where in the step, from 0 to 1")
@@ -145,6 +148,7 @@ class SceneWorkspace(Workspace):
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
     drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
+    flat_bounce = real("fastest of the bounces just begun that would not rise above the gaps' floor [m/s]")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
     start_gaps = reals("contacts", 2, meaning="gap and rate at the start")
