@@ -210,3 +210,22 @@ def test_policies_of_scenes_differ(landing):
         assert repr(policy) in str(scene.plan())
     assert np.abs(after["propagate"][[1, 3, 5]]).max() < 1e-9
     assert np.abs(after["sequence"][[1, 3, 5]]).max() > 1e-4  # one foot after the other
+
+
+def test_a_replay_shows_all_contacts_of_an_impact_at_once(landing):
+    from pinimpact.visual.impact_marks import group_mark
+
+    model, q = landing
+    motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.105)
+    first = motion.impacts[:4]
+    places = {impact.source: (np.zeros(3), np.eye(3)) for impact in first}
+    mark = group_mark(first, places, True)
+    assert [contact.name for contact in mark.contacts] == [impact.source for impact in first]
+    for contact, impact in zip(mark.contacts, first, strict=True):
+        assert contact.impulse[-1] == pytest.approx(impact.solution.impulse, abs=1e-12)
+        assert contact.velocity[0] == pytest.approx(impact.problem.velocity, abs=1e-12)
+        assert contact.clock[0] == 0.0
+        assert contact.clock[-1] == 1.0
+    assert mark.lost == pytest.approx(-sum(impact.solution.work.total for impact in first), rel=1e-12)
+    page = pinimpact.replay(model, motion, None)
+    assert '"4 contacts"' in page.html or "FL_FOOT on plane + FR_FOOT on plane" in page.html

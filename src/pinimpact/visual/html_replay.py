@@ -7,6 +7,7 @@ import math
 import os
 import webbrowser
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
 from .film import frame_times, slowed, width_of_slowness
-from .impact_marks import ImpactMark, impact_mark, many_mark, short
+from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark, short
 from .page_file import Recorder, packed, page
 from .robot_shapes import joint_poses, joints_as_data, send_background, send_meshes, skeleton
 from .surface_shapes import surface_as_data
@@ -161,9 +162,15 @@ def _motion_page(
     model = model_of(robot)
     _check_robot(model, trajectory)
     contacts = _contacts(model, trajectory.contacts if given is None else given)
-    stopped = [-float(impact.solution.work.compression) for impact in trajectory.impacts]
+    together = [
+        list(records)
+        for _, records in groupby(
+            trajectory.impacts, lambda impact: id(impact if impact.group is None else impact.group[0])
+        )
+    ]
+    stopped = [-sum(float(one.solution.work.compression) for one in records) for records in together]
     slow = slowed(stopped)
-    moments = [impact.time for impact in trajectory.impacts]
+    moments = [records[0].time for records in together]
     start, end = float(trajectory.t[0]), float(trajectory.t[-1])
     width = width_of_slowness(end - start, speed, slowdown)
     slow_moments = [time for time, on in zip(moments, slow, strict=True) if on]
@@ -172,12 +179,18 @@ def _motion_page(
     data = model.createData()
     by_name = {contact.label: contact for contact in contacts}
     marks = []
-    for impact, on in zip(trajectory.impacts, slow, strict=True):
+    for records, on in zip(together, slow, strict=True):
         places = {}
-        if impact.source in by_name:
-            geometry = contact_geometry(model, data, impact.q, by_name[impact.source])
-            places[impact.source] = (geometry.point, geometry.axes)
-        marks.append(impact_mark(impact, impact.source, places, impact.time, on))
+        for impact in records:
+            if impact.source in by_name:
+                geometry = contact_geometry(model, data, impact.q, by_name[impact.source])
+                places[impact.source] = (geometry.point, geometry.axes)
+        first = records[0]
+        marks.append(
+            impact_mark(first, first.source, places, first.time, on)
+            if first.group is None
+            else group_mark(records, places, on)
+        )
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
     modes = [[mode.source, mode.mode, mode.start, mode.end] for mode in trajectory.modes]

@@ -14,6 +14,7 @@ from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
 from ..robot.contact import Contact
 from ..robot.many_impact import ManyHit
+from ..scene.records import ImpactRecord
 from .smooth_path import invariant_directions, smooth_path
 
 Array = NDArray[np.float64]
@@ -134,17 +135,22 @@ def contact_mark(
     name: str, point: Array, axes: Array, problem: ImpactProblem, solution: Solution, along: bool
 ) -> ContactMark:
     """Return the mark of one contact; `along` wants the way between before and after too."""
-    if along:
+    clock, whole = None, solution.part_of
+    if along and (whole is None or solution.path is not None):
         path = smooth_path(problem, solution)
-        kept = np.unique(np.append(np.arange(0, len(path.velocity), EVERY), len(path.velocity) - 1))
+        every = EVERY if whole is None else 1
+        kept = np.unique(np.append(np.arange(0, len(path.velocity), every), len(path.velocity) - 1))
         velocity, impulse = path.velocity[kept], path.impulse[kept]
         segments = [(s.mode, s.phase, s.start, s.end) for s in solution.segments]
+        if whole is not None:  # all of them go through the impact together
+            clock = whole.path.clock / max(float(whole.path.clock[-1]), 1e-300)
     else:
         velocity = np.array([problem.velocity, solution.velocity], dtype=float)
         impulse = np.array([np.zeros(3), solution.impulse])
         segments = []
-    delassus = np.asarray(problem.delassus, dtype=float)
-    return ContactMark(name, point, axes, float(problem.friction), delassus, velocity, impulse, segments)
+    delassus = None if whole is not None else np.asarray(problem.delassus, dtype=float)
+    mu = float(problem.friction)
+    return ContactMark(name, point, axes, mu, delassus, velocity, impulse, segments, clock)
 
 
 def impact_mark(
@@ -172,6 +178,28 @@ def impact_mark(
         float(problem.restitution),
         float(problem.friction),
         -float(solution.work.total),
+        marks,
+        slow,
+    )
+
+
+def group_mark(
+    impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool
+) -> ImpactMark:
+    """Return what a replay shows of the records of an impact at several contacts at once."""
+    problems = [impact.problem for impact in impacts]
+    marks = [
+        contact_mark(impact.source, *places[impact.source], impact.problem, impact.solution, slow)
+        for impact in impacts
+        if impact.source in places
+    ]
+    return ImpactMark(
+        impacts[0].time,
+        " + ".join(impact.source for impact in impacts),
+        impacts[0].solution.part_of.law,
+        _same([problem.restitution for problem in problems]),
+        _same([problem.friction for problem in problems]),
+        -sum(float(impact.solution.work.total) for impact in impacts),
         marks,
         slow,
     )
