@@ -13,7 +13,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
+from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
 from ..errors import PinimpactError, SimulationError
 from ..robot.contact import Contact
@@ -227,7 +229,7 @@ class SceneImpacts:
                 matrices.surface_velocity[chosen],
                 stiffness=stiffness,
             )
-            solution = solve_impact(problem, simultaneous=self.policy)
+            solution = self._resolve_all(problem)
             bounce = solution.velocity[:, 2]
             slow = (solution.impulse[:, 2] > 0.0) & (bounce > 0.0) & (bounce < self._resting_speed)
             more = slow & (e > 0.0) & ~resting
@@ -254,6 +256,20 @@ class SceneImpacts:
             problem,
             notes,
         )
+
+    def _resolve_all(self, problem: ImpactProblem) -> ManySolution:
+        """Resolve a problem of many whose numbers need no check, for they come from the robot's own."""
+        inputs = ManyInputs(
+            problem.delassus,  # type: ignore[arg-type]
+            problem.velocity,  # type: ignore[arg-type]
+            problem.friction,
+            problem.restitution,
+            problem.stiffness,  # type: ignore[arg-type]
+            problem.law,
+            problem.surface_velocity,  # type: ignore[arg-type]
+            False,
+        )
+        return find_policy(self.policy).run(inputs, False)
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""
