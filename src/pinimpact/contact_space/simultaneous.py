@@ -205,24 +205,56 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             "of it was restored.",
         )
     recorded = path[: counts[3]]
-    return ManySolution(
-        after,
-        impulses,
-        _work(works, impulses, inputs),
-        segments,
-        flags_of(segments, works.sum(), np.abs(works).sum(), inputs.singular),
-        int(counts[0]),
-        int(counts[1]),
-        "propagate",
-        "energetic",
-        notes,
-        ManyPath(
+    story = None
+    if record:
+        story = ManyPath(
             recorded[:, 0].copy(),
             scale * recorded[:, 1 : 3 * n + 1].reshape(-1, n, 3),
             scale * recorded[:, 3 * n + 1 :].reshape(-1, n, 3),
         )
-        if record
-        else None,
+    taken = int(counts[0]), int(counts[1])
+    names = "propagate", "energetic"
+    return _answer(inputs, names, after, impulses, works, taken, segments, notes, story)
+
+
+def _answer(
+    inputs: ManyInputs,
+    names: tuple[str, str],
+    velocity: Array,
+    impulse: Array,
+    works: Array,
+    counts: tuple[int, int],
+    segments: tuple[tuple[Segment, ...], ...] | None = None,
+    notes: tuple[str, ...] = (),
+    path: ManyPath | None = None,
+) -> ManySolution:
+    """Return the solution that numbers make up.
+
+    Args:
+        inputs: The problem.
+        names: Of the policy, and of the law that it has used.
+        velocity: (3n,) after the impact.
+        impulse: (3n,).
+        works: (n, 3) of compression, restitution and friction.
+        counts: Of iterations and events.
+        segments: Of each contact; None where there is no path.
+        notes: What a reader should know.
+        path: The recorded path.
+    """
+    n = len(inputs.velocity)
+    impulse = impulse.reshape(n, 3)
+    parts = ((),) * n if segments is None else segments
+    surface = np.sum(impulse * inputs.surface_velocity, axis=1)
+    return ManySolution(
+        velocity.reshape(n, 3),
+        impulse,
+        Work(works[:, 0], works[:, 1], works[:, 2], surface),
+        parts,
+        flags_of(parts, works.sum(), np.abs(works).sum(), inputs.singular),
+        *counts,
+        *names,
+        notes,
+        path,
     )
 
 
@@ -231,11 +263,6 @@ def _of_law(inputs: ManyInputs) -> tuple[str, ...]:
     if inputs.law == "energetic" or not inputs.restitution.any():
         return ()
     return (f"At many contacts restitution is energetic; {inputs.law!r} says nothing of waves between them.",)
-
-
-def _work(works: Array, impulse: Array, inputs: ManyInputs) -> Work:
-    surface = np.sum(impulse * inputs.surface_velocity, axis=1)
-    return Work(works[:, 0], works[:, 1], works[:, 2], surface)
 
 
 def _refuse(inputs: ManyInputs) -> None:
@@ -303,18 +330,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
         count += 1
         iterations += one.iterations
     parts = tuple(map(tuple, segments))
-    impulses = impulse.reshape(n, 3)
-    return ManySolution(
-        velocity.reshape(n, 3),
-        impulses,
-        _work(works, impulses, inputs),
-        parts,
-        flags_of(parts, works.sum(), np.abs(works).sum(), inputs.singular),
-        iterations,
-        count,
-        name,
-        inputs.law,
-    )
+    return _answer(inputs, (name, inputs.law), velocity, impulse, works, (iterations, count), parts)
 
 
 # ---- all at once
@@ -347,20 +363,9 @@ def _together(inputs: ManyInputs, record: bool) -> ManySolution:
         powers = (0.5 * (start + end) * impulse).reshape(n, 3)
         works[:, 0 if impulse is compression else 1] += powers[:, 2]
         works[:, 2] += powers[:, 0] + powers[:, 1]
-    total = (compression + restitution).reshape(n, 3)
+    total = compression + restitution
     notes = () if missed <= 1e-9 else (f"Coulomb's law is met to {missed:.1e} of the velocities only.",)
-    return ManySolution(
-        after.reshape(n, 3),
-        total,
-        _work(works, total, inputs),
-        ((),) * n,
-        flags_of(((),) * n, works.sum(), np.abs(works).sum(), inputs.singular),
-        2,
-        2,
-        "together",
-        "poisson",
-        notes,
-    )
+    return _answer(inputs, ("together", "poisson"), after, total, works, (2, 2), notes=notes)
 
 
 def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
@@ -371,6 +376,13 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
             'friction: "reflect" knows none; all coefficients must be 0',
             field="friction",
             value=inputs.friction,
+        )
+    e = float(inputs.restitution.max(initial=0.0))
+    if (inputs.restitution != e).any():
+        raise InputError(
+            'restitution: "reflect" takes one coefficient for all contacts',
+            field="restitution",
+            value=inputs.restitution,
         )
     n = len(inputs.velocity)
     start = inputs.velocity.ravel()
@@ -396,30 +408,12 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
         elastic += part
         velocity = velocity + inputs.delassus @ part
         count += 1
-    e = float(inputs.restitution.max(initial=0.0))
-    if (inputs.restitution != e).any():
-        raise InputError(
-            'restitution: "reflect" takes one coefficient for all contacts',
-            field="restitution",
-            value=inputs.restitution,
-        )
     impulse = (1.0 - e) * plastic + e * elastic
     after = start + inputs.delassus @ impulse
     powers = (0.5 * (start + after) * impulse).reshape(n, 3)
     works = np.zeros((n, 3))
     works[:, 0] = powers[:, 2]
-    total = impulse.reshape(n, 3)
-    return ManySolution(
-        after.reshape(n, 3),
-        total,
-        _work(works, total, inputs),
-        ((),) * n,
-        flags_of(((),) * n, works.sum(), np.abs(works).sum(), inputs.singular),
-        count,
-        count,
-        "reflect",
-        "newton",
-    )
+    return _answer(inputs, ("reflect", "newton"), after, impulse, works, (count, count))
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType(

@@ -13,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -222,23 +221,28 @@ class SceneImpacts:
         friction = np.array([0.0 if contact is None else contact.friction for contact in struck])
         laws = {contact.law for contact in struck if contact is not None}
         resting = np.zeros(len(chosen), dtype=bool)
+        inputs = ManyInputs(  # the robot's own numbers need no check
+            *(delassus, velocity, friction, e, stiffness),
+            min(laws) if len(laws) == 1 else "energetic",
+            matrices.surface_velocity[chosen],
+            singular=False,
+        )
+        policy = find_policy(self.policy)
         while True:
-            problem = ImpactProblem(
-                *(delassus, velocity, friction, np.where(resting, 0.0, e)),
-                min(laws) if len(laws) == 1 else "energetic",
-                matrices.surface_velocity[chosen],
-                stiffness=stiffness,
-            )
-            solution = self._resolve_all(problem)
+            solution = policy.run(inputs, False)
             bounce = solution.velocity[:, 2]
             slow = (solution.impulse[:, 2] > 0.0) & (bounce > 0.0) & (bounce < self._resting_speed)
             more = slow & (e > 0.0) & ~resting
             if not more.any():
                 break
             resting |= more
+            inputs = inputs._replace(restitution=np.where(resting, 0.0, e))
+        problem = ImpactProblem(
+            *(delassus, velocity, friction, inputs.restitution, inputs.law, inputs.surface_velocity),
+            stiffness=stiffness,
+        )
         after = v + matrices.response[:, places] @ solution.impulse.ravel()
         axes = [g.axes for g in matrices.contacts]
-        notes = solution.notes
         hit = [k for k in range(len(chosen)) if solution.impulse[k, 2] > 0.0]
         return Group(
             after,
@@ -254,22 +258,8 @@ class SceneImpacts:
             ),
             tuple(hit),
             problem,
-            notes,
+            solution.notes,
         )
-
-    def _resolve_all(self, problem: ImpactProblem) -> ManySolution:
-        """Resolve a problem of many whose numbers need no check, for they come from the robot's own."""
-        inputs = ManyInputs(
-            problem.delassus,  # type: ignore[arg-type]
-            problem.velocity,  # type: ignore[arg-type]
-            problem.friction,
-            problem.restitution,
-            problem.stiffness,  # type: ignore[arg-type]
-            problem.law,
-            problem.surface_velocity,  # type: ignore[arg-type]
-            False,
-        )
-        return find_policy(self.policy).run(inputs, False)
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""

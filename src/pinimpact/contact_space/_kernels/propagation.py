@@ -280,7 +280,7 @@ def _next_closing(state):
     for j in range(len(state.normal)):
         v3 = state.v[3 * j + 2]
         if v3 < -TINY:
-            time = min(time, max(state.indentation[j], -math.inf) / v3)
+            time = min(time, state.indentation[j] / v3)
     return time
 
 
