@@ -27,7 +27,16 @@ from .codes import (
 from .first_fall import NEVER, first_fall, value
 from .plastic import end_plastically
 from .propagation_friction import AT_BOUND, SLIP, settle, unknown_after
-from .propagation_series import TIED, State, System, expand, loads, natural_pace, new_series
+from .propagation_series import (
+    TIED,
+    State,
+    System,
+    begins,
+    expand,
+    loads,
+    natural_pace,
+    new_series,
+)
 
 ORDER, SHORT, FIRST = np.int64(24), np.int64(2), np.int64(1)
 """Of the series; what is left of it where a slip runs straight at zero; what tells the pace of slips."""
@@ -146,29 +155,29 @@ def propagate(
             pace = natural_pace(state, series)
             root = expand(system, state, unknown, inverse, ORDER, pace, series)
             h = _step_length(series, n, accuracy, LONGEST)
+            if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
+                _loaded_ends(state)
+                first = NEVER
+                break
             first, degree = _find_events(
                 system, state, series, h, 0.0 if at_once <= 2 * n else TIE / pace, roots, guard, work
             )
             h = first if degree == SHORT else min(h, first)
             if h > 0.0:
-                at_once = 0 if h * pace > TIE else at_once + 1
+                at_once = 0 if h * pace > TIE else at_once
                 rows_used = _advance(
                     system, state, series, h, degree, pace, root, works, rows, rows_used, latest
                 )
                 if path.shape[0] > 0:
                     points = _record_step(path, points, clock, series, state, h, degree, pace, root)
                 clock += _time_power(0, h, pace, root)
-            else:
-                at_once += 1
             steps += 1
             counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
             if first <= h or steps >= most_steps:
                 break
-            if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
-                _loaded_ends(state)
-                break
         events += 1
         if first <= h:
+            at_once += 1
             _apply(system, state, series, roots, first, TIE / pace)
     counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
     return True
@@ -327,7 +336,8 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
-        roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, earliest, work)
+        from_then = earliest if mode == HELD else 0.0
+        roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, from_then, work)
         if mode in (RISING, SINKING, HELD):
             for k in range(ORDER + 1):
                 if mode == RISING:
@@ -338,7 +348,7 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, earliest, work)
+            roots[j, 1] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, from_then, work)
         if state.tangent[j] == STUCK:
             square = system.friction[j] * system.friction[j]
             for k in range(ORDER + 1):
@@ -354,19 +364,22 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
             speed = series.speed[0, j]
             for k in range(ORDER + 1):
                 guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
-            if state.fresh[j] == TIED:  # it begins with s²
-                guard[0], guard[1] = 0.0, 0.0
-            time = _fall(guard, h, 0.0, earliest, work)
+            if begins(state.fresh[j]):  # it begins with s² or s
+                guard[0] = 0.0
+            if state.fresh[j] == TIED:
+                guard[1] = 0.0
+            time = _fall(guard, h, 0.0, 0.0, work)
             if time < NEVER:
                 across = value(series.v[:, y], ORDER, time) * ux - value(series.v[:, x], ORDER, time) * uy
                 if abs(across) <= 10.0 * TINY:
                     roots[j, 2] = time
-            elif speed < STOPS and state.fresh[j] != TIED:
+            elif speed < STOPS and not begins(state.fresh[j]):
                 along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
                 near = speed <= REACH * h * -along  # else something else happens long before
                 straight = along < 0.0 and near and across * speed <= TINY * -along
                 if state.fresh[j] != 0:  # it has just begun
                     straight = straight and speed < 0.5 * SLIP
+                straight = straight and _neglected(series, -speed / along) <= TINY
                 if straight or (state.fresh[j] == 0 and speed < 10.0 * TINY and across > 0.1 * along):
                     roots[j, 2] = -speed / along if straight else 0.0
                     if roots[j, 2] < first:
@@ -377,6 +390,15 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 if k < 2 or state.tangent[j] == STUCK:
                     degree = ORDER
     return first, degree
+
+
+@inner
+def _neglected(series, h):
+    """Return what velocities change in a step beyond its short series."""
+    largest = 0.0
+    for i in range(series.v.shape[1]):
+        largest = max(largest, abs(series.v[SHORT + 1, i]))
+    return largest * h**3
 
 
 @inner

@@ -7,9 +7,20 @@ import math
 import numpy as np
 
 from ..._numeric.cone_program import cone_program
+from ..._numeric.elimination import solve
 from ..._numeric.jit import inner
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
-from .propagation_series import TIED, bounded_unknowns, expand, force_inverse, friction_share, hold, loads
+from .propagation_series import (
+    RESUMED,
+    TIED,
+    answer_of_turn,
+    bounded_unknowns,
+    expand,
+    force_inverse,
+    friction_share,
+    hold,
+    loads,
+)
 
 AHEAD = 1e-6
 """How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
@@ -38,11 +49,14 @@ AT_BOUND = 3
 NEAR = 1e-6
 """Part of a bound within which friction that holds is taken as being there."""
 
-GRADUAL = 1e-4
-"""An acceleration this small, in parts of what its terms come to, grows from zero."""
+GRADUAL = 1e-9
+"""An acceleration this small, in parts of what its terms come to, is none yet."""
 
 FIRM = 1e-4
 """Part of the largest force in the time to come from which on a force is not just beginning."""
+
+TURNS, TURNED = 6, 1e-12
+"""Of Newton's method for directions of slip that begins, and a turn that is its last [rad]."""
 
 ROUNDS, SWEEPS = 50, 200
 """Of friction and what is held in turn, and of what is held."""
@@ -114,51 +128,129 @@ def settle(system, state, series):
     scale = 0.0
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
+    if not root and _begins(system, state, unit, weight, series):
+        return unknown_after(system, state, unit, weight)
     if _fits(system, state, cap, unknown, forces, scale):
         return unknown, inverse, weight
-    if _begins(system, state, unit, cap, weight, p, forces, scale):
-        return unknown_after(system, state, unit, weight)
-    _admit(system, state, unit, cap, p, heaviest, forces)
+    _admit(system, state, unit, cap, p, heaviest, not root, forces)
+    if not root:
+        _align(system, state, unit, weight, series)
     return unknown_after(system, state, unit, weight)
 
 
 @inner
-def _begins(system, state, unit, cap, weight, p, forces, scale):
-    """Return whether just the contacts begin to slip whose friction has come to its bound; let them."""
-    w, friction = system.w, system.friction
-    n = len(cap)
-    any_begins = False
-    for i in range(3 * n):
-        forces[i] = p[i]
+def _begins(system, state, unit, weight, series):
+    """Return whether contacts begin to slip whose friction has come to its bound, and let them.
+
+    They are those whose slip, v_t = s² ρ u, has ρ > 0 at its beginning. (14.5)
+    """
+    n = len(system.friction)
+    chosen = np.zeros(n, dtype=np.int64)
+    count = 0
     for j in range(n):
-        if state.tangent[j] == STUCK and state.fresh[j] == AT_BOUND:
-            any_begins = True
+        if state.fresh[j] == AT_BOUND and state.tangent[j] == STUCK:
             state.tangent[j] = SLIPPING
-            for i in range(2):
-                unit[2 * j + i] = state.direction[2 * j + i]
-                forces[3 * j + i] = -friction[j] * p[3 * j + 2] * unit[2 * j + i]
-    if any_begins:
-        unknown = bounded_unknowns(system, state)
-        inverse = np.empty((len(unknown), len(unknown)))
-        force_inverse(system, state, unit, unknown, weight, inverse)
-        hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
-        begins = _fits(system, state, cap, unknown, forces, scale)
+            state.fresh[j] = TIED
+            chosen[j] = 1
+            count += 1
+    while count > 0:
+        unknown, inverse, weight = unknown_after(system, state, unit, weight)
+        expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+        dropped = 0
         for j in range(n):
-            if begins and state.fresh[j] == AT_BOUND:
-                along = size = 0.0
+            if chosen[j] == 1:
+                size = 0.0
                 for i in range(3 * n):
-                    row = w[3 * j, i] * unit[2 * j] + w[3 * j + 1, i] * unit[2 * j + 1]
-                    along += row * forces[i]
-                    size += abs(row) * scale
-                begins = along > 1e-2 * MOVES * size
-        for j in range(n):
-            if state.fresh[j] == AT_BOUND:
-                state.tangent[j] = SLIPPING if begins else STUCK
-                if begins:
-                    state.fresh[j] = TIED
-                    state.v[3 * j], state.v[3 * j + 1] = 0.0, 0.0
-        return begins
+                    row = abs(system.w[3 * j, i]) + abs(system.w[3 * j + 1, i])
+                    size += row * abs(series.force[1, i])
+                if not series.speed[0, j] > MOVES * size:
+                    state.tangent[j] = STUCK
+                    state.fresh[j] = 0
+                    chosen[j] = 0
+                    dropped += 1
+        if dropped == 0:
+            return True
+        count -= dropped
     return False
+
+
+@inner
+def _align(system, state, unit, weight, series):
+    """Turn slips that begin with an acceleration to where it is along them; else let them find that.
+
+    The directions found a little ahead are off by as much as forces change until then.
+    """
+    n = len(system.friction)
+    m = 3 * n
+    places, gradual = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    count = begun = 0
+    for j in range(n):
+        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
+            begun += 1
+    if begun == 0:
+        return
+    unknown, inverse, weight = unknown_after(system, state, unit, weight)
+    expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+    for j in range(n):
+        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
+            size = 0.0
+            for i in range(m):
+                row = abs(system.w[3 * j, i]) + abs(system.w[3 * j + 1, i])
+                size += row * abs(series.force[0, i])
+            if abs(series.speed[0, j]) <= GRADUAL * size:
+                state.fresh[j] = TIED
+                gradual[j] = 1
+            else:
+                places[count] = j
+                count += 1
+    matrix, right, turn = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    answer, largest = np.empty(m), 0.0
+    for _ in range(TURNS if count > 0 else 0):
+        unknown, inverse, weight = unknown_after(system, state, unit, weight)
+        fixed = np.empty(len(unknown))
+        expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+        for c in range(count):
+            j = places[c]
+            answer_of_turn(system, state, series.unit[0], unknown, inverse, fixed, j, series.force[0], answer)
+            for other in range(count):
+                matrix[other, c] = _across(system, state, places[other], answer)
+            right[c] = -_across(system, state, j, series.force[0])
+        for c in range(count):
+            matrix[c, c] -= series.speed[0, places[c]]
+        if solve(matrix, right, turn, 1e-14) == 0:
+            largest = math.inf
+            break
+        largest = 0.0
+        for c in range(count):
+            j = places[c]
+            dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
+            length = math.hypot(1.0, turn[c])
+            state.direction[2 * j] = (dx - turn[c] * dy) / length
+            state.direction[2 * j + 1] = (dy + turn[c] * dx) / length
+            largest = max(largest, abs(turn[c]))
+        if not largest > TURNED:
+            break
+    unknown, inverse, weight = unknown_after(system, state, unit, weight)
+    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+    for j in range(n):
+        if state.tangent[j] == SLIPPING and (state.fresh[j] == RESUMED or gradual[j] == 1):
+            lost = gradual[j] == 0 and not largest <= TURNED
+            if lost or not series.speed[0, j] > 0.0:
+                state.fresh[j] = 1
+                for i in range(2):
+                    state.v[3 * j + i] = SLIP * state.direction[2 * j + i]
+
+
+@inner
+def _across(system, state, j, force):
+    """Return the acceleration across the direction with which a slip begins, for forces (3n,)."""
+    total = 0.0
+    for i in range(len(force)):
+        row = (
+            system.w[3 * j + 1, i] * state.direction[2 * j] - system.w[3 * j, i] * state.direction[2 * j + 1]
+        )
+        total += row * force[i]
+    return total
 
 
 @inner
@@ -195,12 +287,13 @@ def _fits(system, state, cap, unknown, forces, scale):
 
 
 @inner
-def _admit(system, state, unit, cap, p, heaviest, forces):
+def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
     """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
 
     Args:
         p: (3n,) forces but for those of friction that holds, and of what is held.
         heaviest: The largest force in the time to come.
+        smooth: Whether forces have series in the clock.
         forces: (3n,) takes them all.
     """
     w, friction = system.w, system.friction
@@ -235,12 +328,11 @@ def _admit(system, state, unit, cap, p, heaviest, forces):
                 ux, uy = ax / fastest, ay / fastest
                 if length > 0.0:
                     ux, uy = -forces[x] / length, -forces[y] / length
-                gradual = fastest <= GRADUAL * size and length > 0.0 and p[z] > FIRM * heaviest
-                if state.fresh[j] != AT_BOUND or not gradual:
-                    state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
-                start = 0.0 if gradual else SLIP
+                firm = smooth and length > 0.0 and p[z] > FIRM * heaviest
+                state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
+                start = 0.0 if firm else SLIP
                 state.v[x], state.v[y] = start * ux, start * uy
-                state.fresh[j] = TIED if gradual else 1
+                state.fresh[j] = RESUMED if firm else 1
                 state.tangent[j] = SLIPPING
             elif bound > 0.0 and length < (1.0 - NEAR) * bound:
                 state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]

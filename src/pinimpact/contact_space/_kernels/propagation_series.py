@@ -19,8 +19,8 @@ from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
 Array = NDArray[np.float64]
 Codes = NDArray[np.int64]
 
-TIED = 2
-"""`State.fresh` of a slip that begins as friction comes to its bound."""
+TIED, RESUMED = 2, 4
+"""`State.fresh` of a slip that begins as friction comes to its bound, and of one that does beyond it."""
 
 RANK = 1e-11
 """Pivots below this part of the largest count as zero."""
@@ -56,7 +56,7 @@ class State(NamedTuple):
         tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
         direction: (2n,) of the slip that a contact at the bound of its friction would take.
         fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
-            3 where friction has come there.
+            3 where friction has come there, 4 for a slip that begins with an acceleration.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
     """
 
@@ -76,7 +76,7 @@ class Series(NamedTuple):
 
     Attributes:
         v, indentation, force: (K + 2, 3n), (K + 2, n), (K + 1, 3n).
-        speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| and v_t/|v_t|.
+        speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| (of ρ where slip begins) and v_t/|v_t|.
         power: (K + 2, n) of what is raised to the power η, and then of the power.
     """
 
@@ -105,6 +105,12 @@ def new_series(order, n):
 def loads(mode):
     """Return whether the force of a contact in this mode follows from its indentation."""
     return mode != OPEN and mode != HELD
+
+
+@inner
+def begins(fresh):
+    """Return whether a slip begins now, so that its direction is known before its velocity is."""
+    return fresh in (TIED, RESUMED)
 
 
 @inner
@@ -206,7 +212,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     ties = np.empty(n, dtype=np.int64)
     count = 0
     for j in range(n):
-        if state.tangent[j] == SLIPPING and state.fresh[j] == TIED:
+        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
             ties[count] = j
             count += 1
     ties = ties[:count].copy()
@@ -224,7 +230,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
             force[k, p + 2] = normal
             force[k, p] = 0.0
             force[k, p + 1] = 0.0
-            if tangent == SLIPPING and state.fresh[j] == TIED:
+            if tangent == SLIPPING and begins(state.fresh[j]):
                 _known_direction(state, series, k, j)
             elif tangent == SLIPPING:
                 _direction(series, k, j)
@@ -240,12 +246,9 @@ def expand(system, state, unknown, inverse, order, pace, series):
                     force[k, p + 1] -= friction[j] * force[i, p + 2] * unit[k - i, 2 * j + 1]
         hold(system, state, unit[0], unknown, inverse, fixed, force[k])
         if count > 0 and k == 0:
-            for c in range(count):  # what a turn of the friction does, with what is held
-                j = ties[c]
-                push = friction[j] * force[0, 3 * j + 2]
-                answers[c, 3 * j] = push * state.direction[2 * j + 1]
-                answers[c, 3 * j + 1] = -push * state.direction[2 * j]
-                hold(system, state, unit[0], unknown, inverse, fixed, answers[c])
+            for c in range(count):
+                answer_of_turn(system, state, unit[0], unknown, inverse, fixed, ties[c], force[0], answers[c])
+                series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[0])
         elif count > 0:
             _turn(system, state, series, k, pace, ties, answers)
         _integrate(system, state, series, k, pace, root)
@@ -280,8 +283,31 @@ def hold(system, state, unit, unknown, inverse, fixed, force):
 
 
 @inner
+def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answer):
+    """Fill what a turn of a slip that begins changes of the forces (3n,), with what is held."""
+    push = system.friction[j] * force[3 * j + 2]
+    for i in range(len(answer)):
+        answer[i] = 0.0
+    answer[3 * j] = push * state.direction[2 * j + 1]
+    answer[3 * j + 1] = -push * state.direction[2 * j]
+    hold(system, state, unit, unknown, inverse, fixed, answer)
+
+
+@inner
+def _start(system, state, j, force):
+    """Return the acceleration with which a slip begins along its direction."""
+    total = 0.0
+    for i in range(len(force)):
+        row = (
+            system.w[3 * j, i] * state.direction[2 * j] + system.w[3 * j + 1, i] * state.direction[2 * j + 1]
+        )
+        total += row * force[i]
+    return total
+
+
+@inner
 def _known_direction(state, series, k, j):
-    """Fill the part of coefficient k of a direction that lower ones give; v_t = s² ρ u, u = d at s = 0."""
+    """Fill the part of coefficient k of a direction that lower ones give; v_t = s ρ u or s² ρ u, u(0) = d."""
     unit = series.unit
     if k == 0:
         unit[0, 2 * j], unit[0, 2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
@@ -295,7 +321,7 @@ def _known_direction(state, series, k, j):
 
 @inner
 def _turn(system, state, series, k, pace, ties, answers):
-    """Find coefficients k of directions, and k − 1 of ρ, of slips that begin with friction at its bound."""
+    """Find coefficients k of directions of slips that begin, and those of ρ that go with them. (14.5)"""
     w, force, unit, speed = system.w, series.force, series.unit, series.speed
     count, m = len(ties), len(state.v)
     matrix, right, x = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.zeros(2 * count)
@@ -303,9 +329,10 @@ def _turn(system, state, series, k, pace, ties, answers):
     for c in range(count):
         j = ties[c]
         dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
-        along = across = 0.0  # of coefficient k − 1 of v_t/s², without ρ_{k−1}
-        for i in range(k - 1):
-            ux, uy = unit[k - 1 - i, 2 * j], unit[k - 1 - i, 2 * j + 1]
+        last = k - 1 if state.fresh[j] == TIED else k
+        along = across = 0.0  # of coefficient `last` of v_t/s² or v_t/s, without that of ρ
+        for i in range(last):
+            ux, uy = unit[last - i, 2 * j], unit[last - i, 2 * j + 1]
             along += speed[i, j] * (ux * dx + uy * dy)
             across += speed[i, j] * (uy * dx - ux * dy)
         for part in range(2):
@@ -321,10 +348,13 @@ def _turn(system, state, series, k, pace, ties, answers):
                 for i in range(m):
                     total += w[row, i] * answers[other, i]
                 matrix[2 * c + part, 2 * other + 1] = -total
-    solve(matrix, right, x, 1e-14)
+            if last == k:
+                matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d
+    if solve(matrix, right, x, 1e-14) == 0:  # as where nothing can move across
+        least_norm(matrix, right, 1e-14, x, np.empty((0, 2 * count)))
     for c in range(count):
         j = ties[c]
-        speed[k - 1, j] = x[2 * c]
+        speed[k - 1 if state.fresh[j] == TIED else k, j] = x[2 * c]
         unit[k, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
         unit[k, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]
         for i in range(m):
@@ -341,7 +371,7 @@ def natural_pace(state, series):
     """
     pace = 1.0
     for j in range(len(state.tangent)):
-        if state.tangent[j] == SLIPPING and state.fresh[j] != TIED:
+        if state.tangent[j] == SLIPPING and not begins(state.fresh[j]):
             speed = math.hypot(state.v[3 * j], state.v[3 * j + 1])
             change = math.hypot(series.v[1, 3 * j], series.v[1, 3 * j + 1])
             if change > 10.0 * speed:
