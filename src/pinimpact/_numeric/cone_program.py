@@ -126,7 +126,7 @@ def quotient(lines, sizes, lam, y, out):
 
 @inner
 def longest_step(lines, sizes, lam, d):
-    """Return 1/α for the longest α with λ + α d in the cone, not less than zero."""
+    """Return 1/α for the longest α with λ + α d in the cone, not less than zero; infinite for none."""
     worst = 0.0
     for i in range(lines):
         worst = max(worst, -d[i] / lam[i])
@@ -137,6 +137,8 @@ def longest_step(lines, sizes, lam, d):
         for i in range(start + 1, start + n):
             norm += lam[i] * lam[i]
         norm = math.sqrt(norm)
+        if not lam[start] > norm:  # λ has left the cone by rounding
+            return math.inf
         a = math.sqrt((lam[start] - norm) * (lam[start] + norm))
         rho = lam[start] / a * d[start]
         for i in range(start + 1, start + n):
@@ -319,6 +321,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             shortest = max(longest_step(lines, sizes, lam, ds), longest_step(lines, sizes, lam, dz))
             if corrected == 0:
                 centring = (1.0 - 1.0 / max(shortest, 1.0)) ** 3
+        if not shortest < math.inf:
+            break
         step = STEP / max(shortest, STEP)
         for i in range(n):
             x[i] += step * dx[i]

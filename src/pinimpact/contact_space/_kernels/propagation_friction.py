@@ -49,8 +49,8 @@ AT_BOUND = 3
 NEAR = 1e-6
 """Part of a bound within which friction that holds is taken as being there."""
 
-GRADUAL = 1e-9
-"""An acceleration this small, in parts of what its terms come to, is none yet."""
+GRADUAL = 1e-4
+"""An acceleration this small, in parts of what its terms come to, grows from zero."""
 
 FIRM = 1e-4
 """Part of the largest force in the time to come from which on a force is not just beginning."""
@@ -200,9 +200,14 @@ def _align(system, state, unit, weight, series):
             if abs(series.speed[0, j]) <= GRADUAL * size:
                 state.fresh[j] = TIED
                 gradual[j] = 1
-            else:
-                places[count] = j
-                count += 1
+    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
+    for j in range(n):
+        if gradual[j] == 1 and not series.speed[0, j] > 0.0:
+            state.fresh[j] = RESUMED
+            gradual[j] = 0
+        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
+            places[count] = j
+            count += 1
     matrix, right, turn = np.zeros((count, count)), np.zeros(count), np.zeros(count)
     answer, largest = np.empty(m), 0.0
     for _ in range(TURNS if count > 0 else 0):
