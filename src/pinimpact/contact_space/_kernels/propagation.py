@@ -56,6 +56,9 @@ STOPS = 1e-7
 REACH = 20.0
 """Steps within which a slip that runs straight at zero is there."""
 
+SEEN = 1e-3
+"""Part of the accuracy of velocities that impulses have where velocities do not feel them."""
+
 LONGEST = 1e3
 """The longest step, in units of the pace."""
 
@@ -154,7 +157,7 @@ def propagate(
             expand(system, state, unknown, inverse, FIRST, 1.0, series)
             pace = natural_pace(state, series)
             root = expand(system, state, unknown, inverse, ORDER, pace, series)
-            h = _step_length(series, n, accuracy, LONGEST)
+            h = _step_length(system, series, accuracy, pace, LONGEST)
             if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
                 _loaded_ends(state)
                 first = NEVER
@@ -294,12 +297,18 @@ def _next_closing(state):
 
 
 @inner
-def _step_length(series, n, accuracy, h):
+def _step_length(system, series, accuracy, pace, h):
     """Return how far the series reaches."""
+    n = len(system.friction)
+    weight = 0.0
+    for i in range(3 * n):
+        weight = max(weight, system.w[i, i])
     for k in range(ORDER - 1, ORDER + 2):
         largest = 0.0
         for i in range(3 * n):
             largest = max(largest, abs(series.v[k, i]))
+            # forces that cancel each other in all velocities are not seen there
+            largest = max(largest, SEEN * weight * abs(series.force[k - 1, i]) * pace / k)
         for j in range(n):
             largest = max(largest, abs(series.indentation[k, j]))
         if largest > 0.0:
