@@ -1,7 +1,7 @@
 """A quadruped lands flat on four feet, and tilted by a thousandth: two impacts, or one with four contacts.
 
-The flat landing is one impact at four contacts. Tilted, the feet touch one after another, microseconds
-apart: each is an impact of its own, at which the feet on the ground take part.
+Its motors hold the legs. The flat landing is one impact at four contacts. Tilted, the feet touch one after
+another, half a millisecond apart: each is an impact of its own, at which the feet on the ground take part.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ def land(roll: float, policy: str = "propagate") -> tuple[pinimpact.Trajectory, 
     turn = pin.Quaternion(q[6], q[3], q[4], q[5]) * pin.Quaternion(np.cos(half), np.sin(half), 0.0, 0.0)
     q[2] += 0.05
     q[3:7] = turn.coeffs()
-    scene = pinimpact.Scene(robot, contacts, simultaneous=policy)
+    stiff = list(robot.model.names)[2:]  # motors hold the legs
+    scene = pinimpact.Scene(robot, contacts, locked=stiff, simultaneous=policy)
     motion = pinimpact.simulate(scene, q, np.zeros(robot.model.nv), 0.12)
     first = motion.impacts[0].time
     return motion, motion.at(first + 5e-3)[1][:6]

@@ -16,8 +16,8 @@ import pinimpact
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
-def kick() -> tuple[pinimpact.ManyHit, pinimpact.Hit, list[np.ndarray]]:
-    """Return the impact with free feet, with held ones, and what held feet get [N s]."""
+def kick() -> tuple[np.ndarray, pinimpact.ManyHit, pinimpact.Hit]:
+    """Return the configuration, the impact with free feet and the one with held ones."""
     robot = pinimpact.load_robot("solo12")
     model, data = robot.model, robot.data
     ground = pinimpact.Plane(name="ground")
@@ -33,18 +33,21 @@ def kick() -> tuple[pinimpact.ManyHit, pinimpact.Hit, list[np.ndarray]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pinimpact.HeldContactWarning)  # glue may pull: that is the point
         held = pinimpact.impact(model, data, q, v, trunk, held=feet, locked=stiff)
-    return free, held, list(held.held_impulses)
+    return q, free, held
 
 
 def main() -> None:
     """Print what each foot does, and draw the impulses."""
-    free, held, glued = kick()
-    print(f"trunk: {free.impulses_world[0].round(3)} N s with free feet, {held.impulse_world.round(3)} N s held")
+    _, free, held = kick()
+    glued = held.held_impulses
+    print(
+        f"trunk: {free.impulses_world[0].round(3)} N s with free feet, {held.impulse_world.round(3)} N s held"
+    )
     for i, foot in enumerate(FEET, start=1):
         speed = free.solution.velocity[i]
         does = "lifts" if speed[2] > 1e-9 else "slips" if np.hypot(*speed[:2]) > 1e-9 else "sticks"
-        pull = ", which pulls" if glued[i - 1][2] < 0 else ""
-        print(f"{foot}: {does} with {free.impulses_world[i].round(3)} N s; held {glued[i - 1].round(3)} N s{pull}")
+        alone, glue = free.impulses_world[i].round(3), glued[i - 1].round(3)
+        print(f"{foot}: {does} with {alone} N s; held {glue} N s{', which pulls' if glue[2] < 0 else ''}")
     print(f"base: {free.v[:3].round(3)} m/s with free feet, {held.v[:3].round(3)} m/s held")
     ax = plt.figure(figsize=(6, 3.5)).add_subplot()
     places = np.arange(4)
