@@ -16,6 +16,7 @@ from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError
 from .contact import Contact, check_contact, check_held
+from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
 from .matrices import ManyMatrices, many_matrices
 
@@ -69,6 +70,7 @@ def impact_at_many(
     held = check_held(held)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
+    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)

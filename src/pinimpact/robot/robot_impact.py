@@ -279,9 +279,7 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    q, cache = np.asarray(q, dtype=np.float64), data_cache(model, data)
-    if ((q < cache.bounds[0]) | (q > cache.bounds[1])).any():
-        cache.warn_of_limits(q, stacklevel=5)
+    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
