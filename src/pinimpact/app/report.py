@@ -186,6 +186,8 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
         facts["frames"][key]["name"] + f" (id {key})" if isinstance(key, int) else key
         for key in facts["contact_frames"]
     ]
+    at_joint = {frame["name"] for frame in facts["frames"] if not any(frame["place"])}
+    at_joint &= set(facts["contact_frames"])
     parts: list[RenderableType] = [
         Text(heading, style="bold"),
         _columns(
@@ -193,6 +195,10 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
         ),
         Text("Frames that may touch something: " + (", ".join(suggested) or "none, for no joint moves")),
     ]
+    if at_joint:
+        parts.append(
+            Text(f"At their joints: {', '.join(sorted(at_joint))}; offset= of a Contact moves the point.")
+        )
     if every:
         rows = [(str(f["id"]), f["name"], f["joint"], f["kind"]) for f in facts["frames"]]
         parts.append(_columns("Frames", ("id", "frame", "joint", "kind"), rows))

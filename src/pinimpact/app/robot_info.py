@@ -127,6 +127,7 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
             "name": frame.name,
             "joint": model.names[frame.parentJoint],
             "kind": str(frame.type).lower(),
+            "place": frame.placement.translation.tolist(),
         }
         for i, frame in enumerate(model.frames)
     ]
