@@ -115,7 +115,7 @@
   const { center, size } = data.view;
   function look() {
     const wide = Math.min(1, room.wide / room.tall);
-    const away = (data.within ? 1.35 : 1.2) * size / (2 * Math.tan(Math.PI / 8)) / wide;
+    const away = 1.35 * size / (2 * Math.tan(Math.PI / 8)) / wide;
     viewer.camera.fov = 45;
     viewer.camera.near = 0.005 * size;
     viewer.camera.far = 100 * size;
