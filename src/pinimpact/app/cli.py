@@ -50,6 +50,8 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
         with _warnings_as_lines():
             try:
                 return command(*args, **kwargs)
+            except BrokenPipeError:  # `pinimpact … | head` has read enough; click ends quietly
+                raise
             except (PinimpactError, OSError) as error:
                 raise click.ClickException(str(error)) from error
             except KeyboardInterrupt:
