@@ -28,7 +28,7 @@ class ClosedSet(NamedTuple):
         sliding: (nv,) dry friction that slides, with the sign of the velocity.
         sides: (nv,) of drives at their bounds.
         control: (nv,) the control that was held.
-        constants: Of the contacts; their axes follow the surfaces.
+        constants: Of the contacts that are closed; their axes follow the surfaces.
         direction_speed: Slip below it has the direction last known [m/s].
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
@@ -53,7 +53,7 @@ class ClosedSet(NamedTuple):
             work.sliding_friction.copy(),
             work.drive_side.copy(),
             work.control_force.copy(),
-            work.contact_constants.copy(),
+            work.contact_constants[work.closed_index],
             work.direction_speed,
             bool((work.closed_mode == SLIP).any()),
             work.forces_unique,
@@ -61,11 +61,8 @@ class ClosedSet(NamedTuple):
 
 
 def directions_within(work: SceneWorkspace) -> Array:
-    """Return the directions of slip (2, n, 2) at the start and at the end of the step last completed."""
-    directions = np.zeros((2, work.contacts, 2))
-    directions[0, work.closed_index] = work.start_directions
-    directions[1, work.closed_index] = work.end_directions
-    return directions
+    """Return the directions of slip (2, k, 2) of what is closed, at both ends of the step last completed."""
+    return np.array([work.start_directions, work.end_directions])
 
 
 class Forces(NamedTuple):
@@ -104,6 +101,9 @@ class Dynamics(Protocol):
 
     work: SceneWorkspace
 
+    def make_room(self, closing: NDArray[np.int64]) -> None:
+        """Make room for contacts (n,) that are closed, where not zero."""
+
     def check(self) -> None:
         """Raise what went wrong in a call from a kernel."""
 
@@ -131,14 +131,16 @@ class EvaluatedForces:
             return None
         dynamics = self._dynamics
         work = dynamics.work
+        dynamics.make_room(closed.modes[: work.contacts])
+        index = np.flatnonzero(closed.modes[: work.contacts])
         work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
         work.drive_side[:], work.control_force[:] = closed.sides, closed.control
-        work.contact_constants[:] = closed.constants
+        work.contact_constants[index] = closed.constants
         work.direction_speed = closed.direction_speed
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
         if step.directions is not None:
-            directions = _between(step.directions, share)
+            directions[index] = _between(step.directions, share)
         n = work.contacts
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)

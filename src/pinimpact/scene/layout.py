@@ -10,10 +10,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..robot._kernels.constants import CONSTANTS
 from ..robot.contact import Contact, contact_constants
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import frame_id
 from ..robot.pinocchio_bridge import RobotDynamics
+from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
 
@@ -42,6 +44,7 @@ class SceneLayout:
         self._links = [pin.SE3(placement) for placement in model.jointPlacements]
         self._bounds = _bounds(model)
         every = (*self._contacts, *self._held)
+        self._runs = runs(every)
         keys = dict.fromkeys(key for c in every for key in (c.frame, c.plane.body) if key is not None)
         ids = (frame_id(model, key) for key in keys)
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
@@ -67,13 +70,39 @@ class SceneLayout:
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
         links = link_lengths(self._model)
-        chains = [chain_length(self._model, links, contact) for contact in (*self._contacts, *self._held)]
+        chains = [chain_length(self._model, links, contact) for contact in self._bounding.values()]
         return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:
         """Names of the contacts that can never reach their surface, whatever the joints do."""
-        return tuple(c.label for c in self._contacts if out_of_reach(self._model, c, self._limited))
+        count = len(self._contacts)
+        far = [run for run, c in self._bounding.items() if out_of_reach(self._model, c, self._limited)]
+        return tuple(self._contacts[i].label for first, stop in far for i in range(first, min(stop, count)))
+
+    @cached_property
+    def _bounding(self) -> dict[tuple[int, int], Contact]:
+        """The sphere that bounds each run, or its only contact."""
+        every = (*self._contacts, *self._held)
+        return {
+            (first, stop): bounding_sphere(every[first:stop]) or every[first] for first, stop in self._runs
+        }
+
+    def blocks(self, contacts: Sequence[Contact]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the runs of some contacts that are looked at together, see `contact_blocks`.
+
+        Returns:
+            (b, 3) first contact, the one after the last, and which sphere bounds them or −1; and the
+            constants of the spheres.
+        """
+        rows: list[tuple[int, int, int]] = []
+        spheres: list[NDArray[np.float64]] = []
+        for first, stop in runs(contacts):
+            sphere = bounding_sphere(contacts[first:stop])
+            rows.append((first, stop, -1 if sphere is None else len(spheres)))
+            if sphere is not None:
+                spheres.append(contact_constants(self._model, sphere)[2])
+        return np.array(rows, dtype=np.int64).reshape(-1, 3), np.array(spheres).reshape(-1, CONSTANTS)
 
     @cached_property
     def sources(self) -> tuple[str, ...]:

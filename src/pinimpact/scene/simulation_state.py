@@ -13,6 +13,7 @@ from ..errors import InputError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
+from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, TOUCHING
 from ._kernels.contact_forces import SLIP
 from .dense_step import DenseStep
@@ -71,7 +72,7 @@ class SimulationState:
         self.t, self.q, self.v = 0.0, q, v
         self._model, self._data = model, data
         layout = scene.layout()
-        unreachable = layout.unreachable
+        unreachable = set(layout.unreachable)
         watched = () if "contact guards" in without else scene.contacts
         contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
@@ -96,6 +97,7 @@ class SimulationState:
         work.least_approach = LEAST_APPROACH_FRACTION * resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
+        self._rims = [k for k, contact in enumerate(self.dynamics.contacts) if contact.rim > 0.0]
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
 
@@ -142,6 +144,7 @@ class SimulationState:
         jams = [0] * len(self.dynamics.contacts)
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
+            self._check_rims(where)
             if i >= 0 and len(resolved) < MAX_ROUNDS:
                 where[i] = TOUCHING
                 resolved += self._collide_together(i) or [self._collide(i, -rate)]
@@ -168,6 +171,17 @@ class SimulationState:
             impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
             resolved.append(self._take_over(jammed, impact))
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
+    def _check_rims(self, where: NDArray[np.int64]) -> None:
+        """Stop where a rim touches all round, within the tolerance of touching."""
+        touching = [k for k in self._rims if where[k] != APART]
+        if touching:
+            pin.forwardKinematics(self._model, self._data, self.q)
+        for k in touching:
+            contact = self.dynamics.contacts[k]
+            highest = 2.0 * contact.rim * tilt_of_rim(self._model, self._data, contact)
+            if highest <= self.dynamics.work.touching_gap:
+                raise SimulationError(f"contacts: {flat_rim(contact)}", field="contacts", value=contact)
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""
@@ -339,8 +353,9 @@ class SimulationState:
                 continue
             if i < count:
                 contact = dynamics.contacts[i]
+                where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
                 raise InputError(
-                    f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m "
+                    f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m "
                     "below its surface; start with every contact on or above its surface",
                     field="q0",
                     value=gap,
