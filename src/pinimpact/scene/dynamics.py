@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
 from ..robot._kernels import contact_kinematics, robot_impact
-from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
@@ -104,10 +103,8 @@ class SceneDynamics:
         dry = scene.joint_friction * ("joint friction" not in without)
         charts = layout.joint_charts
         count = len(self.contacts)
-        parts = [layout.constants(contact) for contact in self.contacts]
-        constants = np.array([part[2] for part in parts]).reshape(count, CONSTANTS)
+        tables = layout.tables(self.contacts)
         closable = min(count, len(held) + CLOSABLE)
-        blocks, spheres = layout.blocks(self.contacts)
         self.work = SceneWorkspace(
             {
                 "nq": model.nq,
@@ -117,8 +114,8 @@ class SceneDynamics:
                 "rates": 2 * nv + WORKS,
                 "contacts": count,
                 "closable": closable,
-                "blocks": len(blocks),
-                "spheres": len(spheres),
+                "blocks": len(tables.blocks),
+                "spheres": len(tables.spheres),
                 "limits": len(limits),
                 "sources": count + len(limits) + nv,
                 "scalars": len(limits) + int(np.count_nonzero(dry)),
@@ -146,13 +143,13 @@ class SceneDynamics:
                 "damping": scene.joint_damping * ("joint damping" not in without),
                 "dry_friction": dry,
                 "joint_charts": charts,
-                "contact_constants": constants,
-                "contact_joints": np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
-                "velocity_signs": np.array([signs for _, _, _, signs in parts]).reshape(count, nv),
+                "contact_constants": tables.constants.copy(),
+                "contact_joints": tables.joints,
+                "velocity_signs": tables.signs,
                 "velocity_joint": layout.velocity_joint,
-                "contact_blocks": blocks,
-                "sphere_constants": spheres,
-                "friction": np.array([c.sustained_friction for c in self.contacts], dtype=float),
+                "contact_blocks": tables.blocks,
+                "sphere_constants": tables.spheres,
+                "friction": tables.friction,
                 "bilateral": np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
                 "limit_q": np.array([limit.index_q for limit in limits], dtype=np.int64),
                 "limit_v": np.array([limit.index_v for limit in limits], dtype=np.int64),

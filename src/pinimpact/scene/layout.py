@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -51,6 +51,7 @@ class SceneLayout:
         self.spare_dynamics: list[RobotDynamics] = []
         self.spare_data: list[pin.Data] = []
         self._damping: tuple[bytes, float] | None = None
+        self._tables: tuple[tuple[Contact, ...], ContactTables] | None = None
 
     def holds_for(self, model: pin.Model) -> bool:
         """Return whether sizes, placements and joint limits of the model are what they were."""
@@ -81,28 +82,18 @@ class SceneLayout:
         return tuple(self._contacts[i].label for first, stop in far for i in range(first, min(stop, count)))
 
     @cached_property
+    def watched(self) -> tuple[Contact, ...]:
+        """The contacts that may reach their surface."""
+        unreachable = set(self.unreachable)
+        return tuple(contact for contact in self._contacts if contact.label not in unreachable)
+
+    @cached_property
     def _bounding(self) -> dict[tuple[int, int], Contact]:
         """The sphere that bounds each run, or its only contact."""
         every = (*self._contacts, *self._held)
         return {
             (first, stop): bounding_sphere(every[first:stop]) or every[first] for first, stop in self._runs
         }
-
-    def blocks(self, contacts: Sequence[Contact]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the runs of some contacts that are looked at together, see `contact_blocks`.
-
-        Returns:
-            (b, 3) first contact, the one after the last, and which sphere bounds them or −1; and the
-            constants of the spheres.
-        """
-        rows: list[tuple[int, int, int]] = []
-        spheres: list[NDArray[np.float64]] = []
-        for first, stop in runs(contacts):
-            sphere = bounding_sphere(contacts[first:stop])
-            rows.append((first, stop, -1 if sphere is None else len(spheres)))
-            if sphere is not None:
-                spheres.append(contact_constants(self._model, sphere)[2])
-        return np.array(rows, dtype=np.int64).reshape(-1, 3), np.array(spheres).reshape(-1, CONSTANTS)
 
     @cached_property
     def sources(self) -> tuple[str, ...]:
@@ -134,17 +125,51 @@ class SceneLayout:
             self._damping = key, float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
         return self._damping[1]
 
-    def constants(self, contact: Contact) -> tuple[int, int, NDArray[np.float64], NDArray[np.float64]]:
-        """Return what `contact_constants` does, which is not to be changed in place."""
-        known = self._constants.get(contact.label)
-        if known is None or known[0] is not contact:
-            return contact_constants(self._model, contact)
-        return known[1]
+    def tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
+        """Return what runs need of contacts, those of the scene or others; not to be changed in place."""
+        if self._tables is None or self._tables[0] != contacts:
+            self._tables = contacts, self._make_tables(contacts)
+        return self._tables[1]
 
-    @cached_property
-    def _constants(self) -> dict[str, tuple[Contact, Any]]:
-        every = (*self._contacts, *self._held)
-        return {c.label: (c, contact_constants(self._model, c)) for c in every}
+    def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
+        model, count = self._model, len(contacts)
+        parts = [contact_constants(model, contact) for contact in contacts]
+        blocks: list[tuple[int, int, int]] = []
+        spheres: list[NDArray[np.float64]] = []
+        for first, stop in runs(contacts):
+            sphere = bounding_sphere(contacts[first:stop])
+            blocks.append((first, stop, -1 if sphere is None else len(spheres)))
+            if sphere is not None:
+                spheres.append(contact_constants(model, sphere)[2])
+        return ContactTables(
+            np.array([part[2] for part in parts]).reshape(count, CONSTANTS),
+            np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
+            np.array([signs for *_, signs in parts]).reshape(count, model.nv),
+            np.array([contact.sustained_friction for contact in contacts], dtype=float),
+            np.array(blocks, dtype=np.int64).reshape(-1, 3),
+            np.array(spheres).reshape(-1, CONSTANTS),
+        )
+
+
+class ContactTables(NamedTuple):
+    """What runs need of contacts.
+
+    Attributes:
+        constants: (n, 28) see `robot._kernels.constants`.
+        joints: (n, 2) of the tip and of the surface.
+        signs: (n, nv) see `contact_constants`.
+        friction: (n,) of sustained contact.
+        blocks: (b, 3) runs of contacts looked at together: the first contact, the one after the last, and
+            which sphere bounds them or −1.
+        spheres: (s, 28) constants of the spheres.
+    """
+
+    constants: NDArray[np.float64]
+    joints: NDArray[np.int64]
+    signs: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    blocks: NDArray[np.int64]
+    spheres: NDArray[np.float64]
 
 
 def _sizes(model: pin.Model) -> tuple[int, int, int, int]:

@@ -72,9 +72,8 @@ class SimulationState:
         self.t, self.q, self.v = 0.0, q, v
         self._model, self._data = model, data
         layout = scene.layout()
-        unreachable = set(layout.unreachable)
-        watched = () if "contact guards" in without else scene.contacts
-        contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
+        watched = () if "contact guards" in without else layout.watched
+        contacts = [_altered(contact, without) for contact in watched] if without else list(watched)
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
         limits = layout.limits if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
