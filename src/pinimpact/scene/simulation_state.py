@@ -180,7 +180,9 @@ class SimulationState:
             contact = self.dynamics.contacts[k]
             highest = 2.0 * contact.rim * tilt_of_rim(self._model, self._data, contact)
             if highest <= self.dynamics.work.touching_gap:
-                raise SimulationError(f"contacts: {flat_rim(contact)}", field="contacts", value=contact)
+                raise SimulationError(
+                    f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
+                )
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""
