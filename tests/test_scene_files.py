@@ -34,7 +34,7 @@ def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
     (contact,) = loaded.scene.contacts
     assert contact.label == "ball on belt"
     assert (contact.friction, contact.restitution, contact.radius) == (0.1, 0.4, 0.05)
-    assert contact.plane == pinimpact.Plane(velocity=(2, 0, 0))
+    assert contact.plane == pinimpact.Plane(velocity=(2, 0, 0), name="belt")
     assert loaded.file.duration == 1.5
 
 
@@ -42,7 +42,8 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
     ball = '[sphere.post]\ncenter = [0, 0, "-10 cm"]\nradius = "10 cm"\nangular_velocity = [0, "60 rpm", 0]'
     text = BALL.replace('plane = "belt"', 'plane = "post"').replace("[[contact]]", f"{ball}\n\n[[contact]]")
     (contact,) = scene_of(tmp_path, text).scene.contacts
-    assert contact.plane == pinimpact.Sphere((0, 0, -0.1), 0.1, angular_velocity=(0, 2 * math.pi, 0))
+    spin = (0, 2 * math.pi, 0)
+    assert contact.plane == pinimpact.Sphere((0, 0, -0.1), 0.1, angular_velocity=spin, name="post")
     with pytest.raises(pinimpact.UnknownNameError, match="'belt' is both a plane and a sphere"):
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
 

@@ -184,9 +184,12 @@ class TabulatedForces:
 
     @classmethod
     def of(cls, source: ForceSource, steps: Sequence[DenseStep]) -> TabulatedForces:
-        """Tabulate forces from elsewhere."""
+        """Tabulate forces from elsewhere, of the contacts that are ever closed."""
         if isinstance(source, cls):
             return source
+        count = len(source.contacts)
+        closed = [step.closed.modes[:count] for step in steps if step.closed is not None]
+        used = np.flatnonzero(np.any(closed, axis=0)) if closed else np.zeros(0, dtype=np.int64)
         rows: list[int] = []
         found: list[list[Forces]] = []
         for number, step in enumerate(steps):
@@ -195,7 +198,7 @@ class TabulatedForces:
             if at_nodes:
                 rows.append(number)
                 found.append(at_nodes)
-        n, nv = len(source.contacts), len(steps[0].v) if steps else 0
+        n, nv = len(used), len(steps[0].v) if steps else 0
 
         def table(part: Callable[[Forces], Array], *shape: int) -> Array:
             return np.array([[part(one) for one in step] for step in found]).reshape(
@@ -203,11 +206,11 @@ class TabulatedForces:
             )
 
         return cls(
-            source.contacts,
+            [source.contacts[i] for i in used.tolist()],
             np.array(rows, dtype=np.int64),
-            table(lambda one: one.world, n, 3),
-            table(lambda one: one.points, n, 3),
-            table(lambda one: one.normals, n, 3),
+            table(lambda one: one.world[used], n, 3),
+            table(lambda one: one.points[used], n, 3),
+            table(lambda one: one.normals[used], n, 3),
             table(lambda one: one.joints, nv),
             np.array([all(one.unique for one in step) for step in found], dtype=np.bool_),
         )

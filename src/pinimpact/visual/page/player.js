@@ -89,6 +89,11 @@
     joint(number).add(spot);
   }
   for (const what of data.surfaces) joint(what.joint).add(Drawing.surface(what));
+  const lit = data.lit.map(what => {
+    const shape = Drawing.lit(what, numbers(what.triangles, Float32Array));
+    joint(what.joint).add(shape);
+    return { shape, times: what.times };
+  });
   const contacts = data.contacts.map(({ name, path, forces }) => ({
     name, path: numbers(path, Float32Array), forces: forces && numbers(forces, Float32Array),
   }));
@@ -226,6 +231,9 @@
       forceArrows[i].set(point, force.multiplyScalar(data.scales.force));
     });
     const impact = piece.impact || nearest(t);
+    const struck = impact && impact.time <= t ? impact.time : t;
+    for (const { shape, times } of lit)
+      shape.visible = times.some(([start, end]) => start <= t && t <= end || start <= struck && struck <= end);
     drawImpact(impact, piece.impact ? share : impact && impact.time <= t ? 1 : 0);
     write(t, piece, share);
     find("film").value = film;
@@ -346,11 +354,12 @@
       rows.push(["force", `force of contact, the longest ${digits(longest.force)} N`]);
     if (contacts.length && !data.within) rows.push(["path", "way of a contact point"]);
     if (data.surfaces.length) rows.push(["surface", "surface"]);
+    if (lit.length) rows.push(["lit", "shape that touches"]);
     for (const [name, text] of rows) {
       const row = find("legend").appendChild(document.createElement("div"));
       const swatch = row.appendChild(document.createElement("i"));
       swatch.style.background = COLORS[name];
-      if (place === "cone" || place === "surface") swatch.className = "wide";
+      if (["cone", "surface", "lit"].includes(name)) swatch.className = "wide";
       row.append(text);
     }
     find("legend").hidden = !rows.length;
