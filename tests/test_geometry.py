@@ -403,6 +403,18 @@ def test_bad_input_is_refused():
             Contact(geometry="thing_0", plane=FLOOR).tips(shaped_body(solid, BOX))
 
 
+def test_a_shape_without_a_link_hangs_on_a_frame_of_its_joint():
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    shapes = pin.GeometryModel()
+    shapes.addGeometryObject(pin.GeometryObject("crate", 1, pin.SE3.Identity(), coal.Box(*SIDES)))
+    contact = Contact(geometry="crate", plane=FLOOR)
+    with pytest.raises(ModelError, match=r"'crate' hangs on joint 1, which has no frame; add one: model.addJoint"):
+        contact.tips(pin.RobotWrapper(model, shapes))
+    model.addJointFrame(1)
+    assert {tip.frame for tip in contact.tips(pin.RobotWrapper(model, shapes))} == {model.getFrameId("slide")}
+
+
 def test_other_shapes_and_swept_spheres():
     cone = Contact(geometry="thing_0", plane=FLOOR).tips(shaped_body(coal.Cone(0.1, 0.4), BOX))
     assert [(tip.rim, tip.offset[2]) for tip in cone] == [(0.1, -0.2), (0.0, 0.2)]

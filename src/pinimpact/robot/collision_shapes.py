@@ -74,11 +74,23 @@ def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
 
 
 def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
-    """Return the id of the frame that carries a shape: that of its link, else that of its joint."""
-    frame = int(shape.parentFrame)
-    if frame < model.nframes and model.frames[frame].parentJoint == shape.parentJoint:
+    """Return the id of the frame that carries a shape: that of its link, else one of its joint.
+
+    Raises:
+        ModelError: Its joint has no frame.
+    """
+    frame, joint = int(shape.parentFrame), int(shape.parentJoint)
+    if frame < model.nframes and model.frames[frame].parentJoint == joint:
         return frame
-    return int(model.getFrameId(model.names[shape.parentJoint]))
+    for number, other in enumerate(model.frames):
+        if other.parentJoint == joint:
+            return number
+    raise ModelError(
+        f"geometry: {shape.name!r} hangs on joint {joint}, which has no frame; add one: "
+        f"model.addJointFrame({joint})",
+        field="geometry",
+        value=shape.name,
+    )
 
 
 def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points: int | None) -> ShapeTips:
