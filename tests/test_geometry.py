@@ -409,7 +409,9 @@ def test_a_shape_without_a_link_hangs_on_a_frame_of_its_joint():
     shapes = pin.GeometryModel()
     shapes.addGeometryObject(pin.GeometryObject("crate", 1, pin.SE3.Identity(), coal.Box(*SIDES)))
     contact = Contact(geometry="crate", plane=FLOOR)
-    with pytest.raises(ModelError, match=r"'crate' hangs on joint 1, which has no frame; add one: model.addJoint"):
+    with pytest.raises(
+        ModelError, match=r"'crate' hangs on joint 1, which has no frame; add one: model.addJoint"
+    ):
         contact.tips(pin.RobotWrapper(model, shapes))
     model.addJointFrame(1)
     assert {tip.frame for tip in contact.tips(pin.RobotWrapper(model, shapes))} == {model.getFrameId("slide")}

@@ -48,6 +48,37 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
 
 
+def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
+    text = (SCENES / "falling_arm.toml").read_text(encoding="utf-8")
+    loaded = load_scene(SCENES / "falling_arm.toml")
+    shapes = {contact.shape for contact in loaded.scene.contacts}
+    assert shapes == {s.name for s in loaded.robot.collision_model.geometryObjects} - {"panda_link0_0"}
+    contact = loaded.scene.contacts[-1]
+    assert (contact.friction, contact.restitution, contact.law) == (0.5, 0.2, "energetic")
+    assert contact.plane == pinimpact.Plane(name="floor")
+    hand = text.replace('links = "all"  ', 'geometry = "panda_hand_0"')
+    assert {contact.shape for contact in scene_of(tmp_path, hand).scene.contacts} == {"panda_hand_0"}
+    named = hand.replace('"panda_hand_0"', '"panda_leftfinger_3"\nname = "finger"')
+    assert scene_of(tmp_path, named).scene.contacts[0].label == "finger corner 1"
+    fingers = text.replace('"all"  ', '["panda_leftfinger", "panda_rightfinger"]')
+    assert len(scene_of(tmp_path, fingers).scene.contacts) == 8 * 8
+    for wrong, message in (
+        (
+            'links = "all"\nframe = "panda_hand"',
+            r"contact\[0\]: frame and links given; give one of frame, geom",
+        ),
+        ("", r"contact\[0\]: none given"),
+        ('links = "all"\nradius = 0.1', r"contact\[0\].radius: goes with a frame"),
+        ('links = "all"\nrim_points = 2', r"contact\[0\]: geometry: rim_points: 2 given"),
+    ):
+        with pytest.raises(pinimpact.InputError, match=message):
+            scene_of(tmp_path, text.replace('links = "all"  ', wrong + "\n"))
+    with pytest.raises(
+        pinimpact.UnknownNameError, match=r"contact\[0\]: links: no link 'panda_hund' .*panda_hand"
+    ):
+        scene_of(tmp_path, text.replace('"all"  ', '["panda_hund"]'))
+
+
 def test_joints_by_name_and_unit() -> None:
     loaded = load_scene(SCENES / "panda_strikes_table.toml")
     model = loaded.robot.model

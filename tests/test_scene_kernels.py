@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
-from pinimpact.robot._kernels import contact_motion
+from pinimpact.robot._kernels import contact_motion, surfaces
+from pinimpact.robot._kernels.constants import RADIUS
 from pinimpact.scene._kernels import closed_set, gap_bounds, lie_charts
 from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
@@ -20,8 +21,8 @@ from .scene_models import slider
 
 
 @numba.njit
-def bounds(work, peak, h):
-    """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
+def bounds_about(work, peak, h, reach):
+    """Return the bounds for all points within reach of the first contact."""
     return contact_motion.bounds(
         work.joint_jacobian,
         work.velocity_signs[0],
@@ -30,7 +31,15 @@ def bounds(work, peak, h):
         work.contact_constants[0],
         peak,
         h,
+        reach,
     )
+
+
+@numba.njit
+def bounds(work, peak, h):
+    """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
+    k = work.contact_constants[0]
+    return (*bounds_about(work, peak, h, 0.0), surfaces.least_radius(k) + k[RADIUS])
 
 
 @numba.njit
@@ -275,6 +284,22 @@ def test_the_bounds_of_a_gap_hold_between_any_two_times_of_a_step(seed, where, f
         slack = blur + 1e-3 * np.abs(between).max()
         assert -between.min() <= fall + slack
         assert np.abs(between).max() <= bend + slack
+
+
+def test_bounds_of_all_points_within_reach_are_no_less_than_those_of_each():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        model = curved_model()
+        q, v, a = random_state(model, seed)
+        peak = np.array([abs(v), abs(a), 0.1 * abs(a), 0.2 * abs(v)])
+        found = []
+        offsets = [np.zeros(3), *(0.3 * x / np.linalg.norm(x) for x in rng.normal(size=(8, 3)))]
+        for offset in offsets:
+            contact = Contact("frame5", Plane(), offset=offset)
+            dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+            dynamics.free_motion_at(0.0, q, v, [0])
+            found.append(bounds_about(dynamics.work, peak, 0.02, 0.0 if offset.any() else 0.3))
+        assert (np.array(found[0]) >= np.max(found[1:], axis=0)).all()
 
 
 @pytest.mark.parametrize("body", [None, "frame6"])

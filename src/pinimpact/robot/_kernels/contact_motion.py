@@ -44,12 +44,12 @@ def gap_and_rate(R, V, S, U, k):
 
 
 @inner
-def bounds(J, signs, group, R, k, peak, h):
+def bounds(J, signs, group, R, k, peak, h, reach):
     """Return what bounds the gap's second derivative over a step of length h, see `gap_bounds`.
 
     That is, for the tip's centre relative to the surface's carrier, the largest size of its acceleration, how
-    much that varies, its largest speed; and the least radius of curvature of the surface at a tip's distance
-    from the true one.
+    much that varies, its largest speed. With a reach the same of all points of the tip's body that are within
+    it of the centre.
 
     With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
     × J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
@@ -60,6 +60,7 @@ def bounds(J, signs, group, R, k, peak, h):
         group: (nv,) number of the joint that each velocity belongs to.
         peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
         h: Its length [s].
+        reach: Of the points about the centre [m].
     """
     n = len(signs)
     c1, c2, c3 = place(R, k, TIP)
@@ -72,7 +73,8 @@ def bounds(J, signs, group, R, k, peak, h):
             all_a += turn * peak[1, j]
             all_d += turn * peak[2, j]
             carried = carried or signs[j] < 0.0
-    way = speed = straight = bent = changed = mixed = drifted = 0.0
+    way, speed = reach, 0.0
+    straight = bent = changed = mixed = drifted = 0.0
     for _ in range(2):
         speed = straight = bent = changed = mixed = drifted = 0.0
         inner_v = inner_a = inner_d = own_v = own_a = own_d = 0.0
@@ -106,9 +108,9 @@ def bounds(J, signs, group, R, k, peak, h):
             changed += lever * e
             mixed += lever * (v * in_a + a * in_v)
             drifted += lever * (v * in_d + d * in_v)
-        way = h * speed
+        way = reach + h * speed
     change = changed + h * mixed + 2.0 * drifted + 2.0 * h * all_v * bent
-    return straight + bent, change, speed, surfaces.least_radius(k) + k[RADIUS]
+    return straight + bent, change, speed
 
 
 @ahead(*6 * [FLOATS])
