@@ -345,7 +345,6 @@ def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def dropped():
     """A barrel with a knob that bounces on a rim once and flies on, and one that comes to lie there."""
-    shapes = pin.GeometryModel()
     robot = shaped_body(coal.Cylinder(0.1, 0.3), pin.Inertia.FromCylinder(1.0, 0.1, 0.3))
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
     shapes = robot.collision_model
@@ -378,6 +377,7 @@ def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
 
 
 @in_a_browser
+@pytest.mark.slow
 def test_a_browser_shows_what_is_lit(dropped, tmp_path: Path) -> None:
     robot, trajectory = dropped
     shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html", slowdown=1.0)
