@@ -396,6 +396,8 @@ def test_bad_input_is_refused():
         UnknownNameError, match="links: no link 'thong' has a collision shape; did you mean 'thing'"
     ):
         Scene(robot).contacts_from_geometry(FLOOR, links=["thong"])
+    with pytest.raises(InputError, match="geometry: 'thing_0' is no pinocchio GeometryModel"):
+        Scene(robot.model, geometry="thing_0")
     with pytest.raises(InputError, match="is a box, which can meet planes alone, not a sphere"):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
     with pytest.raises(InputError, match="is a collision shape, which here has no single point"):
