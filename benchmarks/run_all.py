@@ -24,6 +24,7 @@ NAMES = (
     "scene_cost",
     "scene_ladder",
     "sustained",
+    "geometry",
 )
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import coal
 import numpy as np
 import pinocchio as pin
+from scipy.spatial import ConvexHull
 
 import pinimpact
 
@@ -67,3 +69,29 @@ def run(scene, q0, v0, duration, audit=1e-6, **options):
     at_play = max(at_play, energy.kinetic.max())
     assert np.abs(energy.residual).max() <= audit * at_play + 1e-12
     return trajectory
+
+
+def shaped_body(shape, inertia, placement=None, name="thing_0"):
+    """A free-flying body, frame ``thing``, with one collision shape."""
+    model = free_body(inertia)
+    model.addFrame(pin.Frame("thing", 1, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    shapes = pin.GeometryModel()
+    placement = placement or pin.SE3.Identity()
+    shapes.addGeometryObject(pin.GeometryObject(name, 1, model.getFrameId("thing"), placement, shape))
+    return pin.RobotWrapper(model, shapes)
+
+
+def mesh(points, triangles):
+    """A mesh as coal has it."""
+    solid = coal.BVHModelOBBRSS()
+    solid.beginModel(len(triangles), len(points))
+    for triangle in triangles:
+        solid.addTriangle(*(np.array(points[k], dtype=float) for k in triangle))
+    solid.endModel()
+    return solid
+
+
+def hull_mesh(points):
+    """The convex hull of points as a mesh of triangles."""
+    hull = ConvexHull(points)
+    return mesh(points, hull.simplices)

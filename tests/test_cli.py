@@ -229,7 +229,15 @@ def test_robots_are_listed() -> None:
 def test_info_tells_joints_limits_and_frames() -> None:
     result = call("info", "panda")
     assert result.exit_code == 0, result.output
-    for text in ("panda_joint4", "-3.072", "-0.0698", "prismatic", "fixed base", "panda_hand_tcp"):
+    for text in (
+        "panda_joint4",
+        "-3.072",
+        "-0.0698",
+        "prismatic",
+        "fixed base",
+        "panda_hand_tcp",
+        "panda_hand_0",
+    ):
         assert text in result.output
     facts = json.loads(call("info", "solo12", "--json").stdout)
     assert facts["free_base"]

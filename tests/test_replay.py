@@ -11,6 +11,7 @@ import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -20,6 +21,8 @@ import pinimpact
 from pinimpact.robot.matrices import contact_geometry
 from pinimpact.visual.browser import find_browser, open_page
 from pinimpact.visual.collada import NAMESPACE, one_material_per_mesh
+
+from .scene_models import shaped_body
 
 umsgpack = pytest.importorskip("umsgpack")
 
@@ -360,6 +363,59 @@ def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
     with pytest.raises(pinimpact.InputError, match=r"save\(\)"):
         unwritten.open()
     assert unwritten.save(tmp_path / "c.html").read_text(encoding="utf-8") == unwritten.html
+
+
+@pytest.fixture(scope="module")
+def dropped():
+    """A barrel with a knob that bounces on a rim once and flies on, and one that comes to lie there."""
+    robot = shaped_body(coal.Cylinder(0.1, 0.3), pin.Inertia.FromCylinder(1.0, 0.1, 0.3))
+    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    shapes = robot.collision_model
+    shapes.addGeometryObject(
+        pin.GeometryObject("knob", 1, robot.model.getFrameId("thing"), place, coal.Box(*[0.02] * 3))
+    )
+    scene = pinimpact.Scene(robot).contacts_from_geometry(FLOOR, friction=0.3, restitution=0.5)
+    lying = pin.Quaternion(pin.utils.rotate("x", 0.5 * np.pi)).coeffs()
+    return robot, pinimpact.simulate(scene, [0, 0, 0.2, *lying], np.zeros(6), 0.35)
+
+
+def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
+    robot, trajectory = dropped
+    shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html")
+    (lit,) = motion_of(shown)["lit"]  # the knob touches nothing
+    assert (lit["name"], lit["joint"]) == ("thing_0", 1)
+    times = [impact.time for impact in trajectory.impacts]
+    assert all(any(start <= t <= end for start, end in lit["times"]) for t in times)
+    assert not any(start <= 0.5 * (times[0] + times[2]) <= end for start, end in lit["times"])
+    corners = numbers(lit["triangles"]).reshape(-1, 3)
+    assert np.abs(corners[:, 2]) == pytest.approx(np.full(len(corners), 0.15), abs=1e-6)
+    assert np.hypot(corners[:, 0], corners[:, 1]) == pytest.approx(np.full(len(corners), 0.1), abs=1e-6)
+    # the way of a contact is drawn where it touches
+    assert [one["name"] for one in motion_of(shown)["contacts"]] == [
+        "thing_0 rim 1 on plane",
+        "thing_0 rim 2 on plane",
+    ]
+    bare = pinimpact.replay(robot.model, trajectory, None)
+    assert motion_of(bare)["lit"] == []
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_a_browser_shows_what_is_lit(dropped, tmp_path: Path) -> None:
+    robot, trajectory = dropped
+    shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html", slowdown=1.0)
+    seen = []
+    for time in (0.05, trajectory.impacts[0].time + 1e-4):
+        picture = tmp_path / "picture.png"
+        open_page(BROWSER, shown.path, f"t={time}", size=(480, 360), screenshot=picture)
+        seen.append(np.count_nonzero(is_yellow(imread(picture))))
+    assert seen[1] > seen[0] + 300
+
+
+def is_yellow(pixels: np.ndarray) -> np.ndarray:
+    """Which pixels are of the colour of what is lit, over whatever it shines through."""
+    red, green, blue = (pixels[..., k] for k in range(3))
+    return (red > blue + 0.2) & (green > blue + 0.2) & (abs(red - green) < 0.12)
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ def test_a_scene_is_what_the_file_says(tmp_path: Path) -> None:
     (contact,) = loaded.scene.contacts
     assert contact.label == "ball on belt"
     assert (contact.friction, contact.restitution, contact.radius) == (0.1, 0.4, 0.05)
-    assert contact.plane == pinimpact.Plane(velocity=(2, 0, 0))
+    assert contact.plane == pinimpact.Plane(velocity=(2, 0, 0), name="belt")
     assert loaded.file.duration == 1.5
 
 
@@ -42,9 +42,58 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
     ball = '[sphere.post]\ncenter = [0, 0, "-10 cm"]\nradius = "10 cm"\nangular_velocity = [0, "60 rpm", 0]'
     text = BALL.replace('plane = "belt"', 'plane = "post"').replace("[[contact]]", f"{ball}\n\n[[contact]]")
     (contact,) = scene_of(tmp_path, text).scene.contacts
-    assert contact.plane == pinimpact.Sphere((0, 0, -0.1), 0.1, angular_velocity=(0, 2 * math.pi, 0))
+    spin = (0, 2 * math.pi, 0)
+    assert contact.plane == pinimpact.Sphere((0, 0, -0.1), 0.1, angular_velocity=spin, name="post")
     with pytest.raises(pinimpact.UnknownNameError, match="'belt' is both a plane and a sphere"):
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
+
+
+def test_an_arm_falls_by_its_shapes_alone() -> None:
+    loaded = load_scene(SCENES / "falling_arm.toml")
+    shapes = {contact.shape for contact in loaded.scene.contacts}
+    assert shapes == {s.name for s in loaded.robot.collision_model.geometryObjects} - {"panda_link0_0"}
+    contact = loaded.scene.contacts[-1]
+    assert (contact.friction, contact.restitution, contact.law) == (0.5, 0.2, "energetic")
+    assert contact.plane == pinimpact.Plane(name="floor")
+
+
+def link(name: str, shape: str) -> str:
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    return f'<link name="{name}">{inertial}<collision><geometry>{shape}</geometry></collision></link>'
+
+
+def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
+    hinge = '<joint name="hinge" type="continuous"><parent link="box"/><child link="can"/></joint>'
+    shapes = link("box", '<box size="1 1 1"/>'), link("can", '<cylinder radius="1" length="1"/>')
+    (tmp_path / "chest.urdf").write_text(f'<robot name="chest">{"".join(shapes)}{hinge}</robot>', "utf-8")
+    text = BALL.replace(str(SCENES / "ball.urdf"), "chest.urdf").replace('name = "ball on belt"', "")
+    text = text.replace('radius = "5 cm"', "")
+
+    def names(what: str) -> list[str]:
+        return [c.label for c in scene_of(tmp_path, text.replace('frame = "ball"', what)).scene.contacts]
+
+    assert names('geometry = "can_0"') == ["can_0 rim 1 on belt", "can_0 rim 2 on belt"]
+    assert names('geometry = "box_0"\nname = "lid"')[0] == "lid corner 1"
+    assert len(names('links = "all"')) == 10
+    assert len(names('links = ["can"]\nrim_points = 3')) == 6
+    for what, message in (
+        ('links = "all"\nframe = "can"', r"contact\[0\]: frame and links given; give one of frame, geometry"),
+        ("", r"contact\[0\]: none given"),
+        ('links = "all"\nradius = 0.1', r"contact\[0\].radius: goes with a frame"),
+        ('geometry = "can_0"\nheld = true', r"contact\[0\].held: goes with a frame"),
+        ('links = "all"\nrim_points = 2', r"contact\[0\]: geometry: rim_points: 2 given"),
+    ):
+        with pytest.raises(pinimpact.InputError, match=message):
+            names(what)
+    with pytest.raises(
+        pinimpact.UnknownNameError, match=r"contact\[0\]: links: no link 'cans' .* mean 'can'"
+    ):
+        names('links = ["cans"]')
+    with pytest.raises(
+        pinimpact.UnknownNameError, match="no collision shape is called 'can'; did you mean 'can_0'"
+    ):
+        names('geometry = "can"')
 
 
 def test_joints_by_name_and_unit() -> None:

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
-from pinimpact.robot._kernels import contact_motion
+from pinimpact.robot._kernels import contact_motion, surfaces
+from pinimpact.robot._kernels.constants import RADIUS
 from pinimpact.scene._kernels import closed_set, gap_bounds, lie_charts
 from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
@@ -20,8 +21,8 @@ from .scene_models import slider
 
 
 @numba.njit
-def bounds(work, peak, h):
-    """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
+def bounds_about(work, peak, h, reach):
+    """Return the bounds for all points within reach of the first contact."""
     return contact_motion.bounds(
         work.joint_jacobian,
         work.velocity_signs[0],
@@ -30,13 +31,54 @@ def bounds(work, peak, h):
         work.contact_constants[0],
         peak,
         h,
+        reach,
     )
+
+
+@numba.njit
+def bounds(work, peak, h):
+    """Return the bounds for the first contact; `contact_motion.bounds` is called from kernels only."""
+    k = work.contact_constants[0]
+    return (*bounds_about(work, peak, h, 0.0), surfaces.least_radius(k) + k[RADIUS])
 
 
 @numba.njit
 def curvatures(gap, rate, later_gap, later_rate, width, bounds):
     """Return `gap_bounds.curvatures`, which is called from kernels only."""
     return gap_bounds.curvatures(gap, rate, later_gap, later_rate, width, bounds)
+
+
+@numba.njit
+def turning_bound(work, peak, h):
+    """Return `contact_motion.turning_bound` of the first contact, which is called from kernels only."""
+    return contact_motion.turning_bound(
+        work.joint_jacobian,
+        work.velocity_signs[0],
+        work.placements[work.contact_joints[0, 0]],
+        work.contact_constants[0],
+        peak,
+        h,
+    )
+
+
+@numba.njit
+def rim_parts(work, out):
+    """Fill `contact_motion.rim_and_rates` of the first contact."""
+    tip, base = work.contact_joints[0, 0], work.contact_joints[0, 1]
+    contact_motion.rim_and_rates(
+        work.placements[tip],
+        work.local_velocities[tip],
+        work.placements[base],
+        work.local_velocities[base],
+        work.contact_constants[0],
+        out,
+    )
+
+
+@numba.njit
+def rim_clear(now, later, radius, curvature, width, floor):
+    """Call the kernel, which only kernels can."""
+    return gap_bounds.rim_clear(now, later, radius, curvature, width, floor)
 
 
 def placements(model, data, q):
@@ -242,6 +284,69 @@ def test_the_bounds_of_a_gap_hold_between_any_two_times_of_a_step(seed, where, f
         slack = blur + 1e-3 * np.abs(between).max()
         assert -between.min() <= fall + slack
         assert np.abs(between).max() <= bend + slack
+
+
+def test_bounds_of_all_points_within_reach_are_no_less_than_those_of_each():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        model = curved_model()
+        q, v, a = random_state(model, seed)
+        peak = np.array([abs(v), abs(a), 0.1 * abs(a), 0.2 * abs(v)])
+        found = []
+        offsets = [np.zeros(3), *(0.3 * x / np.linalg.norm(x) for x in rng.normal(size=(8, 3)))]
+        for offset in offsets:
+            contact = Contact("frame5", Plane(), offset=offset)
+            dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+            dynamics.free_motion_at(0.0, q, v, [0])
+            found.append(bounds_about(dynamics.work, peak, 0.02, 0.0 if offset.any() else 0.3))
+        assert (np.array(found[0]) >= np.max(found[1:], axis=0)).all()
+
+
+@pytest.mark.parametrize("body", [None, "frame6"])
+def test_what_bounds_the_gap_of_a_rim_holds(body):
+    """Against differences along a motion of constant v̇: the parts of the gap, their rates, and the bound."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        model = curved_model()
+        q, v, a = random_state(model, seed)
+        h, steps = 0.02, 64
+        a = a / h * rng.uniform()
+        times = np.linspace(0.0, h, steps + 1)
+        path = [q]
+        for t in times[:-1]:
+            path.append(pin.integrate(model, path[-1], h / steps * (v + (t + 0.5 * h / steps) * a)))
+        contact = Contact(
+            "frame5", Plane(normal=rng.normal(size=3), body=body), rim=0.4, axis=rng.normal(size=3)
+        )
+        data = model.createData()
+        gaps = np.array([contact.gap(model, data, q) for q in path])
+        dynamics = SceneDynamics(Scene(model, [contact]), model, [contact], [], [])
+        parts = np.empty((steps + 1, 8))
+        for q, t, out in zip(path, times, parts, strict=True):
+            found = dynamics.gaps_at(q, v + t * a)
+            rim_parts(dynamics.work, out)
+            assert found[0, 0] == pytest.approx(out[0] - 0.4 * np.linalg.norm(out[2:5]), abs=1e-14)
+        assert parts[:, 0] - 0.4 * np.linalg.norm(parts[:, 2:5], axis=1) == pytest.approx(gaps, abs=1e-14)
+        dt = h / steps
+        for value, rate in ((parts[:, :1], parts[:, 1:2]), (parts[:, 2:5], parts[:, 5:8])):
+            scale = 1e-3 * np.abs(rate).max() + 1e-9
+            assert np.gradient(value, dt, axis=0)[1:-1] == pytest.approx(rate[1:-1], abs=scale)
+        dynamics.free_motion_at(0.0, path[int(rng.integers(steps))], v, [0])
+        peak = np.array([np.maximum(np.abs(v), np.abs(v + h * a)), abs(a), abs(h * a), 0 * v])
+        bent = np.linalg.norm(np.diff(parts[:, 5:8], axis=0), axis=1).max() / dt
+        bound = turning_bound(dynamics.work, peak, h)
+        assert 0.4 * bent <= SAFETY * bound
+        size, *_ = bounds(dynamics.work, peak, h)
+        # what is called clear is clear, over any part, for floors next to the lowest point
+        curvature = SAFETY * (size + bound)
+        for _ in range(30):
+            i, j = sorted(rng.choice(steps + 1, 2, replace=False).tolist())
+            for above in (1e-12, 1e-3, 0.1, 1.0):
+                floor = -(gaps[i : j + 1].min() + above)
+                assert not rim_clear(parts[i], parts[j], 0.4, curvature, (j - i) * dt, floor)
+            width = (j - i) * dt
+            floor = -(min(gaps[i], gaps[j]) - 2.0 * width * np.abs(parts[:, 1:]).max() - curvature * width**2)
+            assert rim_clear(parts[i], parts[j], 0.4, curvature, width, floor)
 
 
 @numba.njit

@@ -13,8 +13,8 @@ and Python and kernels alike read `work.torque`, `work.length` and write `work.l
 
 To compiled code a workspace is one pointer, to slots of eight bytes in the order of the declaration: the
 value of a size, count or number, or the address of an array. The shape of an array is made of sizes and
-counts, so no code can read more of it than they say: sizes never change, and a count is checked against the
-size that bounds it wherever it is set. (Passing it to a kernel costs 0.1 µs more than passing an integer;
+counts, so no code can read more of it than they say: no kernel changes a size, and a count is checked against
+the size that bounds it wherever it is set. (Passing it to a kernel costs 0.1 µs more than passing an integer;
 numba's own `structref` 0.5 µs, with code that counts references.)
 """
 
@@ -153,7 +153,7 @@ class _Array(_Field[NDArray[Any]]):
 
 
 def size(meaning: str) -> _Size:
-    """Declare a length that never changes, given when the workspace is made."""
+    """Declare a length that is given when the workspace is made; see `Workspace.enlarge`."""
     return _Size(meaning)
 
 
@@ -254,6 +254,24 @@ class Workspace(bytearray):
             part = self._made[place : place + math.prod(shape)].view(field.dtype)
             array = self.arrays[field.name] = part.reshape(shape, order="C" if field.order == "C" else "F")
         return array
+
+    def enlarge(self, sizes: Mapping[str, int]) -> None:
+        """Make some sizes larger, keeping all values; sizes that counts are bounded by, of arrays made here.
+
+        What is in use of such an array stands at its front, by the counts. Arrays taken before do not follow.
+        """
+        grown = {name: value for name, value in sizes.items() if value > getattr(self, name)}
+        for field, dims in self._declared:
+            if grown.keys().isdisjoint(dims):
+                continue
+            old = self.whole(field).ravel(order="K")
+            shape = [dim if isinstance(dim, int) else grown.get(dim, 0) or getattr(self, dim) for dim in dims]
+            new = np.zeros(shape, dtype=field.dtype, order="C" if field.order == "C" else "F")
+            new.ravel(order="K")[: old.size] = old
+            self.arrays[field.name] = new
+            self.integers[field.slot] = new.__array_interface__["data"][0]
+        for name, value in grown.items():
+            self.integers[self.fields[name].slot] = value
 
     def copy_values(self, other: Workspace, but: Collection[str] = ()) -> None:
         """Copy the values of another workspace of the same sizes, all but those of some fields by name."""

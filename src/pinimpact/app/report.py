@@ -194,6 +194,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
             "Joints, with their limits [rad or m]", ("joint", "kind", "velocities", "lower", "upper"), joints
         ),
         Text("Frames that may touch something: " + (", ".join(suggested) or "none, for no joint moves")),
+        Text("Collision shapes: " + (", ".join(facts["collision_shapes"]) or "none")),
     ]
     if at_joint:
         parts.append(

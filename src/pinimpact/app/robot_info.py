@@ -140,12 +140,17 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
         "q0": np.asarray(robot.q0).tolist(),
         "shapes": {
             "visual": robot.visual_model.ngeoms if robot.visual_model is not None else 0,
-            "collision": robot.collision_model.ngeoms if robot.collision_model is not None else 0,
+            "collision": len(_collision_shapes(robot)),
         },
+        "collision_shapes": [shape.name for shape in _collision_shapes(robot)],
         "contact_frames": [frame_label(model, i) for i in end_frames(model)],
         "joints": joints,
         "frames": frames,
     }
+
+
+def _collision_shapes(robot: pin.RobotWrapper) -> list[pin.GeometryObject]:
+    return [] if robot.collision_model is None else list(robot.collision_model.geometryObjects)
 
 
 _KINDS = (

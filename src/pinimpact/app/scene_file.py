@@ -104,13 +104,20 @@ class SphereTable(SurfaceTable):
 
 
 class ContactTable(_Table):
-    """``[[contact]]``: a point of a robot and the surface it may meet; see `Contact`.
+    """``[[contact]]``: a point or a collision shape of a robot and the surface it may meet; see `Contact`.
 
-    Without a name it is called "frame on surface", by their names in the file.
+    Without a name it is called "frame on surface", by their names in the file. Give one of ``frame``,
+    ``geometry`` and ``links``.
     """
 
-    frame: FrameKey
+    frame: FrameKey | None = None
     """Frame that carries the point, by name or number."""
+    geometry: str | None = None
+    """Collision shape, by name; see [Contact from geometry](geometry.md)."""
+    links: str | list[str] | None = None
+    """``"all"``, or names of the links all of whose collision shapes may meet the surface."""
+    rim_points: int | None = None
+    """Points that stand for each rim of a cylinder or cone, at least 3. Left out: smooth rims, which roll."""
     plane: str
     """Name of the surface, a plane or a sphere."""
     friction: float = 0.0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..robot.names import near_matches
+from ..robot.surfaces import Surface
 from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate
@@ -132,9 +134,9 @@ def load_scene(path: str | Path) -> LoadedScene:
     if file.gravity is not None:
         model.gravity.linear = np.array(file.gravity)
     q, v = _start(file.start, robot, v0)
-    contacts = list(zip((table.held for table in file.contact), _contacts(file), strict=True))
+    contacts, linked = _contacts(file)
     scene = Scene(
-        model,
+        robot,
         [contact for held, contact in contacts if not held],
         **_control(file.control, model, q),
         held=[contact for held, contact in contacts if held],
@@ -145,6 +147,9 @@ def load_scene(path: str | Path) -> LoadedScene:
         record=file.output.plots,
         without=file.without,
     )
+    for key, surface, links, coefficients in linked:
+        with _at(key):
+            scene = scene.contacts_from_geometry(surface, links, **coefficients)
     return LoadedScene(file, robot, scene, q, v)
 
 
@@ -251,8 +256,20 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
         raise InputError(f"{key}: {error}", field=key, value=value) from None
 
 
-def _contacts(file: SceneFile) -> list[Contact]:
-    """Return the contacts; one without a name is called "frame on surface", by the names in the file."""
+class _Linked(NamedTuple):
+    """What of links meets a surface, with its coefficients, and where in the file that stands."""
+
+    key: str
+    surface: Surface
+    links: str | Sequence[str]
+    coefficients: dict[str, Any]
+
+
+def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked]]:
+    """Return the contacts, whether each is held, and what of links meets a surface, with its coefficients.
+
+    A contact without a name is called "frame on surface", by the names in the file.
+    """
     tables = file.contact
     for index, table in enumerate(tables):
         if table in tables[:index]:
@@ -261,16 +278,45 @@ def _contacts(file: SceneFile) -> list[Contact]:
                 field=f"contact[{index}]",
                 value=table.frame,
             )
-    labels = [table.name or f"{table.frame} on {table.plane}" for table in tables]
+    labels = [table.name or f"{table.geometry or table.frame} on {table.plane}" for table in tables]
     labels = numbered(labels, [not table.name for table in tables])
-    return [
-        _contact(index, table, file, label)
-        for index, (table, label) in enumerate(zip(tables, labels, strict=True))
-    ]
+    contacts: list[tuple[bool, Contact]] = []
+    linked: list[_Linked] = []
+    for index, (table, label) in enumerate(zip(tables, labels, strict=True)):
+        key = f"contact[{index}]"
+        given = [name for name in ("frame", "geometry", "links") if getattr(table, name) is not None]
+        if len(given) != 1:
+            what = " and ".join(given) or "none"
+            raise InputError(
+                f"{key}: {what} given; give one of frame, geometry and links", field=key, value=given
+            )
+        if given != ["frame"]:
+            _check_shape_table(key, table)
+        surface = _surface(key, table.plane, file)
+        keys = {name for name in table.model_fields_set if getattr(table, name) is not None}
+        values = table.model_dump(include=keys - {"plane", "held", "name", "links"})
+        if given == ["links"]:
+            linked.append(_Linked(key, surface, table.links or (), values))
+            continue
+        name = table.name if given == ["geometry"] else label
+        with _at(key):
+            contacts.append((table.held, Contact(plane=surface, name=name, **values)))
+    return contacts, linked
 
 
-def _contact(index: int, table: ContactTable, file: SceneFile, label: str) -> Contact:
-    key, name = f"contact[{index}]", table.plane
+def _check_shape_table(key: str, table: ContactTable) -> None:
+    """Refuse keys that a collision shape does not take."""
+    for name in ("held", "offset", "radius", *(("name",) if table.links is not None else ())):
+        if name in table.model_fields_set:
+            raise InputError(
+                f"{key}.{name}: goes with a frame, not with a geometry or links; leave it out",
+                field=f"{key}.{name}",
+                value=getattr(table, name),
+            )
+
+
+def _surface(key: str, name: str, file: SceneFile) -> Surface:
+    """Return a surface by its name in the file."""
     kinds = [kind for kind, tables in file.surfaces.items() if name in tables]
     if len(kinds) != 1:
         known = [known for tables in file.surfaces.values() for known in tables]
@@ -280,9 +326,16 @@ def _contact(index: int, table: ContactTable, file: SceneFile, label: str) -> Co
             trouble = f"{name!r} is both a {' and a '.join(kinds)}; give each its own name"
         raise UnknownNameError(f"{key}.plane: {trouble}", field=f"{key}.plane", value=name)
     surface = file.surfaces[kinds[0]][name]
+    with _at(key):
+        values: dict[str, Any] = {"name": name, **surface.model_dump()}
+        return surface.kind(**values)
+
+
+@contextmanager
+def _at(key: str) -> Iterator[None]:
+    """Say where in the file an error comes from."""
     try:
-        plane = surface.kind(**surface.model_dump())
-        return Contact(plane=plane, name=label, **table.model_dump(exclude={"plane", "held", "name"}))
+        yield
     except InputError as error:
         raise InputError(f"{key}: {error}", field=f"{key}.{error.field}", value=error.value) from None
     except UnknownNameError as error:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import float_array
 from ..contact_space.batch import BatchSolution, solve_impacts, status_counts
 from ..contact_space.solution import Work
+from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from ._kernels.python_calls import raise_kept_error
@@ -25,6 +26,7 @@ from .matrices import contact_matrices
 from .names import counted, free_velocities, model_of, singular_mass
 from .pinocchio_bridge import MassAndFrames, call_addresses
 from .robot_impact import Hit, impact, restitution_of_approach
+from .touching import check_rims
 
 Array = NDArray[np.float64]
 _WORLD = pin.Convention.WORLD
@@ -172,6 +174,8 @@ def impacts(
     usable = np.array(np.isfinite(q).all(axis=1))
     if cache.curved:
         usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
+    if contact.rim > 0.0:
+        usable &= np.array([_has_lowest_point(model, data, row, contact) for row in q], dtype=np.bool_)
     if e is None:
         e = np.zeros(count)
         for row in np.flatnonzero(usable):
@@ -185,6 +189,15 @@ def impacts(
         return _in_steps(data, rows)
     codes, after, impulses = _solve_by_kernel(cache, data, rows, np.empty((0, kernel.SIZE)))
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
+
+
+def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:
+    """Whether a rim does not lie flat, at a configuration that may be no good."""
+    try:
+        check_rims(model, data, q, (contact,))
+    except InputError:
+        return False
+    return True
 
 
 def _solve_by_kernel(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,12 @@ from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
-from ._kernels.constants import AXES, KIND, POINT, RADIUS, TIP
+from ._kernels.constants import AXES, CONSTANTS, KIND, POINT, RADIUS, RIM_AXIS, TIP
+from .collision_shapes import collision_model, find_shape, shape_frame, shape_tips
 from .data_cache import checked_configuration, data_cache
 from .names import frame_id, model_of, motion_signs
-from .surfaces import Surface, Vector, check_frame_key, vector
+from .plane import Plane
+from .surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 
 Array = NDArray[np.float64]
 _placement = pin.updateFramePlacement
@@ -28,14 +30,18 @@ WORLD = np.eye(4)
 
 @dataclass(frozen=True)
 class Contact:
-    """A point of a robot that may meet a surface, with its friction and restitution.
+    """A point or a collision shape of a robot that may meet a surface, with its friction and restitution.
 
     The contact point is the frame's origin + `offset` (in the frame's axes) − `radius`·n, so a sphere of
-    that radius about the offset touches the surface where the gap is zero.
+    that radius about the offset touches the surface where the gap is zero. With a `rim` it is the lowest
+    point of a circle about the offset: of a wheel or a coin, that rolls on it.
+
+    With `geometry` in place of `frame` it is a collision shape: the contact stands for the points, spheres
+    and rims of the shape that can touch the surface, see `tips`. (geometry.md)
 
     Attributes:
-        frame: Frame that carries the point, by name or id.
-        plane: The surface it meets: a `Plane` or a `Sphere`.
+        frame: Frame that carries the point, by name or id; empty with `geometry`.
+        plane: The surface it meets: a `Plane` or a `Sphere`; it must be given.
         friction: Coulomb coefficient μ ≥ 0, of impacts and, without `sliding_friction`, of all.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
@@ -46,14 +52,21 @@ class Contact:
         sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact, slip and stick between impacts; None
             for `friction`.
         stiffness: Relative normal stiffness > 0, which counts where several contacts collide at one instant.
+        geometry: Name of a collision shape of the robot, in place of a frame.
+        rim_points: Points that stand for each rim of a cylinder or cone, ≥ 3, so that it can stand on its
+            face; None for smooth rims, on which it rolls. With `geometry` alone.
+        rim: Radius of the circle about the offset that meets a plane [m], 0 for none.
+        axis: Axis of that circle, in the frame's axes; any length but zero. Kept as a unit vector.
+        shape: Name of the collision shape that the point is of; `tips` sets it.
 
     Raises:
-        InputError: A number out of its range or not finite.
+        InputError: A number out of its range or not finite, a frame and a geometry or neither, a rim that
+            meets a sphere.
         UnknownNameError: An unknown law.
     """
 
-    frame: str | int
-    plane: Surface
+    frame: str | int = ""
+    plane: Surface = None  # type: ignore[assignment]
     friction: float = 0.0
     restitution: float | Callable[[float], float] = 0.0
     law: str = "poisson"
@@ -62,15 +75,16 @@ class Contact:
     name: str | None = None
     sliding_friction: float | None = None
     stiffness: float = 1.0
+    geometry: str | None = None
+    rim_points: int | None = None
+    rim: float = 0.0
+    axis: Vector = (0.0, 0.0, 1.0)
+    shape: str | None = None
     constants: Array = field(init=False, repr=False, compare=False)
     law_code: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_frame_key("frame", self.frame)
-        if not isinstance(self.plane, Surface):
-            raise InputError(
-                f"plane: {self.plane!r} is not a Plane or a Sphere", field="plane", value=self.plane
-            )
+        self._check_kind()
         keep = object.__setattr__
         keep(self, "friction", at_least_zero("friction", self.friction))
         if self.sliding_friction is not None:
@@ -81,16 +95,70 @@ class Contact:
         keep(self, "law_code", law_code(self.law))
         keep(self, "offset", vector("offset", self.offset))
         keep(self, "radius", at_least_zero("radius", self.radius))
-        constants = np.array([*self.offset, self.radius, *self.plane.constants])
+        keep(self, "rim", at_least_zero("rim", self.rim))
+        keep(self, "axis", unit_vector("axis", self.axis))
+        if self.rim > 0.0 and not isinstance(self.plane, Plane):
+            raise InputError(
+                f"rim: {self.rim:g} m given, but a rim meets planes alone, not a {self.plane.kind}",
+                field="rim",
+                value=self.rim,
+            )
+        constants = np.array([*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis])
         constants.setflags(write=False)
         keep(self, "constants", constants)
+
+    def _check_kind(self) -> None:
+        """Refuse what has no surface, or is not one of a frame's points and a collision shape."""
+        check_frame_key("frame", self.frame)
+        if not isinstance(self.plane, Surface):
+            raise InputError(
+                f"plane: {self.plane!r} is not a Plane or a Sphere", field="plane", value=self.plane
+            )
+        if self.geometry is None:
+            what = "neither a frame nor a geometry given" if self.frame == "" else ""
+            if self.rim_points is not None:
+                what = "rim_points belongs to a geometry"
+        elif self.frame != "":
+            what = f"the frame {self.frame!r} and the geometry {self.geometry!r} given"
+        elif self.radius or self.rim or any(self.offset):
+            what = "offset, radius and rim belong to a frame; the geometry has its own"
+        else:
+            what = "" if isinstance(self.geometry, str) else f"{self.geometry!r} is no name of a shape"
+            points = self.rim_points
+            if points is not None and (not isinstance(points, int) or points < 3):
+                what = f"rim_points: {points!r} given, a whole number of at least 3 expected"
+        if what:
+            raise InputError(
+                f"geometry: {what}; give frame, or geometry, the name of a collision shape",
+                field="geometry",
+                value=self.geometry,
+            )
+
+    def tips(self, robot: Any) -> tuple[Contact, ...]:
+        """Return the contacts of points, spheres and rims that this one stands for; itself with a frame.
+
+        They are at the shape's link, with offsets in its axes, and bear the name of this one, or of the
+        shape, with that of the part: "box_0 corner 3 on floor".
+
+        Args:
+            robot: The RobotWrapper with the collision shapes; any robot for a frame.
+
+        Raises:
+            InputError: A robot without collision shapes, a shape that is not supported, or that cannot meet
+                the surface.
+            UnknownNameError: No shape bears the name; near matches are offered.
+            ModelError: A mesh without vertices.
+        """
+        if self.geometry is None:
+            return (self,)
+        return shape_contacts(model_of(robot), collision_model(robot), self)
 
     @property
     def label(self) -> str:
         """The name, or what stands in for it."""
         if self.name is not None:
             return self.name
-        return f"{self.frame} on {self.plane.label}"
+        return f"{self.frame if self.geometry is None else self.geometry} on {self.plane.label}"
 
     @property
     def sustained_friction(self) -> float:
@@ -110,12 +178,15 @@ class Contact:
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
         """Return the signed distance of the contact point from the surface [m], negative inside.
 
-        Changes ``data.oMi``, ``data.liMi`` and the two frames' ``data.oMf``.
+        Of a collision shape it is the least of its tips'; then `model` has to be the RobotWrapper. Changes
+        ``data.oMi``, ``data.liMi`` and the two frames' ``data.oMf``.
 
         Raises:
             InputError: A q of the wrong length or not finite.
             UnknownNameError: A frame that the model does not have.
         """
+        if self.geometry is not None:
+            return min(tip.gap(model, data, q) for tip in self.tips(model))
         model = model_of(model)
         cache = data_cache(model, data)
         cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
@@ -141,13 +212,59 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
     k[POINT:AXES] = carrier.act(k[POINT:AXES])
     directions = k[AXES:KIND].reshape(-1, 3)
     directions[:] = directions @ carrier.rotation.T
+    k[RIM_AXIS:CONSTANTS] = frame.placement.rotation @ k[RIM_AXIS:CONSTANTS]
     return tip, base, k, motion_signs(model, tip, base)
 
 
+def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact) -> tuple[Contact, ...]:
+    """Return the tips of a contact of a collision shape; see `Contact.tips`."""
+    shape = find_shape(shapes, contact.geometry or "")
+    found = shape_tips(shapes, shape, contact.rim_points)
+    if not isinstance(contact.plane, Plane) and found.kind != "sphere":
+        raise InputError(
+            f"geometry: {shape.name!r} is a {found.kind}, which can meet planes alone, not a "
+            f"{contact.plane.kind}",
+            field="geometry",
+            value=shape.name,
+        )
+    frame = shape_frame(model, shape)
+    placed = model.frames[frame].placement.actInv(shape.placement)
+    rotation = placed.rotation
+    offsets = found.centres @ rotation.T + placed.translation
+    axis = tuple(rotation[:, 2].tolist())
+    contacts = []
+    for offset, rim, part in zip(offsets.tolist(), found.rims.tolist(), found.parts, strict=True):
+        name = f"{contact.label} {part}" if part else contact.label
+        if part and contact.name is None:
+            name = f"{shape.name} {part} on {contact.plane.label}"
+        contacts.append(
+            replace(
+                contact,
+                frame=frame,
+                geometry=None,
+                rim_points=None,
+                shape=shape.name,
+                name=name,
+                offset=tuple(offset),
+                radius=found.radius,
+                rim=rim,
+                axis=axis if rim > 0.0 else (0.0, 0.0, 1.0),
+            )
+        )
+    return tuple(contacts)
+
+
 def check_contact(field: str, value: Any) -> None:
-    """Refuse what is no `Contact`."""
+    """Refuse what is no `Contact` of one point."""
     if not isinstance(value, Contact):
         raise InputError(f"{field}: {value!r} is not a Contact", field=field, value=value)
+    if value.geometry is not None:
+        raise InputError(
+            f"{field}: {value.label!r} is a collision shape, which here has no single point; give one of its "
+            "contact.tips(robot)",
+            field=field,
+            value=value,
+        )
 
 
 def check_held(held: Contact | Sequence[Contact]) -> tuple[Contact, ...]:

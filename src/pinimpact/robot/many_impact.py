@@ -20,6 +20,7 @@ from .contact import Contact, check_contact, check_held
 from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
 from .matrices import ManyMatrices, many_matrices
+from .touching import check_rims
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,7 @@ def impact_at_many(
     for contact in contacts:
         check_contact("contact", contact)
     held = check_held(held)
+    check_rims(model, data, q, contacts)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)

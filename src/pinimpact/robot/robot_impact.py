@@ -24,6 +24,7 @@ from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices, kinematics
 from .names import model_of, singular_mass
+from .touching import check_rims, touching_tips
 
 LOCKED = int(Status.LOCKED)
 """The last status that is an answer."""
@@ -191,7 +192,8 @@ def impact(
         data: Its data; what changes is told in `contact_matrices`.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
-        contact: The contact that collides, or a list of those that are closed at this instant.
+        contact: The contact that collides, or a list of those that are closed at this instant. Of a collision
+            shape the tips that touch take part, those of the least gap; then `model` is the RobotWrapper.
         held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
             surface. One that would have to pull gives a `HeldContactWarning`.
         locked: Joints, by name or id, whose velocity the impact does not change.
@@ -201,10 +203,11 @@ def impact(
         **options: The method's or the policy's own keywords.
 
     Returns:
-        A `Hit`; for a list of contacts, also of one, a `ManyHit`.
+        A `Hit`; for a list of contacts, also of one, and where several tips of a shape touch, a `ManyHit`.
 
     Raises:
-        InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves.
+        InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves; a
+            rim that lies flat.
         UnknownNameError: A frame or joint that the model does not have; an unknown method.
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
@@ -213,6 +216,7 @@ def impact(
     Warns:
         JointLimitWarning: The q lies beyond joint limits, as one in degrees does; told once for each Data.
     """
+    robot = model
     if type(model) is not _Model:
         model = model_of(model)
     cache = data_cache(model, data)
@@ -221,6 +225,12 @@ def impact(
             return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
         check_contact("contact", contact)
         raise AssertionError
+    if contact.geometry is not None:
+        tips = touching_tips(robot, data, q, contact)
+        one_or_many: Any = tips[0] if len(tips) == 1 else tips
+        return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
+    if contact.rim > 0.0:
+        check_rims(model, data, q, (contact,))
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
     try:

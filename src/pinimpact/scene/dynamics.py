@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
 from ..robot._kernels import contact_kinematics, robot_impact
-from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
@@ -40,6 +39,9 @@ from .scene import Scene
 
 STIFF = 1e3
 """Rate [1/s] at which damped joints come to rest, above which steps may be implicit in their damping."""
+
+CLOSABLE = 64
+"""Contacts for which there is room at first to be closed at once, beside held ones."""
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -101,8 +103,8 @@ class SceneDynamics:
         dry = scene.joint_friction * ("joint friction" not in without)
         charts = layout.joint_charts
         count = len(self.contacts)
-        parts = [layout.constants(contact) for contact in self.contacts]
-        constants = np.array([part[2] for part in parts]).reshape(count, CONSTANTS)
+        tables = layout.tables(self.contacts)
+        closable = min(count, len(held) + CLOSABLE)
         self.work = SceneWorkspace(
             {
                 "nq": model.nq,
@@ -111,11 +113,14 @@ class SceneDynamics:
                 "charts": len(charts),
                 "rates": 2 * nv + WORKS,
                 "contacts": count,
+                "closable": closable,
+                "blocks": len(tables.blocks),
+                "spheres": len(tables.spheres),
                 "limits": len(limits),
                 "sources": count + len(limits) + nv,
                 "scalars": len(limits) + int(np.count_nonzero(dry)),
                 "driven": len(motors.velocity),
-                "rows": 3 * count + len(limits) + int(np.count_nonzero(dry)),
+                "rows": 3 * closable + len(limits) + int(np.count_nonzero(dry)),
             },
             {
                 "calls": calls,
@@ -138,11 +143,13 @@ class SceneDynamics:
                 "damping": scene.joint_damping * ("joint damping" not in without),
                 "dry_friction": dry,
                 "joint_charts": charts,
-                "contact_constants": constants,
-                "contact_joints": np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
-                "velocity_signs": np.array([signs for _, _, _, signs in parts]).reshape(count, nv),
+                "contact_constants": tables.constants.copy(),
+                "contact_joints": tables.joints,
+                "velocity_signs": tables.signs,
                 "velocity_joint": layout.velocity_joint,
-                "friction": np.array([c.sustained_friction for c in self.contacts], dtype=float),
+                "contact_blocks": tables.blocks,
+                "sphere_constants": tables.spheres,
+                "friction": tables.friction,
                 "bilateral": np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
                 "limit_q": np.array([limit.index_q for limit in limits], dtype=np.int64),
                 "limit_v": np.array([limit.index_v for limit in limits], dtype=np.int64),
@@ -187,9 +194,17 @@ class SceneDynamics:
             A contact where slip drives the surface in and no force exists, or −1; whether the forces were
             found to the usual accuracy; the kinetic energy gained.
         """
+        self.make_room(slow[: self.work.contacts])
         jammed, converged, energy = contact_modes.set_modes(self.work, t, q, v, slow)
         self.check()
         return jammed, converged, energy
+
+    def make_room(self, closing: Integers) -> None:
+        """Make room for contacts (n,) that may be closed at once, where not zero."""
+        work, count = self.work, int(np.count_nonzero(closing))
+        if count > work.closable:
+            closable = min(max(count, 2 * work.closable), work.contacts)
+            work.enlarge({"closable": closable, "rows": 3 * closable + work.scalars})
 
     def hold_at(self, gaps: Array) -> None:
         """Let the contacts keep these gaps (n,) where they are closed, and close what the scene holds."""
@@ -258,7 +273,10 @@ class SceneDynamics:
     # ---- states
 
     def gaps_at(self, q: Array, v: Array) -> Array:
-        """Return (n + nl, 2) gap and rate of all contacts, then of the joint limits."""
+        """Return (n + nl, 2) gap and rate of all contacts, then of the joint limits.
+
+        The gap is infinite where a sphere that bounds contacts is far from its surface.
+        """
         found = np.empty((len(self.contacts) + len(self.limits), 2))
         smooth_motion.gaps_at(self.work, q, v, found)
         self.check()

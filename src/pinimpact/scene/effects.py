@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,6 +119,12 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
     return tuple(without)
 
 
+def _in_words(contacts: Iterable[Contact]) -> str:
+    """Return the names of contacts; all those of a collision shape have its name, and their number."""
+    names = Counter(c.label if c.shape is None else f"{c.shape} on {c.plane.label}" for c in contacts)
+    return ", ".join(name if count == 1 else f"{name} ({count} points)" for name, count in names.items())
+
+
 def make_plan(
     model: pin.Model,
     contacts: Sequence[Contact],
@@ -152,10 +159,12 @@ def make_plan(
         without: Effects to leave out.
     """
     watched = len(contacts) - len(unreachable)
+    far = set(unreachable)
+    away = _in_words(contact for contact in contacts if contact.label in far)
     damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
-    rubbing = [c.label for c in contacts if max(c.friction, c.sustained_friction) > 0.0]
-    bouncing = [c.label for c in contacts if callable(c.restitution) or c.restitution > 0.0]
-    moving = [c.label for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity)]
+    rubbing = _in_words(c for c in contacts if max(c.friction, c.sustained_friction) > 0.0)
+    bouncing = _in_words(c for c in contacts if callable(c.restitution) or c.restitution > 0.0)
+    moving = _in_words(c for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity))
     g = float(np.linalg.norm(model.gravity.linear))
 
     called_for: dict[str, tuple[bool, str, str]] = {
@@ -178,21 +187,19 @@ def make_plan(
         ),
         "contact friction": (
             bool(rubbing),
-            f"μ > 0 at {', '.join(rubbing)}",
+            f"μ > 0 at {rubbing}",
             "no contact has μ > 0" if contacts else "there are no contacts",
         ),
         "restitution": (
             bool(bouncing),
-            f"e > 0 at {', '.join(bouncing)}",
+            f"e > 0 at {bouncing}",
             "no contact has e > 0" if contacts else "there are no contacts",
         ),
         "contact guards": (
             watched > 0,
             f"{counted(watched, 'contact')} watched"
-            + (f"; out of reach and not watched: {', '.join(unreachable)}" if unreachable else ""),
-            f"out of reach of their surfaces: {', '.join(unreachable)}"
-            if unreachable
-            else "there are no contacts",
+            + (f"; out of reach and not watched: {away}" if unreachable else ""),
+            f"out of reach of their surfaces: {away}" if unreachable else "there are no contacts",
         ),
         "sustained contact": (
             watched > 0 or limits > 0,
@@ -201,7 +208,7 @@ def make_plan(
         ),
         "moving surfaces": (
             bool(moving),
-            f"the surface moves at {', '.join(moving)}",
+            f"the surface moves at {moving}",
             "no surface moves by itself",
         ),
         "joint limits": (
@@ -211,7 +218,7 @@ def make_plan(
         ),
         "held contacts": (
             bool(held),
-            f"held: {', '.join(c.label for c in held)}",
+            f"held: {_in_words(held)}",
             "no contact is held",
         ),
         "locked joints": (

@@ -28,7 +28,7 @@ class ClosedSet(NamedTuple):
         sliding: (nv,) dry friction that slides, with the sign of the velocity.
         sides: (nv,) of drives at their bounds.
         control: (nv,) the control that was held.
-        constants: Of the contacts; their axes follow the surfaces.
+        constants: Of the contacts that are closed; their axes follow the surfaces.
         direction_speed: Slip below it has the direction last known [m/s].
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
@@ -53,7 +53,7 @@ class ClosedSet(NamedTuple):
             work.sliding_friction.copy(),
             work.drive_side.copy(),
             work.control_force.copy(),
-            work.contact_constants.copy(),
+            work.contact_constants[work.closed_index],
             work.direction_speed,
             bool((work.closed_mode == SLIP).any()),
             work.forces_unique,
@@ -61,11 +61,8 @@ class ClosedSet(NamedTuple):
 
 
 def directions_within(work: SceneWorkspace) -> Array:
-    """Return the directions of slip (2, n, 2) at the start and at the end of the step last completed."""
-    directions = np.zeros((2, work.contacts, 2))
-    directions[0, work.closed_index] = work.start_directions
-    directions[1, work.closed_index] = work.end_directions
-    return directions
+    """Return the directions of slip (2, k, 2) of what is closed, at both ends of the step last completed."""
+    return np.array([work.start_directions, work.end_directions])
 
 
 class Forces(NamedTuple):
@@ -104,6 +101,9 @@ class Dynamics(Protocol):
 
     work: SceneWorkspace
 
+    def make_room(self, closing: NDArray[np.int64]) -> None:
+        """Make room for contacts (n,) that are closed, where not zero."""
+
     def check(self) -> None:
         """Raise what went wrong in a call from a kernel."""
 
@@ -131,14 +131,16 @@ class EvaluatedForces:
             return None
         dynamics = self._dynamics
         work = dynamics.work
+        dynamics.make_room(closed.modes[: work.contacts])
+        index = np.flatnonzero(closed.modes[: work.contacts])
         work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
         work.drive_side[:], work.control_force[:] = closed.sides, closed.control
-        work.contact_constants[:] = closed.constants
+        work.contact_constants[index] = closed.constants
         work.direction_speed = closed.direction_speed
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
         if step.directions is not None:
-            directions = _between(step.directions, share)
+            directions[index] = _between(step.directions, share)
         n = work.contacts
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)
@@ -182,9 +184,12 @@ class TabulatedForces:
 
     @classmethod
     def of(cls, source: ForceSource, steps: Sequence[DenseStep]) -> TabulatedForces:
-        """Tabulate forces from elsewhere."""
+        """Tabulate forces from elsewhere, of the contacts that are ever closed."""
         if isinstance(source, cls):
             return source
+        count = len(source.contacts)
+        closed = [step.closed.modes[:count] for step in steps if step.closed is not None]
+        used = np.flatnonzero(np.any(closed, axis=0)) if closed else np.zeros(0, dtype=np.int64)
         rows: list[int] = []
         found: list[list[Forces]] = []
         for number, step in enumerate(steps):
@@ -193,7 +198,7 @@ class TabulatedForces:
             if at_nodes:
                 rows.append(number)
                 found.append(at_nodes)
-        n, nv = len(source.contacts), len(steps[0].v) if steps else 0
+        n, nv = len(used), len(steps[0].v) if steps else 0
 
         def table(part: Callable[[Forces], Array], *shape: int) -> Array:
             return np.array([[part(one) for one in step] for step in found]).reshape(
@@ -201,11 +206,11 @@ class TabulatedForces:
             )
 
         return cls(
-            source.contacts,
+            [source.contacts[i] for i in used.tolist()],
             np.array(rows, dtype=np.int64),
-            table(lambda one: one.world, n, 3),
-            table(lambda one: one.points, n, 3),
-            table(lambda one: one.normals, n, 3),
+            table(lambda one: one.world[used], n, 3),
+            table(lambda one: one.points[used], n, 3),
+            table(lambda one: one.normals[used], n, 3),
             table(lambda one: one.joints, nv),
             np.array([all(one.unique for one in step) for step in found], dtype=np.bool_),
         )

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..robot._kernels.constants import CONSTANTS
 from ..robot.contact import Contact, contact_constants
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import frame_id
 from ..robot.pinocchio_bridge import RobotDynamics
+from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
 
@@ -42,12 +44,14 @@ class SceneLayout:
         self._links = [pin.SE3(placement) for placement in model.jointPlacements]
         self._bounds = _bounds(model)
         every = (*self._contacts, *self._held)
+        self._runs = runs(every)
         keys = dict.fromkeys(key for c in every for key in (c.frame, c.plane.body) if key is not None)
         ids = (frame_id(model, key) for key in keys)
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
         self.spare_dynamics: list[RobotDynamics] = []
         self.spare_data: list[pin.Data] = []
         self._damping: tuple[bytes, float] | None = None
+        self._tables: tuple[tuple[Contact, ...], ContactTables] | None = None
 
     def holds_for(self, model: pin.Model) -> bool:
         """Return whether sizes, placements and joint limits of the model are what they were."""
@@ -67,13 +71,29 @@ class SceneLayout:
     def extent(self) -> float:
         """The robot's size L [m]: the longest chain to a contact, the longest link, or 1 m for a point."""
         links = link_lengths(self._model)
-        chains = [chain_length(self._model, links, contact) for contact in (*self._contacts, *self._held)]
+        chains = [chain_length(self._model, links, contact) for contact in self._bounding.values()]
         return max([length for length in (*chains, *links) if length > 0.0], default=1.0)
 
     @cached_property
     def unreachable(self) -> tuple[str, ...]:
         """Names of the contacts that can never reach their surface, whatever the joints do."""
-        return tuple(c.label for c in self._contacts if out_of_reach(self._model, c, self._limited))
+        count = len(self._contacts)
+        far = [run for run, c in self._bounding.items() if out_of_reach(self._model, c, self._limited)]
+        return tuple(self._contacts[i].label for first, stop in far for i in range(first, min(stop, count)))
+
+    @cached_property
+    def watched(self) -> tuple[Contact, ...]:
+        """The contacts that may reach their surface."""
+        unreachable = set(self.unreachable)
+        return tuple(contact for contact in self._contacts if contact.label not in unreachable)
+
+    @cached_property
+    def _bounding(self) -> dict[tuple[int, int], Contact]:
+        """The sphere that bounds each run, or its only contact."""
+        every = (*self._contacts, *self._held)
+        return {
+            (first, stop): bounding_sphere(every[first:stop]) or every[first] for first, stop in self._runs
+        }
 
     @cached_property
     def sources(self) -> tuple[str, ...]:
@@ -105,17 +125,51 @@ class SceneLayout:
             self._damping = key, float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
         return self._damping[1]
 
-    def constants(self, contact: Contact) -> tuple[int, int, NDArray[np.float64], NDArray[np.float64]]:
-        """Return what `contact_constants` does, which is not to be changed in place."""
-        known = self._constants.get(contact.label)
-        if known is None or known[0] is not contact:
-            return contact_constants(self._model, contact)
-        return known[1]
+    def tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
+        """Return what runs need of contacts, those of the scene or others; not to be changed in place."""
+        if self._tables is None or self._tables[0] != contacts:
+            self._tables = contacts, self._make_tables(contacts)
+        return self._tables[1]
 
-    @cached_property
-    def _constants(self) -> dict[str, tuple[Contact, Any]]:
-        every = (*self._contacts, *self._held)
-        return {c.label: (c, contact_constants(self._model, c)) for c in every}
+    def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
+        model, count = self._model, len(contacts)
+        parts = [contact_constants(model, contact) for contact in contacts]
+        blocks: list[tuple[int, int, int]] = []
+        spheres: list[NDArray[np.float64]] = []
+        for first, stop in runs(contacts):
+            sphere = bounding_sphere(contacts[first:stop])
+            blocks.append((first, stop, -1 if sphere is None else len(spheres)))
+            if sphere is not None:
+                spheres.append(contact_constants(model, sphere)[2])
+        return ContactTables(
+            np.array([part[2] for part in parts]).reshape(count, CONSTANTS),
+            np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
+            np.array([signs for *_, signs in parts]).reshape(count, model.nv),
+            np.array([contact.sustained_friction for contact in contacts], dtype=float),
+            np.array(blocks, dtype=np.int64).reshape(-1, 3),
+            np.array(spheres).reshape(-1, CONSTANTS),
+        )
+
+
+class ContactTables(NamedTuple):
+    """What runs need of contacts.
+
+    Attributes:
+        constants: (n, 28) see `robot._kernels.constants`.
+        joints: (n, 2) of the tip and of the surface.
+        signs: (n, nv) see `contact_constants`.
+        friction: (n,) of sustained contact.
+        blocks: (b, 3) runs of contacts looked at together: the first contact, the one after the last, and
+            which sphere bounds them or −1.
+        spheres: (s, 28) constants of the spheres.
+    """
+
+    constants: NDArray[np.float64]
+    joints: NDArray[np.int64]
+    signs: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    blocks: NDArray[np.int64]
+    spheres: NDArray[np.float64]
 
 
 def _sizes(model: pin.Model) -> tuple[int, int, int, int]:

@@ -46,7 +46,10 @@ class ModeIntervals:
             modes: (n + nl + nv,) the modes.
             sides: (nv,) not zero for the drives that are at the bounds of their efforts.
         """
-        now = dict(self._names_of(i, mode) for i, mode in enumerate(modes.tolist()) if mode)
+        active = np.flatnonzero(modes)
+        now = dict(
+            self._names_of(i, mode) for i, mode in zip(active.tolist(), modes[active].tolist(), strict=True)
+        )
         now |= {self._drive(j): "saturated" for j, side in enumerate(sides.tolist()) if side}
         for source, (mode, start) in list(self.present.items()):
             if now.get(source) != mode:

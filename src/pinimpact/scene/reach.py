@@ -14,7 +14,8 @@ from ..robot.names import frame_id
 def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
     """Return whether a contact can never reach its surface, whatever the joints do.
 
-    False is the safe answer; it is given where the surface is carried by a body.
+    False is the safe answer; it is given where the surface is carried by a body. A collision shape that
+    cannot move relative to its surface never reaches it, even where the two overlap.
 
     Args:
         model: The robot.
@@ -22,12 +23,14 @@ def out_of_reach(model: pin.Model, contact: Contact, limited: bool) -> bool:
         limited: Whether the joint limits act.
     """
     surface = contact.plane
-    if surface.body is not None:
-        return False
     tip = model.frames[frame_id(model, contact.frame)]
+    if surface.body is not None:
+        carrier = model.frames[frame_id(model, surface.body, "body")]
+        return contact.shape is not None and bool(tip.parentJoint == carrier.parentJoint)
     support = list(model.supports[tip.parentJoint])
     if len(support) == 1:
-        return surface.distance(tip.placement.act(np.array(contact.offset))) - contact.radius > 0.0
+        away = surface.distance(tip.placement.act(np.array(contact.offset))) - contact.radius - contact.rim
+        return contact.shape is not None or away > 0.0
     reach = chain_length(model, link_lengths(model), contact) + sliding_travel(model, contact, limited)
     return surface.distance(model.jointPlacements[support[1]].translation) - reach > 0.0
 
@@ -45,7 +48,12 @@ def chain_length(model: pin.Model, links: list[float], contact: Contact) -> floa
     """Return the length of the chain from a contact's first joint to its point, joints at zero travel [m]."""
     frame = model.frames[frame_id(model, contact.frame)]
     tip = math.hypot(*frame.placement.act(np.array(contact.offset)).tolist())
-    return tip + contact.radius + sum(links[joint] for joint in list(model.supports[frame.parentJoint])[2:])
+    return (
+        tip
+        + contact.radius
+        + contact.rim
+        + sum(links[joint] for joint in list(model.supports[frame.parentJoint])[2:])
+    )
 
 
 def sliding_travel(model: pin.Model, contact: Contact, limited: bool) -> float:

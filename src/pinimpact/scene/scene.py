@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,9 +16,11 @@ from numpy.typing import NDArray
 from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
+from ..robot.collision_shapes import collision_model, shapes_of_links
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
-from ..robot.names import frame_id, free_velocities, model_of
+from ..robot.names import frame_id, free_velocities, model_of, motion_signs
+from ..robot.surfaces import Surface
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
@@ -38,6 +41,8 @@ class Scene:
     Contacts without a name of their own whose labels would be the same are numbered: "foot on plane 1",
     "foot on plane 2". Reports use the labels of `contacts` and `held` as they are here.
 
+    A contact of a collision shape is replaced by its tips, see `Contact.tips`: `contacts` has them all.
+
     Attributes:
         model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
             the joint limits are the model's own.
@@ -49,6 +54,7 @@ class Scene:
             acts. It may keep a state of its own.
         simultaneous: Policy for contacts, joint limits among them, that collide or rest at one instant and
             feel each other; see `POLICIES`.
+        geometry: Collision shapes; None for those of the RobotWrapper.
         delay: Time [s] from when a sampled control is asked to when its force acts; no force acts before.
         held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
@@ -80,10 +86,20 @@ class Scene:
     period: float | None = None
     delay: float = 0.0
     simultaneous: str = "propagate"
+    geometry: pin.GeometryModel | None = None
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
+        if self.geometry is None:
+            assign(self, "geometry", getattr(self.model, "collision_model", None))
+        elif not isinstance(self.geometry, pin.GeometryModel):
+            raise InputError(
+                f"geometry: {self.geometry!r} is no pinocchio GeometryModel",
+                field="geometry",
+                value=self.geometry,
+            )
         assign(self, "model", model_of(self.model))
+        assign(self, "contacts", self._tips(self.contacts))
         contacts, held = (
             _contacts(field, getattr(self, field), self.model) for field in ("contacts", "held")
         )
@@ -113,6 +129,47 @@ class Scene:
                 value=self.resting_speed,
             )
 
+    def _tips(self, contacts: Any) -> Any:
+        """Return contacts, those of collision shapes replaced by their tips."""
+        given = (contacts,) if isinstance(contacts, Contact) else contacts
+        if not isinstance(given, Sequence) or not any(
+            isinstance(contact, Contact) and contact.geometry is not None for contact in given
+        ):
+            return contacts
+        robot = pin.RobotWrapper(self.model, self.geometry) if self.geometry is not None else self.model
+        return [
+            tip
+            for contact in given
+            for tip in (contact.tips(robot) if isinstance(contact, Contact) else (contact,))
+        ]
+
+    def contacts_from_geometry(
+        self, surface: Surface, links: str | Sequence[str] = "all", **coefficients: Any
+    ) -> Scene:
+        """Return this scene with contacts of collision shapes against a surface, beside those that it has.
+
+        Shapes that cannot move relative to the surface are left out where "all" are asked for.
+
+        Args:
+            surface: The surface that they meet.
+            links: Names of the frames of links, all shapes of which take part, or "all".
+            **coefficients: Keywords of each `Contact`: friction, restitution and the like.
+
+        Raises:
+            InputError: A robot without collision shapes, a shape that is not supported.
+            UnknownNameError: A link that has no shape.
+        """
+        model = self.model
+        robot = pin.RobotWrapper(model, self.geometry) if self.geometry is not None else model
+        shapes = shapes_of_links(model, collision_model(robot), links)
+        if isinstance(links, str) and links == "all":
+            carrier = 0
+            if surface.body is not None:
+                carrier = model.frames[frame_id(model, surface.body, "body")].parentJoint
+            shapes = [s for s in shapes if motion_signs(model, s.parentJoint, carrier).any()]
+        added = [Contact(geometry=shape.name, plane=surface, **coefficients) for shape in shapes]
+        return replace(self, contacts=[*self.contacts, *added])
+
     def _check_sampling(self) -> None:
         """Refuse a period or delay that nothing is to be sampled with."""
         assign = object.__setattr__
@@ -141,10 +198,11 @@ class Scene:
             for name, start, count in zip(self.model.names, self.model.idx_vs, self.model.nvs, strict=True)
             if self.joint_friction[start : start + count].any()
         }
-        for label in labels:
-            if labels.count(label) > 1:
+        counts = Counter(labels)
+        for label in counts:
+            if counts[label] > 1:
                 raise InputError(
-                    f"contacts: {labels.count(label)} contacts are called {label!r}; give each its own name=",
+                    f"contacts: {counts[label]} contacts are called {label!r}; give each its own name=",
                     field="contacts",
                     value=label,
                 )
@@ -243,9 +301,9 @@ def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
         labels: One of each contact.
         default: Whether each stands in for a name.
     """
-    taken, result = set(labels), []
+    taken, result, counts = set(labels), [], Counter(labels)
     for label, free in zip(labels, default, strict=True):
-        if free and labels.count(label) > 1:
+        if free and counts[label] > 1:
             numbers = itertools.count(1)
             label = next(name for name in (f"{label} {k}" for k in numbers) if name not in taken)
             taken.add(label)
@@ -255,8 +313,8 @@ def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
 
 def _named(contacts: Sequence[Contact]) -> list[Contact]:
     """Return contacts with labels that tell them apart, as far as they have no names of their own."""
-    for k, contact in enumerate(contacts):
-        if contact in contacts[:k]:
+    for contact, count in Counter(contacts).items():
+        if count > 1:
             raise InputError(
                 f"contacts: {contact.label!r} is given twice; leave one out, or give each its own name=",
                 field="contacts",
@@ -280,7 +338,9 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
         ) from None
     for contact in contacts:
         check_contact(field, contact)
-        frame_id(model, contact.frame)
+    for frame in dict.fromkeys(contact.frame for contact in contacts):
+        frame_id(model, frame)
+    for contact in {contact.plane: contact for contact in reversed(contacts)}.values():
         if contact.plane.body is not None:
             frame_id(model, contact.plane.body, "body")
         _check_surface_motion(field, contact)

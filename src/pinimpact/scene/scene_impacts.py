@@ -120,8 +120,10 @@ class SceneImpacts:
             q: (nq,) a configuration.
         """
         zero = np.zeros(self._model.nv)
-        for i, contact in enumerate(self._dynamics.contacts):
-            kind = contact.plane.body is None, bool(self._held)  # what the types of their numbers depend on
+        contacts = self._dynamics.contacts
+        first = {contact.plane.body is None: i for i, contact in reversed([*enumerate(contacts)])}
+        for in_world, i in first.items():
+            contact, kind = contacts[i], (in_world, bool(self._held))  # what the types of numbers depend on
             if kind not in _compiled:
                 _compiled.add(kind)
                 with suppress(PinimpactError):  # what is wrong with it is told when it collides

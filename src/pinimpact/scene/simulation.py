@@ -398,6 +398,7 @@ class Motion:
                 self.last_progress = self.steps, t
             else:
                 self._check_for_chatter()
+                state.refuse_flat_rims()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -412,6 +413,7 @@ class Motion:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
                 self._check_for_chatter()
+                state.refuse_flat_rims()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -430,6 +432,10 @@ class Motion:
             if error > 1.0:
                 self.rejected += 1
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                continue
+            if state.rims_jump(work.q0, work.q1):
+                self.rejected += 1
+                h = 0.5 * trial
                 continue
             directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)

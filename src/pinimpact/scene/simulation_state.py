@@ -13,8 +13,9 @@ from ..errors import InputError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
+from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, TOUCHING
-from ._kernels.contact_forces import SLIP
+from ._kernels.contact_forces import FREE, SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
@@ -48,6 +49,9 @@ LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 ROUNDING = 1e-9
 """Part of a speed that is none."""
 
+NEARLY_FLAT = 1e-4
+"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
+
 MAX_ROUNDS = 1000
 """Impacts at one instant, after which the approach left is taken away at once (and noted)."""
 
@@ -71,9 +75,8 @@ class SimulationState:
         self.t, self.q, self.v = 0.0, q, v
         self._model, self._data = model, data
         layout = scene.layout()
-        unreachable = layout.unreachable
-        watched = () if "contact guards" in without else scene.contacts
-        contacts = [_altered(contact, without) for contact in watched if contact.label not in unreachable]
+        watched = () if "contact guards" in without else layout.watched
+        contacts = [_altered(contact, without) for contact in watched] if without else list(watched)
         held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
         limits = layout.limits if "joint limits" not in without else ()
         self._record = scene.record and "recorded path" not in without
@@ -96,6 +99,7 @@ class SimulationState:
         work.least_approach = LEAST_APPROACH_FRACTION * resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
+        self._rims = [k for k, contact in enumerate(self.dynamics.contacts) if contact.rim > 0.0]
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
 
@@ -142,6 +146,7 @@ class SimulationState:
         jams = [0] * len(self.dynamics.contacts)
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
+            self._check_rims(where)
             if i >= 0 and len(resolved) < MAX_ROUNDS:
                 where[i] = TOUCHING
                 resolved += self._collide_together(i) or [self._collide(i, -rate)]
@@ -168,6 +173,47 @@ class SimulationState:
             impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
             resolved.append(self._take_over(jammed, impact))
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
+    def rims_jump(self, q: Array, later: Array) -> bool:
+        """Whether the lowest point of a closed rim goes round by a right angle or more from q to another.
+
+        It does where the rim has come to lie flat and goes on beyond, however short the step is.
+        """
+        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
+        if not closed:
+            return False
+        tilts = [self._tilts(closed, at) for at in (q, later)]
+        return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
+
+    def refuse_flat_rims(self) -> None:
+        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
+
+        Raises:
+            SimulationError: See above.
+        """
+        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
+        self._refuse_flat(closed, NEARLY_FLAT)
+
+    def _check_rims(self, where: NDArray[np.int64]) -> None:
+        """Stop where a rim touches all round, within the tolerance of touching."""
+        touching = [k for k in self._rims if where[k] != APART]
+        self._refuse_flat(touching, 0.0)
+
+    def _refuse_flat(self, rims: list[int], least: float) -> None:
+        """Stop where a rim lies flat, or is tilted by less than this."""
+        for k, tilt in zip(rims, self._tilts(rims, self.q), strict=True):
+            contact, size = self.dynamics.contacts[k], float(np.linalg.norm(tilt))
+            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap or size < least:
+                raise SimulationError(
+                    f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
+                )
+
+    def _tilts(self, rims: list[int], q: Array) -> list[Array]:
+        """Return u × n (3,) of rims, see `tilt_of_rim`."""
+        if not rims:
+            return []
+        pin.forwardKinematics(self._model, self._data, q)
+        return [tilt_of_rim(self._model, self._data, self.dynamics.contacts[k]) for k in rims]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""
@@ -339,8 +385,9 @@ class SimulationState:
                 continue
             if i < count:
                 contact = dynamics.contacts[i]
+                where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
                 raise InputError(
-                    f"q0: the contact {contact.label!r} at frame {contact.frame!r} starts {-gap:.6g} m "
+                    f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m "
                     "below its surface; start with every contact on or above its surface",
                     field="q0",
                     value=gap,

@@ -29,6 +29,7 @@ from .film import frame_times, slowed, width_of_slowness
 from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark, short
 from .page_file import Recorder, packed, page
 from .robot_shapes import joint_poses, joints_as_data, send_background, send_meshes, skeleton
+from .shapes_in_contact import contacts_to_draw, lit_shapes
 from .surface_shapes import surface_as_data
 
 Array = NDArray[np.float64]
@@ -107,9 +108,10 @@ def replay(
     """Write a motion, or what happens within one impact, to one HTML file that opens offline in any browser.
 
     The page shows the robot, the surfaces, the ways of the contact points, and the forces of sustained
-    contact. At an impact the film slows down and stands still while the impulse grows: arrows show the
-    impulse, the contact velocity before and after, and the friction cone. The keys n and p, and the marks on
-    the bar, lead from impact to impact; the speed and the slowness can be changed in the page.
+    contact; collision shapes are lit while they touch. At an impact the film slows down and stands still
+    while the impulse grows: arrows show the impulse, the contact velocity before and after, and the friction
+    cone. The keys n and p, and the marks on the bar, lead from impact to impact; the speed and the
+    slowness can be changed in the page.
 
     ``replay(robot, hit, q=q)`` shows one impact in its normal impulse P₃, the path of the sliding velocity
     beside the robot, which stands still; ``replay(hit)`` does so without a robot. In a notebook the result
@@ -161,7 +163,8 @@ def _motion_page(
 ) -> str:
     model = model_of(robot)
     _check_robot(model, trajectory)
-    contacts = _contacts(model, trajectory.contacts if given is None else given)
+    every = _contacts(model, trajectory.contacts if given is None else given)
+    contacts = contacts_to_draw(trajectory, every)
     together = [
         list(records)
         for _, records in groupby(
@@ -194,7 +197,8 @@ def _motion_page(
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
     modes = [[mode.source, mode.mode, mode.start, mode.end] for mode in trajectory.modes]
-    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes)
+    lit = lit_shapes(robot, trajectory, contacts)
+    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes, lit)
 
 
 def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact] | None, q: Any) -> str:
@@ -250,6 +254,7 @@ def _page(
     marks: Sequence[ImpactMark],
     settings: dict[str, Any],
     modes: Sequence[Sequence[Any]],
+    lit: Sequence[dict[str, Any]] = (),
 ) -> str:
     """Return the page of what happens at times (m,), in configurations of the same number."""
     poses = joint_poses(model, configurations)
@@ -263,7 +268,7 @@ def _page(
     recorder = Recorder()
     links: list[tuple[int, int]] = []
     spots: list[list[float]] = []
-    wanted = {what["joint"] for what in surfaces} - {0}
+    wanted = {what["joint"] for what in (*surfaces, *lit)} - {0}
     if shapes is not None and shapes.ngeoms > 0:
         send_meshes(model, shapes, recorder)
         wanted |= {int(shape.parentJoint) for shape in shapes.geometryObjects} - {0}
@@ -286,6 +291,7 @@ def _page(
         "links": links,
         "spots": spots,
         "surfaces": surfaces,
+        "lit": lit,
         "contacts": [
             {
                 "name": contact.label,

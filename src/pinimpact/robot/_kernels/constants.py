@@ -2,14 +2,18 @@
 
 In the axes of what carries the tip: the tip's centre (3) and radius. In the axes of what carries the
 surface: its point (3), its axes (3, 3), and the velocity and angular velocity of its material (3 + 3). Then
-the code of its kind and the number that its kind adds.
+the code of its kind and the number that its kind adds. Last, in the tip's axes again, the radius of its rim
+(0 if it has none) and the unit axis of that (3).
 
 What carries them are frames for an impact and joints for a scene.
 """
 
 from __future__ import annotations
 
-TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, CONSTANTS = 0, 3, 4, 7, 16, 19, 22, 23, 24
+TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, CONSTANTS = (
+    *(0, 3, 4, 7, 16, 19, 22, 23),
+    *(24, 25, 28),
+)
 
 PLANE, SPHERE = range(2)
 """The codes of kinds."""

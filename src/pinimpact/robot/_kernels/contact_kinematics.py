@@ -1,8 +1,9 @@
 """Where a contact is: its axes, point, gap and Jacobian, for impacts and for scenes alike.
 
 The tip is a sphere (or a point) about c, the surface is anything with a signed distance d. With n = ∇d at c
-the gap is d(c) − r and the contact point p = c − r n. Placements are twelve numbers, see `placement`; k are
-the constants of the contact, see `constants`.
+the gap is d(c) − r and the contact point p = c − r n. A tip with a rim, a circle of radius ρ and axis u about
+c₀ that meets planes alone, has its lowest point in place of c: c = c₀ − ρ n_u/|n_u| with n_u = n − (n·u)u.
+Placements are twelve numbers, see `placement`; k are the constants of the contact, see `constants`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
 from ..._numeric.jit import inner, jit
 from . import surfaces
-from .constants import AXES, POINT, RADIUS, SPIN, TIP, VELOCITY
+from .constants import AXES, POINT, RADIUS, RIM, RIM_AXIS, SPIN, TIP, VELOCITY
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
 
@@ -84,9 +85,29 @@ def follow(R, S, k):
 
 
 @inner
+def towards_plane(R, S, k):
+    """Return n_u (3), the part of a plane's normal that lies in the plane of a rim, and its length.
+
+    As (u × n) × u, which loses no digits where the rim lies flat on the plane and the length vanishes.
+    """
+    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    n1, n2, n3 = direction(S, k, AXES + 6)
+    w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)
+    e1, e2, e3 = cross(w1, w2, w3, u1, u2, u3)
+    return e1, e2, e3, math.sqrt(e1 * e1 + e2 * e2 + e3 * e3)
+
+
+@inner
 def relative(R, S, k):
-    """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3)."""
+    """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3).
+
+    Of a rim it is the lowest point, see `towards_plane`.
+    """
     c1, c2, c3 = place(R, k, TIP)
+    if k[RIM] > 0.0:
+        e1, e2, e3, s = towards_plane(R, S, k)
+        if s > 0.0:
+            c1, c2, c3 = c1 - k[RIM] / s * e1, c2 - k[RIM] / s * e2, c3 - k[RIM] / s * e3
     x1, x2, x3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
     return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
 

@@ -4,8 +4,8 @@ Bodies are given by the placement of their joint, and by spatial vectors (linear
 leaves them in its data. The acceleration may include gravity, for only differences of two bodies enter.
 
 The contact point is the point of the tip that is closest to the surface, so on a sphere it is not a material
-point: with c the centre, p = c − r n and ṗ = ċ − r ṅ. The contact velocity is that of the two bodies'
-material at p.
+point: with c the centre, p = c − r n and ṗ = ċ − r ṅ; and on a rim the lowest point c itself goes round it,
+see `towards_plane`. The contact velocity is that of the two bodies' material at p.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import math
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.jit import inner, separate
 from . import surfaces
-from .constants import POINT, RADIUS, TIP
+from .constants import AXES, POINT, RADIUS, RIM, RIM_AXIS, TIP
 from .contact_kinematics import carried_axes, carried_spin, column, fill_jacobian, material_velocity, relative
-from .placement import cross, place, rotate, rotate_back
+from .placement import cross, direction, place, rotate, rotate_back
 
 
 @ahead(*5 * [FLOATS])
@@ -30,9 +30,12 @@ def gap_and_rate(R, V, S, U, k):
         S, U: Those of the joint that carries the surface.
         k: Constants of the contact, in the axes of the two joints.
     """
-    _, _, _, x1, x2, x3 = relative(R, S, k)
+    c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     d, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
-    a1, a2, a3 = cross(V[3], V[4], V[5], k[TIP], k[TIP + 1], k[TIP + 2])
+    t1, t2, t3 = k[TIP], k[TIP + 1], k[TIP + 2]
+    if k[RIM] > 0.0:
+        t1, t2, t3 = rotate_back(R, c1 - R[9], c2 - R[10], c3 - R[11])
+    a1, a2, a3 = cross(V[3], V[4], V[5], t1, t2, t3)
     a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
     a1, a2, a3 = rotate_back(S, a1, a2, a3)
     b1, b2, b3 = cross(U[3], U[4], U[5], x1 + k[POINT], x2 + k[POINT + 1], x3 + k[POINT + 2])
@@ -41,12 +44,12 @@ def gap_and_rate(R, V, S, U, k):
 
 
 @inner
-def bounds(J, signs, group, R, k, peak, h):
+def bounds(J, signs, group, R, k, peak, h, reach):
     """Return what bounds the gap's second derivative over a step of length h, see `gap_bounds`.
 
     That is, for the tip's centre relative to the surface's carrier, the largest size of its acceleration, how
-    much that varies, its largest speed; and the least radius of curvature of the surface at a tip's distance
-    from the true one.
+    much that varies, its largest speed. With a reach the same of all points of the tip's body that are within
+    it of the centre.
 
     With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
     × J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
@@ -57,6 +60,7 @@ def bounds(J, signs, group, R, k, peak, h):
         group: (nv,) number of the joint that each velocity belongs to.
         peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
         h: Its length [s].
+        reach: Of the points about the centre [m].
     """
     n = len(signs)
     c1, c2, c3 = place(R, k, TIP)
@@ -69,7 +73,8 @@ def bounds(J, signs, group, R, k, peak, h):
             all_a += turn * peak[1, j]
             all_d += turn * peak[2, j]
             carried = carried or signs[j] < 0.0
-    way = speed = straight = bent = changed = mixed = drifted = 0.0
+    way, speed = reach, 0.0
+    straight = bent = changed = mixed = drifted = 0.0
     for _ in range(2):
         speed = straight = bent = changed = mixed = drifted = 0.0
         inner_v = inner_a = inner_d = own_v = own_a = own_d = 0.0
@@ -103,9 +108,63 @@ def bounds(J, signs, group, R, k, peak, h):
             changed += lever * e
             mixed += lever * (v * in_a + a * in_v)
             drifted += lever * (v * in_d + d * in_v)
-        way = h * speed
+        way = reach + h * speed
     change = changed + h * mixed + 2.0 * drifted + 2.0 * h * all_v * bent
-    return straight + bent, change, speed, surfaces.least_radius(k) + k[RADIUS]
+    return straight + bent, change, speed
+
+
+@ahead(*6 * [FLOATS])
+@separate
+def rim_and_rates(R, V, S, U, k, out):
+    """Fill what the gap of a rim over a plane is made of, and its rates; arguments as in `gap_and_rate`.
+
+    These are the height of its centre and its rate, and u × n and its rate (3 + 3), in the axes of the
+    plane's carrier: the gap is the height less the rim's radius times |u × n|.
+    """
+    x1, x2, x3 = place(R, k, TIP)
+    x1, x2, x3 = rotate_back(S, x1 - S[9], x2 - S[10], x3 - S[11])
+    n1, n2, n3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
+    d = n1 * (x1 - k[POINT]) + n2 * (x2 - k[POINT + 1]) + n3 * (x3 - k[POINT + 2])
+    a1, a2, a3 = cross(V[3], V[4], V[5], k[TIP], k[TIP + 1], k[TIP + 2])
+    a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
+    a1, a2, a3 = rotate_back(S, a1, a2, a3)
+    b1, b2, b3 = cross(U[3], U[4], U[5], x1, x2, x3)
+    out[0] = d - k[RADIUS]
+    out[1] = n1 * (a1 - U[0] - b1) + n2 * (a2 - U[1] - b2) + n3 * (a3 - U[2] - b3)
+    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    u1, u2, u3 = rotate_back(S, u1, u2, u3)
+    out[2], out[3], out[4] = cross(u1, u2, u3, n1, n2, n3)
+    a1, a2, a3 = cross(V[3], V[4], V[5], k[RIM_AXIS], k[RIM_AXIS + 1], k[RIM_AXIS + 2])
+    a1, a2, a3 = rotate(R, a1, a2, a3)
+    a1, a2, a3 = rotate_back(S, a1, a2, a3)
+    b1, b2, b3 = cross(U[3], U[4], U[5], u1, u2, u3)
+    out[5], out[6], out[7] = cross(a1 - b1, a2 - b2, a3 - b3, n1, n2, n3)
+
+
+@inner
+def turning_bound(J, signs, R, k, peak, h):
+    """Return the largest size of the second derivative of a rim's axis over a step, times the rim's radius.
+
+    As `bounds` does for a point, for the end of the axis relative to the centre; seen from the surface's
+    carrier, so that any rotation may be the inner one.
+    """
+    n = len(signs)
+    x1, x2, x3 = direction(R, k, RIM_AXIS)
+    turning = way = size = 0.0
+    for j in range(n):
+        if signs[j] != 0.0:
+            turning += math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2) * peak[0, j]
+    for _ in range(2):
+        speed = size = 0.0
+        for j in range(n):
+            if signs[j] != 0.0:
+                u1, u2, u3 = cross(J[3, j], J[4, j], J[5, j], x1, x2, x3)
+                turn = math.sqrt(J[3, j] ** 2 + J[4, j] ** 2 + J[5, j] ** 2)
+                lever = math.sqrt(u1**2 + u2**2 + u3**2) + way * turn
+                speed += lever * peak[0, j]
+                size += lever * (peak[1, j] + 2.0 * peak[0, j] * turning)
+        way = h * speed
+    return k[RIM] * size
 
 
 @ahead(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
@@ -145,6 +204,9 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     # rate of the contact point, and of its place from the surface's own point
     a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
     dp1, dp2, dp3 = V[0] + a1 - r * m1, V[1] + a2 - r * m2, V[2] + a3 - r * m3
+    if k[RIM] > 0.0:
+        a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
+        dp1, dp2, dp3 = dp1 + a1, dp2 + a2, dp3 + a3
     o1, o2, o3 = place(S, k, POINT)
     a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
     dy1, dy2, dy3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
@@ -175,6 +237,23 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
     return d - r
+
+
+@inner
+def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
+    """Return how fast (3) the lowest point goes along a rim as its material sees it, for ṅ = m.
+
+    The material sees u at rest and n turn at ṅ − ω × n, which takes the lowest point along t = u × e, with e
+    = n_u/|n_u| of `towards_plane`. All in world axes.
+    """
+    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)
+    s = w1 * w1 + w2 * w2 + w3 * w3
+    if s == 0.0:
+        return 0.0, 0.0, 0.0
+    a1, a2, a3 = cross(V[3], V[4], V[5], n1, n2, n3)  # t = u × n/|u × n|, and |n_u| is |u × n| too
+    f = -k[RIM] / s**1.5 * (w1 * (m1 - a1) + w2 * (m2 - a2) + w3 * (m3 - a3))
+    return f * w1, f * w2, f * w3
 
 
 @inner

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics, contact_motion
+from ...robot._kernels.constants import RADIUS
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .drives import drive
@@ -16,6 +19,9 @@ from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
 """Where `calls` has the function; its arguments follow."""
+
+FAR = 0.1
+"""Of the radius of a sphere that bounds contacts: beyond this gap none of them touches, nor is soon to."""
 
 LEAST_EFFECTIVE = 1e-9
 """Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
@@ -55,13 +61,42 @@ def contact_gap(work, i):
     )
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS)
+@inner
+def sphere_gap(work, k, first):
+    """Return gap and gap rate of a sphere that bounds contacts, at the kinematics last computed.
+
+    Args:
+        work: The workspace.
+        k: Which sphere.
+        first: Its first contact.
+    """
+    placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
+    tip, base = joints[first, 0], joints[first, 1]
+    return contact_motion.gap_and_rate(
+        placements[tip], velocities[tip], placements[base], velocities[base], work.sphere_constants[k]
+    )
+
+
+@ahead(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS)
 @separate
-def contact_gaps(work, found):
-    """Fill gap and gap rate (n, 2) of all contacts at the state that is set."""
+def contact_gaps(work, found, spheres):
+    """Fill gap and gap rate (n, 2) of all contacts, and of the spheres that bound some, at the state set.
+
+    Contacts whose sphere is far from its surface are not looked at: their gap is infinite here.
+    """
+    blocks, constants = work.contact_blocks, work.sphere_constants
     compute_kinematics(work)
-    for i in range(len(found)):
-        found[i, 0], found[i, 1] = contact_gap(work, i)
+    for b in range(len(blocks)):
+        first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
+        far = False
+        if k >= 0:
+            spheres[k, 0], spheres[k, 1] = sphere_gap(work, k, first)
+            far = spheres[k, 0] > FAR * constants[k, RADIUS]
+        for i in range(first, stop):
+            if far:
+                found[i, 0], found[i, 1] = math.inf, 0.0
+            else:
+                found[i, 0], found[i, 1] = contact_gap(work, i)
 
 
 @inner
@@ -74,11 +109,14 @@ def limit_gap(work, k, q, v):
 @ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @separate
 def all_gaps(work, q, v, found):
-    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
+    """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state.
+
+    A gap is infinite as `contact_gaps` says.
+    """
     set_state(work, q, v)
     contacts = work.contacts
     if contacts > 0:
-        contact_gaps(work, found[:contacts])
+        contact_gaps(work, found[:contacts], np.empty((work.spheres, 2)))
     for k in range(work.limits):
         found[contacts + k, 0], found[contacts + k, 1] = limit_gap(work, k, q, v)
 

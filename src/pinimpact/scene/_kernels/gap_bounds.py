@@ -55,3 +55,61 @@ def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     rest = width - m
     right = later_gap - rest * (later_rate + 0.5 * curvature * rest)
     return max(left, right) > -floor if 0.0 < m < width else (left > -floor if m > 0.0 else right > -floor)
+
+
+@inner
+def rim_clear(now, later, radius, curvature, width, floor):
+    """Whether the gap of a rim provably stays above −floor, however fast its lowest point goes round it.
+
+    The gap is y − ρ|w|, with the height y of its centre and w = u × n, and these bend little:
+    y(s) ≥ y + ẏ s − B s²/2 and |w(s)| ≤ |w + ẇ s| + C s²/2. So it is at least
+
+        P(s) = y + ẏ s − ρ|w + ẇ s| − (B + ρ C) s²/2
+
+    from the left, from the right alike, and the larger of the two counts. Both are concave, so that both
+    being above at one m in between is enough; the m tried are where tangents and curvature make them meet,
+    and the middle.
+
+    Args:
+        now, later: (8,) y, ẏ, w and ẇ at both ends, see `contact_motion.rim_and_rates`.
+        radius: ρ [m].
+        curvature: B + ρ C [m/s²].
+        width: The time between the ends [s].
+        floor: Of gaps [m].
+    """
+    gap, rate = rim_gap(now, radius)
+    later_gap, later_rate = rim_gap(later, radius)
+    if later_gap < -floor or gap < -floor:
+        return False
+    middle = 0.5 * width
+    slope = later_rate - rate + curvature * width
+    m = middle
+    if slope > 0.0:
+        m = (gap - later_gap + width * (later_rate + 0.5 * curvature * width)) / slope
+        m = min(max(m, 0.0), width)
+    for _ in range(2):
+        if (
+            _rim_ahead(now, radius, curvature, m) > -floor
+            and _rim_ahead(later, radius, curvature, m - width) > -floor
+        ):
+            return True
+        m = middle
+    return False
+
+
+@inner
+def rim_gap(at, radius):
+    """Return gap and gap rate of a rim; where it lies flat, the rate at which its lowest point falls."""
+    w1, w2, w3, d1, d2, d3 = at[2], at[3], at[4], at[5], at[6], at[7]
+    size = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
+    along = w1 * d1 + w2 * d2 + w3 * d3
+    growth = along / size if size > 0.0 else math.sqrt(d1 * d1 + d2 * d2 + d3 * d3)
+    return at[0] - radius * size, at[1] - radius * growth
+
+
+@inner
+def _rim_ahead(at, radius, curvature, s):
+    """Return P(s) of `rim_clear`, to either side."""
+    w1, w2, w3 = at[2] + at[5] * s, at[3] + at[6] * s, at[4] + at[7] * s
+    size = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
+    return at[0] + at[1] * s - radius * size - 0.5 * curvature * s * s

@@ -66,7 +66,7 @@ def begin(work, t, q, v):
             note_flat_bounce(work, rate, -work.limit_sign[k] * rates[0, n + work.limit_v[k]])
     if len(gaps) == 0:
         return guess
-    contact_gaps(work, gaps)
+    contact_gaps(work, gaps, work.start_spheres)
     jacobian, three = np.empty((3, n)), np.empty((3, 3))
     for i in range(len(gaps)):
         if modes[i] == FREE and abs(gaps[i, 0]) <= work.touching_gap and gaps[i, 1] > work.stick_speed:
@@ -140,7 +140,7 @@ def finish(work, t, h, error, explicit):
     for i in work.closed_index:
         follow_surface(work, i)
     if len(work.end_gaps):
-        contact_gaps(work, work.end_gaps)
+        contact_gaps(work, work.end_gaps, work.end_spheres)
     if explicit:
         step_dop853.complete(work, t, h)
     find_first_event(work)
@@ -150,6 +150,8 @@ def finish(work, t, h, error, explicit):
         step_dop853.begin_next(work)
         for i in range(len(work.end_gaps)):
             assign(work.start_gaps[i], work.end_gaps[i])
+        for k in range(work.spheres):
+            assign(work.start_spheres[k], work.end_spheres[k])
         work.slip_stiffness = stiffness
         turn_references(work, velocity)
         work.sample_margins[0] = work.end_margin

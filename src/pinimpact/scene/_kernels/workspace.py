@@ -22,7 +22,8 @@ class SceneWorkspace(Workspace):
     """
 
     def take_over(self, other: SceneWorkspace) -> None:
-        """Take over all values of another workspace of the same sizes, but what it calls."""
+        """Take over all values of another workspace of the same scene, but what it calls."""
+        self.enlarge({"closable": other.closable, "rows": other.rows})
         self.copy_values(other, but=("calls",))
 
     nq = size("numbers of a configuration")
@@ -31,13 +32,16 @@ class SceneWorkspace(Workspace):
     charts = size("rows of the table of joint charts")
     rates = size("rates of a step: of ξ, v and the works, 2 nv + 4")
     contacts = size("contacts, held ones last")
+    closable = size("contacts that there is room for to be closed at once; it grows, see `SceneDynamics`")
+    blocks = size("runs of contacts that are looked at together: those that a sphere bounds, else one alone")
+    spheres = size("runs that a sphere bounds")
     limits = size("joint limits")
     sources = size("what has a mode: contacts, limits, velocities")
     scalars = size("scalar rows that can be closed: limits, and joints with dry friction")
     driven = size("drives")
-    rows = size("rows of all that can be closed: three a contact, then the scalar ones")
+    rows = size("rows of all that there is room for: three a closable contact, then the scalar ones")
 
-    closed_contacts = count("contacts", "contacts that are closed")
+    closed_contacts = count("closable", "contacts that are closed")
     closed_scalars = count("scalars", "scalar rows that are closed: limits, then joints held by dry friction")
     closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
@@ -72,6 +76,12 @@ class SceneWorkspace(Workspace):
     contact_joints = integers("contacts", 2, meaning="joints of the tip and of the surface")
     velocity_signs = reals("contacts", "nv", meaning="1: moves the tip only, −1: the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
+    contact_blocks = integers(
+        "blocks", 3, meaning="first contact, the one after the last, and the sphere or −1"
+    )
+    sphere_constants = reals(
+        "spheres", CONSTANTS, meaning="as of a contact; joints and signs are its first's"
+    )
     friction = reals("contacts", meaning="coefficients of friction of sustained contact")
     bilateral = integers("contacts", meaning="1 for a held contact")
     rest_gap = reals("contacts", meaning="the gap that each keeps while closed [m]")
@@ -151,15 +161,20 @@ class SceneWorkspace(Workspace):
     flat_bounce = real("fastest of the bounces just begun that would not rise above the gaps' floor [m/s]")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
-    start_gaps = reals("contacts", 2, meaning="gap and rate at the start")
+    start_gaps = reals("contacts", 2, meaning="gap and rate at the start; infinite where not looked at")
+    start_spheres = reals("spheres", 2, meaning="the same of the spheres")
 
     # the end of the step last completed, and the first event in it
     step_start = real("[s]")
     step_length = real("[s]")
     step_turns = flag("whether the directions of slip were unknowns of it, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
+    turning_bounds = reals("contacts", meaning="of rims, see `contact_motion.turning_bound`")
+    sphere_bounds = reals("spheres", 4, meaning="as of contacts")
+    clear_blocks = integers("blocks", meaning="1 where the sphere has stayed off the surface over the step")
     limit_bounds = reals("limits", 4, meaning="likewise")
-    end_gaps = reals("contacts", 2, meaning="gap and rate at the end")
+    end_gaps = reals("contacts", 2, meaning="gap and rate at the end; infinite where not looked at")
+    end_spheres = reals("spheres", 2, meaning="the same of the spheres")
     end_velocity = reals("closed_contacts", 3, meaning="contact velocities at the end [m/s]")
     end_margin = real("the margin of the forces at the end [N]")
     end_drift = real("of what is closed, at the end; see `drift`")

@@ -4,7 +4,7 @@
 // Okabe and Ito's palette, which colour-blind readers tell apart
 const COLORS = {
   impulse: "#d55e00", before: "#56b4e9", after: "#0072b2", force: "#009e73", cone: "#e69f00", path: "#cc79a7",
-  surface: "#b08d57", link: "#8a8f98",
+  surface: "#b08d57", link: "#8a8f98", lit: "#f0e442",
 };
 
 const Drawing = (() => {
@@ -166,6 +166,17 @@ const Drawing = (() => {
     return texture;
   }
 
+  // a collision shape, shown while it touches; it shines through what stands before it
+  function lit(what, corners) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
+    const mesh = glow(COLORS.lit, 3, 0.45)(new THREE.Mesh(geometry));
+    mesh.matrixAutoUpdate = false;
+    mesh.matrix.fromArray(what.matrix);
+    mesh.visible = false;
+    return mesh;
+  }
+
   // --- flat pictures of one contact's impact -------------------------------------------------------------
 
   // where path[share] lies, linearly between its points
@@ -275,5 +286,5 @@ const Drawing = (() => {
     label(g, `velocity, ${low.toPrecision(2)} to ${high.toPrecision(2)} m/s`, x0, y0 - 5);
   }
 
-  return { arrow, cone, bar, trail, surface, moves, along, hodograph, history };
+  return { arrow, cone, bar, trail, surface, moves, lit, along, hodograph, history };
 })();

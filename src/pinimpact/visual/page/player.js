@@ -99,6 +99,11 @@
     joint(what.joint).add(drawn);
     return drawn;
   });
+  const lit = data.lit.map(what => {
+    const shape = Drawing.lit(what, numbers(what.triangles, Float32Array));
+    joint(what.joint).add(shape);
+    return { shape, times: what.times };
+  });
   const contacts = data.contacts.map(({ name, path, forces }) => ({
     name, path: numbers(path, Float32Array), forces: forces && numbers(forces, Float32Array),
   }));
@@ -237,6 +242,9 @@
       forceArrows[i].set(point, force.multiplyScalar(data.scales.force));
     });
     const impact = piece.impact || nearest(t);
+    const struck = impact && impact.time <= t ? impact.time : t;
+    for (const { shape, times } of lit)
+      shape.visible = times.some(([start, end]) => start <= t && t <= end || start <= struck && struck <= end);
     drawImpact(impact, piece.impact ? share : impact && impact.time <= t ? 1 : 0);
     write(t, piece, share);
     find("film").value = film;
@@ -358,11 +366,12 @@
     if (contacts.length && !data.within) rows.push(["path", "way of a contact point"]);
     if (data.surfaces.length)
       rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);
+    if (lit.length) rows.push(["lit", "shape that touches"]);
     for (const [name, text] of rows) {
       const row = find("legend").appendChild(document.createElement("div"));
       const swatch = row.appendChild(document.createElement("i"));
       swatch.style.background = COLORS[name];
-      if (name === "cone" || name === "surface") swatch.className = "wide";
+      if (["cone", "surface", "lit"].includes(name)) swatch.className = "wide";
       row.append(text);
     }
     find("legend").hidden = !rows.length;

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...robot.names import model_of
 from ...scene.trajectory import Trajectory
+from ..shapes_in_contact import contacts_to_draw
 from .style import BLACK, COMPRESSION, CYCLE, FLOW, GREEN, RESTITUTION, RESUMED, SKY, STICK, axes_for, legend
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
     times, sides = moments(trajectory)
     states = [trajectory.at(t, side)[0] for t, side in zip(times, sides, strict=True)]
     data = model.createData()
-    for k, contact in enumerate(trajectory.contacts):
+    for k, contact in enumerate(contacts_to_draw(trajectory, trajectory.contacts)):
         values = [contact.gap(model, data, q) for q in states]
         ax.plot(times, values, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=contact.label)
     ax.axhline(0.0, color=BLACK, lw=0.5)
@@ -63,7 +64,8 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
 
 def modes(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw when each contact, joint limit, joint and drive was in which mode, and when it struck."""
-    names = list(dict.fromkeys([*(c.label for c in trajectory.contacts), *_active(trajectory)]))
+    drawn = contacts_to_draw(trajectory, trajectory.contacts)
+    names = list(dict.fromkeys([*(c.label for c in drawn), *_active(trajectory)]))
     ax = axes_for(ax, (8.0, 1.2 + 0.3 * len(names)))
     for interval in trajectory.modes:
         row, width = names.index(interval.source), interval.end - interval.start
@@ -147,7 +149,9 @@ def overview(
     if ax is None:
         from matplotlib import pyplot
 
-        count = len({c.label for c in trajectory.contacts} | set(_active(trajectory)))
+        count = len(
+            {c.label for c in contacts_to_draw(trajectory, trajectory.contacts)} | set(_active(trajectory))
+        )
         heights = (2.2, 0.8 + 0.28 * count, 2.2, 2.4)
         figure = pyplot.figure(figsize=(9.0, sum(heights) + 0.6), layout="constrained")
         ax = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": heights})
@@ -156,7 +160,7 @@ def overview(
     gaps(trajectory, robot, ax=ax[0])
     modes(trajectory, ax=ax[1])
     times, sides = moments(trajectory)
-    for k, contact in enumerate(trajectory.contacts):
+    for k, contact in enumerate(contacts_to_draw(trajectory, trajectory.contacts)):
         found = [
             trajectory.forces(contact.label, t, side)[2]
             for t, side in zip(times.tolist(), sides, strict=True)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.ahead import ahead
+from ...._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ...._numeric.jit import inner, separate
-from ....robot._kernels import contact_motion
+from ....robot._kernels import contact_motion, surfaces
+from ....robot._kernels.constants import RADIUS, RIM
 from ..contact_forces import FREE
-from ..dynamics import compute_kinematics, contact_gap
+from ..dynamics import compute_kinematics, contact_gap, set_state
 from ..event_location import search_for_closing
+from ..gap_bounds import clear, curvatures
+from ..rim_location import first_touch_of_rim
 from ..workspace import SceneWorkspace
 from .consequences import ARRIVAL
 
@@ -17,6 +20,10 @@ CONSEQUENCE = ARRIVAL
 
 SAFETY = 1.5
 """Factor on the bounds of a motion, which come from the stages of the step."""
+
+
+CLEAR = -1.0
+"""In place of a bound: the gap is known not to close."""
 
 
 @inner
@@ -29,49 +36,144 @@ def value(work, i, t):
 first_closing = search_for_closing(value)
 
 
-@inner
-def bound(work, i):
-    """Fill the bounds of the motion over the step, see `gap_bounds.curvatures`."""
-    tip, bounds = work.contact_joints[i, 0], work.gap_bounds
-    size, change, speed, radius = contact_motion.bounds(
+@ahead(SceneWorkspace, int, FLOATS, float, FLOATS)
+@separate
+def bound(work, i, constants, reach, out):
+    """Fill the bounds of the motion over the step (4,), see `gap_bounds.curvatures`.
+
+    Args:
+        work: The workspace.
+        i: A contact.
+        constants: Of it, or of a sphere that bounds it.
+        reach: Zero, or the sphere's radius for the bounds of all tips in it [m].
+        out: Takes the bounds.
+    """
+    size, change, speed = contact_motion.bounds(
         work.joint_jacobian,
         work.velocity_signs[i],
         work.velocity_joint,
-        work.placements[tip],
-        work.contact_constants[i],
+        work.placements[work.contact_joints[i, 0]],
+        constants,
         work.rate_bounds,
         work.step_length,
+        reach,
     )
-    bounds[i, 0], bounds[i, 1], bounds[i, 2], bounds[i, 3] = (
-        SAFETY * size,
-        SAFETY * change,
-        SAFETY * speed,
-        radius,
-    )
+    out[0], out[1], out[2] = SAFETY * size, SAFETY * change, SAFETY * speed
+    out[3] = surfaces.least_radius(constants)
+    if reach == 0.0:
+        out[3] += constants[RADIUS]
+
+
+@inner
+def bound_contact(work, i):
+    """Leave the bounds of the motion of a contact."""
+    constants = work.contact_constants[i]
+    bound(work, i, constants, 0.0, work.gap_bounds[i])
+    if constants[RIM] > 0.0:
+        work.turning_bounds[i] = SAFETY * contact_motion.turning_bound(
+            work.joint_jacobian,
+            work.velocity_signs[i],
+            work.placements[work.contact_joints[i, 0]],
+            constants,
+            work.rate_bounds,
+            work.step_length,
+        )
+
+
+@inner
+def stays_off(work, first, k):
+    """Whether a sphere that bounds contacts provably stays off its surface over the step."""
+    start, end, bounds = work.start_spheres[k], work.end_spheres[k], work.sphere_bounds[k]
+    if start[0] <= 0.0 or end[0] <= 0.0:
+        return False
+    bound(work, first, work.sphere_constants[k], 0.0, bounds)
+    fall, _ = curvatures(start[0], start[1], end[0], end[1], work.step_length, bounds)
+    return clear(start[0], start[1], end[0], end[1], fall, work.step_length, 0.0)
+
+
+@inner
+def tip_stays_off(work, i, bounds):
+    """Whether a point or sphere provably stays off its surface, by bounds of all tips around it."""
+    start, end = work.start_gaps[i], work.end_gaps[i]
+    if start[0] == math.inf or end[0] == math.inf or work.contact_constants[i, RIM] > 0.0:
+        return False
+    h, base = work.step_length, min(start[0], 0.0)
+    fall, _ = curvatures(start[0] - base, start[1], end[0] - base, end[1], h, bounds)
+    return clear(start[0] - base, start[1], end[0] - base, end[1], fall, h, work.gap_floor)
+
+
+@inner
+def look_at_blocks(work):
+    """Leave bounds of the motion of all contacts that may touch, and their gaps at the ends of the step.
+
+    The contacts of a sphere that stays off its surface need none, nor do those that stay off by its bounds.
+    """
+    modes, blocks, clears, spheres = work.modes, work.contact_blocks, work.clear_blocks, work.sphere_bounds
+    for b in range(len(blocks)):
+        first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
+        clears[b] = 0
+        if k >= 0 and stays_off(work, first, k):
+            clears[b] = 1
+            continue
+        if k >= 0:  # of each of the tips in it, for most are well off
+            bound(work, first, work.sphere_constants[k], work.sphere_constants[k, RADIUS], spheres[k])
+        for i in range(first, stop):
+            if modes[i] == FREE:
+                if k >= 0 and tip_stays_off(work, i, spheres[k]):
+                    work.gap_bounds[i, 0] = CLEAR
+                else:
+                    bound_contact(work, i)
+    complete_gaps(work, work.q0, work.v0, work.start_gaps)
+    complete_gaps(work, work.q1, work.v1, work.end_gaps)
+
+
+@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
+@separate
+def complete_gaps(work, q, v, gaps):
+    """Fill the gaps at a state that `contact_gaps` has not looked at, of the blocks that are not clear."""
+    blocks, clears = work.contact_blocks, work.clear_blocks
+    moved = False
+    for b in range(len(blocks)):
+        first, stop = blocks[b, 0], blocks[b, 1]
+        if clears[b] != 0 or gaps[first, 0] < math.inf:
+            continue
+        if not moved:
+            set_state(work, q, v)
+            compute_kinematics(work)
+            moved = True
+        for i in range(first, stop):
+            gaps[i, 0], gaps[i, 1] = contact_gap(work, i)
 
 
 @ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time until `end` at which a gap closes, infinite if none does; and whose."""
-    modes, start_gaps, end_gaps = work.modes, work.start_gaps, work.end_gaps
-    contacts = len(start_gaps)
-    for i in range(contacts):  # before `value` moves the kinematics
-        if modes[i] == FREE:
-            bound(work, i)
+    modes, blocks, clears = work.modes, work.contact_blocks, work.clear_blocks
+    start_gaps, end_gaps = work.start_gaps, work.end_gaps
     time, which = math.inf, 0
-    for i in range(contacts):
-        if modes[i] == FREE:
-            found = first_closing(
-                work,
-                i,
-                end,
-                start_gaps[i, 0],
-                start_gaps[i, 1],
-                end_gaps[i, 0],
-                end_gaps[i, 1],
-                work.gap_bounds[i],
-            )
+    if len(blocks) == 0:
+        return time, which
+    look_at_blocks(work)  # before `value` moves the kinematics
+    for b in range(len(blocks)):
+        if clears[b] != 0:
+            continue
+        for i in range(blocks[b, 0], blocks[b, 1]):
+            if modes[i] != FREE or work.gap_bounds[i, 0] == CLEAR:
+                continue
+            if work.contact_constants[i, RIM] > 0.0:
+                found = first_touch_of_rim(work, i, end, start_gaps[i, 0])
+            else:
+                found = first_closing(
+                    work,
+                    i,
+                    end,
+                    start_gaps[i, 0],
+                    start_gaps[i, 1],
+                    end_gaps[i, 0],
+                    end_gaps[i, 1],
+                    work.gap_bounds[i],
+                )
             if found <= end:
                 time, end, which = found, found, i
     return time, which

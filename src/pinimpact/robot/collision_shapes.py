@@ -1,0 +1,251 @@
+"""Collision shapes of a robot: by name, and as the points, spheres and rims that can touch a plane.
+
+Of a convex shape only its extreme points can touch a plane: the corners of a box, the vertices of the hull of
+a mesh, the spheres at the two ends of a capsule, the two rims of a cylinder. So a mesh and its convex hull
+meet a plane alike.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError, ModelError, UnknownNameError
+from .names import near_matches
+
+Array = NDArray[np.float64]
+
+
+class ShapeTips(NamedTuple):
+    """What of a shape can touch a plane, in the shape's own axes.
+
+    Attributes:
+        kind: What the shape is, in a word.
+        centres: (m, 3) [m].
+        radius: Of the sphere about each [m].
+        rims: (m,) radius of the circle about each, 0 for none [m].
+        parts: What each is called; empty for the only one.
+    """
+
+    kind: str
+    centres: Array
+    radius: float
+    rims: Array
+    parts: tuple[str, ...]
+
+
+def collision_model(robot: Any) -> pin.GeometryModel:
+    """Return the collision shapes of a RobotWrapper.
+
+    Raises:
+        InputError: A bare model, or a robot without collision shapes.
+    """
+    shapes = getattr(robot, "collision_model", None)
+    if isinstance(shapes, pin.GeometryModel) and shapes.ngeoms > 0:
+        return shapes
+    what = "the robot has no collision shapes; its URDF needs <collision> elements"
+    if isinstance(robot, pin.Model):
+        what = (
+            "a pinocchio Model has no collision shapes; give the RobotWrapper that has them, or "
+            "pinocchio.RobotWrapper(model, collision_model)"
+        )
+    raise InputError(f"geometry: {what}", field="geometry", value=robot)
+
+
+def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
+    """Return a collision shape by name.
+
+    Raises:
+        UnknownNameError: No shape bears the name (near matches are offered), or several do.
+    """
+    found = [shape for shape in shapes.geometryObjects if shape.name == name]
+    if len(found) != 1:
+        what = f"{len(found)} collision shapes are called {name!r}; rename them"
+        if not found:
+            names = (shape.name for shape in shapes.geometryObjects)
+            what = f"no collision shape is called {name!r}; {near_matches(name, names)}"
+        raise UnknownNameError(f"geometry: {what}", field="geometry", value=name)
+    return found[0]
+
+
+def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
+    """Return the id of the frame that carries a shape: that of its link, else one of its joint.
+
+    Raises:
+        ModelError: Its joint has no frame.
+    """
+    frame, joint = int(shape.parentFrame), int(shape.parentJoint)
+    if frame < model.nframes and model.frames[frame].parentJoint == joint:
+        return frame
+    for number, other in enumerate(model.frames):
+        if other.parentJoint == joint:
+            return number
+    raise ModelError(
+        f"geometry: {shape.name!r} hangs on joint {joint}, which has no frame; add one: "
+        f"model.addJointFrame({joint})",
+        field="geometry",
+        value=shape.name,
+    )
+
+
+def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points: int | None) -> ShapeTips:
+    """Return what of a shape can touch a plane.
+
+    Args:
+        shapes: The collision shapes.
+        shape: One of them.
+        rim_points: Points that stand for each rim, None for the rim itself.
+
+    Raises:
+        InputError: A shape of a kind that has no such points, or none at all.
+    """
+    solid = shape.geometry
+    kind = type(solid).__name__
+    make = _MAKERS.get(kind)
+    if make is None and hasattr(solid, "vertices"):  # a mesh, whatever its tree of volumes
+        points = _known_hull(shapes, shape, lambda: np.array(solid.vertices(), dtype=np.float64))
+        tips = _points("mesh", points, "vertex")
+    elif make is None and hasattr(solid, "points"):
+        points = _known_hull(shapes, shape, lambda: np.array(solid.points(), dtype=np.float64))
+        tips = _points("convex shape", points, "vertex")
+    elif make is None:
+        raise InputError(
+            f"geometry: {shape.name!r} is a {kind}, which is not supported; a box, sphere, capsule, "
+            "cylinder, cone, triangle, convex shape or mesh can touch a surface",
+            field="geometry",
+            value=shape.name,
+        )
+    else:
+        tips = make(solid)
+    swept = solid.getSweptSphereRadius() if hasattr(solid, "getSweptSphereRadius") else 0.0
+    tips = tips._replace(radius=tips.radius + float(swept))
+    return tips if rim_points is None else _with_points(tips, rim_points)
+
+
+def _points(kind: str, points: Array, part: str) -> ShapeTips:
+    parts = tuple(f"{part} {k + 1}" for k in range(len(points)))
+    return ShapeTips(kind, points, 0.0, np.zeros(len(points)), parts)
+
+
+def _box(solid: Any) -> ShapeTips:
+    signs = np.array([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
+    return _points("box", signs * np.asarray(solid.halfSide), "corner")
+
+
+def _sphere(solid: Any) -> ShapeTips:
+    return ShapeTips("sphere", np.zeros((1, 3)), float(solid.radius), np.zeros(1), ("",))
+
+
+def _ends(solid: Any) -> Array:
+    return np.array([[0.0, 0.0, -solid.halfLength], [0.0, 0.0, solid.halfLength]])
+
+
+def _capsule(solid: Any) -> ShapeTips:
+    return ShapeTips("capsule", _ends(solid), float(solid.radius), np.zeros(2), ("end 1", "end 2"))
+
+
+def _cylinder(solid: Any) -> ShapeTips:
+    return ShapeTips("cylinder", _ends(solid), 0.0, np.full(2, float(solid.radius)), ("rim 1", "rim 2"))
+
+
+def _cone(solid: Any) -> ShapeTips:
+    return ShapeTips("cone", _ends(solid), 0.0, np.array([float(solid.radius), 0.0]), ("rim", "apex"))
+
+
+def _triangle(solid: Any) -> ShapeTips:
+    return _points("triangle", np.array([solid.a, solid.b, solid.c], dtype=np.float64), "corner")
+
+
+_MAKERS: dict[str, Callable[[Any], ShapeTips]] = {
+    "Box": _box,
+    "Sphere": _sphere,
+    "Capsule": _capsule,
+    "Cylinder": _cylinder,
+    "Cone": _cone,
+    "TriangleP": _triangle,
+}
+
+
+def _with_points(tips: ShapeTips, count: int) -> ShapeTips:
+    """Return tips with so many points in place of each rim."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
+    centres, parts = [], []
+    for centre, rim, part in zip(tips.centres, tips.rims, tips.parts, strict=True):
+        centres += [*(centre + rim * circle)] if rim > 0.0 else [centre]
+        parts += [f"{part} point {k + 1}" for k in range(count)] if rim > 0.0 else [part]
+    return tips._replace(centres=np.array(centres), rims=np.zeros(len(centres)), parts=tuple(parts))
+
+
+# ---- hulls
+
+
+_hulls: dict[int, tuple[Any, dict[str, tuple[Any, Array]]]] = {}
+
+
+def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: Callable[[], Array]) -> Array:
+    """Return the extreme points of the vertices of a shape, remembered as long as its model lives."""
+    key, name = id(shapes), shape.name
+    known = _hulls.get(key)
+    if known is None or known[0]() is not shapes:
+        forget = _hulls.pop
+        known = _hulls[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
+    points = vertices()
+    found = known[1].get(name)
+    if found is None or not np.array_equal(found[0], points):
+        found = known[1][name] = points, extreme_points(points, name)
+    return found[1]
+
+
+def extreme_points(points: Array, name: str) -> Array:
+    """Return those of (n, 3) points that are corners of their convex hull, which may be flat, in their order.
+
+    Raises:
+        ModelError: No points, or some that are not finite.
+    """
+    if len(points) == 0 or not np.isfinite(points).all():
+        what = "has no vertices" if len(points) == 0 else "has vertices that are not finite"
+        raise ModelError(f"geometry: the mesh of {name!r} {what}", field="geometry", value=name)
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = np.unique(points, axis=0)
+    _, sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    rank = int(np.count_nonzero(sizes > 1e-9 * sizes[0])) if sizes[0] > 0.0 else 0
+    flat = points if rank == 3 else points @ axes[:rank].T
+    if rank == 0:
+        return points[:1]
+    if rank == 1:
+        return points[[int(flat.argmin()), int(flat.argmax())]]
+    try:
+        corners = ConvexHull(flat).vertices
+    except QhullError:  # as good as flat, or too small for it: then each may be a corner
+        return points
+    return points[np.sort(corners)]
+
+
+def shapes_of_links(
+    model: pin.Model, shapes: pin.GeometryModel, links: str | Iterable[str]
+) -> list[pin.GeometryObject]:
+    """Return the collision shapes of links, given by the names of their frames, or of "all".
+
+    Raises:
+        UnknownNameError: A link that has none; near matches are offered.
+    """
+    found = [(model.frames[shape_frame(model, shape)].name, shape) for shape in shapes.geometryObjects]
+    if isinstance(links, str) and links == "all":
+        return [shape for _, shape in found]
+    wanted = (links,) if isinstance(links, str) else tuple(links)
+    names = [name for name, _ in found]
+    for link in wanted:
+        if link not in names:
+            raise UnknownNameError(
+                f"links: no link {link!r} has a collision shape; {near_matches(str(link), names)}",
+                field="links",
+                value=link,
+            )
+    return [shape for name, shape in found if name in wanted]

@@ -1,0 +1,110 @@
+"""When a rim first touches its plane within the step last completed.
+
+A search of its own, beside `event_location.search_for_closing`, for the lowest point of a rim may go round it
+arbitrarily fast, and then no curvature bounds the gap. What the gap is made of bends little, see
+`gap_bounds.rim_clear`. Upwards the gap bends no more than that either, for it is the least of the gaps of all
+points of the rim.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.ahead import ahead
+from ..._numeric.jit import inner, separate
+from ..._numeric.loops import assign
+from ...robot._kernels import contact_motion
+from ...robot._kernels.constants import RIM
+from .dense_output import set_state_within
+from .dynamics import compute_kinematics
+from .gap_bounds import curvatures, rim_clear, rim_gap
+from .workspace import SceneWorkspace
+
+DEPTH = 80
+"""How often a step can be halved."""
+
+
+@inner
+def rim_at(work, i, t, base, out):
+    """Fill the parts of a rim's gap (8,) at a time within the step, its height counted from a base."""
+    set_state_within(work, (t - work.step_start) / work.step_length)
+    compute_kinematics(work)
+    placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
+    tip, carrier = joints[i, 0], joints[i, 1]
+    contact_motion.rim_and_rates(
+        *(placements[tip], velocities[tip], placements[carrier], velocities[carrier]),
+        *(work.contact_constants[i], out),
+    )
+    out[0] -= base
+
+
+@ahead(SceneWorkspace, int, float, float)
+@separate
+def first_touch_of_rim(work, i, end, gap):
+    """Return the first time until `end` at which a rim touches; infinite where it does not.
+
+    Args:
+        work: The workspace, with bounds of the motion over the step.
+        i: The contact.
+        end: The time up to which to look.
+        gap: Its gap at the start of the step; one below zero is where all gaps of the step are counted from.
+    """
+    floor, radius, bounds = work.gap_floor, work.contact_constants[i, RIM], work.gap_bounds[i]
+    base, turning = min(gap, 0.0), work.turning_bounds[i]
+    now, rows, later = np.empty(8), np.empty((DEPTH, 8)), np.empty(DEPTH)
+    time = work.step_start
+    later[0] = end
+    rim_at(work, i, time, base, now)
+    rim_at(work, i, end, base, rows[0])
+    depth = 0
+    while depth >= 0:
+        row = rows[depth]
+        width = later[depth] - time
+        fall, bend = curvatures(now[0], now[1], row[0], row[1], width, bounds)
+        passed = rim_clear(now, row, radius, fall + turning, width, floor)
+        later_gap = rim_gap(row, radius)[0]
+        if not passed:
+            start_gap, rate = rim_gap(now, radius)
+            if start_gap > 0.0 and later_gap < 0.0 and rate + (bend + turning) * width < 0.0:
+                return root_of_rim(work, i, base, time, later[depth], row)
+            middle = time + 0.5 * width
+            if time < middle < later[depth] and width > 4e-16 * abs(later[depth]) and depth + 1 < DEPTH:
+                depth += 1
+                later[depth] = middle
+                rim_at(work, i, middle, base, rows[depth])
+                continue
+            if later_gap < -floor:
+                return later[depth]
+        time = later[depth]
+        assign(now, row)
+        now[0] += max(-later_gap, 0.0)
+        depth -= 1
+    return math.inf
+
+
+@inner
+def root_of_rim(work, i, base, low, high, row):
+    """Return where the gap of a rim, which falls from `low` to `high`, is zero; `row` is that at `high`.
+
+    By Newton's method from the end, kept within the bracket.
+    """
+    radius = work.contact_constants[i, RIM]
+    t = high
+    for _ in range(60):
+        found, slope = rim_gap(row, radius)
+        if abs(found) <= 1e-3 * work.gap_floor:
+            break
+        if found > 0.0:
+            low = t
+        else:
+            high = t
+        guess = t - found / slope
+        if not low < guess < high:
+            guess = low + 0.5 * (high - low)
+        if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
+            break
+        t = guess
+        rim_at(work, i, t, base, row)
+    return t

@@ -1,0 +1,113 @@
+"""Collision shapes that touch: which of their contacts are drawn, and when a shape is lit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..robot.contact import Contact
+from ..scene.trajectory import Trajectory
+from .impact_marks import short
+from .page_file import packed
+
+Array = NDArray[np.float64]
+
+ROUND = 24
+"""Points that a circle is drawn with."""
+
+
+def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> list[Contact]:
+    """Return contacts without the points of collision shapes that never touch.
+
+    Of a surface that is met by such points alone, one of each shape is kept.
+    """
+    touched = {mode.source for mode in trajectory.modes} | {impact.source for impact in trajectory.impacts}
+    kept = [contact for contact in contacts if contact.shape is None or contact.label in touched]
+    met = {contact.plane for contact in kept}
+    others = {(contact.shape, contact.plane): contact for contact in contacts if contact.plane not in met}
+    return kept + list(others.values())
+
+
+def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) -> list[dict[str, Any]]:
+    """Return the collision shapes that touch, as the player draws them, and when they do.
+
+    Args:
+        robot: The robot; without its collision shapes none is lit.
+        trajectory: The motion.
+        contacts: Those that are drawn.
+    """
+    shapes = getattr(robot, "collision_model", None)
+    if not isinstance(shapes, pin.GeometryModel):
+        return []
+    owners = {contact.label: contact.shape for contact in contacts if contact.shape is not None}
+    found: dict[str, list[tuple[float, float]]] = {}
+    for mode in trajectory.modes:
+        if mode.source in owners:
+            found.setdefault(owners[mode.source], []).append((mode.start, mode.end))
+    for impact in trajectory.impacts:
+        if impact.source in owners:
+            found.setdefault(owners[impact.source], []).append((impact.time, impact.time))
+    return [
+        {
+            "name": shape.name,
+            "joint": int(shape.parentJoint),
+            "matrix": short(shape.placement.homogeneous.T.ravel()),
+            "triangles": packed(_triangles(shape.geometry)),
+            "times": _joined(found[shape.name]),
+        }
+        for shape in shapes.geometryObjects
+        if shape.name in found
+    ]
+
+
+def _joined(intervals: list[tuple[float, float]]) -> list[list[float]]:
+    """Return intervals of time without those that lie within others or go on where others end."""
+    joined: list[list[float]] = []
+    for start, end in sorted(intervals):
+        if joined and start <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], end)
+        else:
+            joined.append([start, end])
+    return joined
+
+
+def _triangles(solid: Any) -> Array:
+    """Return the surface of a shape, of a mesh that of its convex hull, as corners of triangles (k, 3, 3)."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = _surface_points(solid)
+    try:
+        corners: Array = points[ConvexHull(points).simplices]
+    except QhullError:  # flat: it has no inside
+        corners = points[: len(points) // 3 * 3].reshape(-1, 3, 3)
+    return corners
+
+
+def _surface_points(solid: Any) -> Array:
+    """Return points (n, 3) whose hull is a shape, or nearly so where it is round."""
+    if hasattr(solid, "vertices"):
+        return np.array(solid.vertices(), dtype=np.float64)
+    if hasattr(solid, "points"):
+        return np.array(solid.points(), dtype=np.float64)
+    kind = type(solid).__name__
+    if kind == "TriangleP":
+        return np.array([solid.a, solid.b, solid.c], dtype=np.float64)
+    if kind == "Box":
+        signs = np.array([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
+        return signs * np.asarray(solid.halfSide)
+    angles = 2.0 * np.pi * np.arange(ROUND) / ROUND
+    circle = solid.radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(ROUND)])
+    if kind in ("Sphere", "Capsule"):
+        heights = np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND // 2 + 1))
+        half = solid.halfLength if kind == "Capsule" else 0.0
+        rings = [
+            circle * np.sqrt(max(1.0 - z * z, 0.0)) + [0.0, 0.0, solid.radius * z + np.copysign(half, z)]
+            for z in heights
+        ]
+        return np.vstack(rings)
+    up = np.array([0.0, 0.0, float(solid.halfLength)])
+    return np.vstack([circle - up, up if kind == "Cone" else circle + up])
