@@ -201,8 +201,8 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     ("scene", "said"),
     [
         (
-            "falling_rot",
-            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod'?",
+            "ball_on_conveyer",
+            "there is no file ball_on_conveyer, and no scene of that name; did you mean 'ball_on_conveyor'?",
         ),
         (".", "cannot read .: Is a directory"),
     ],
