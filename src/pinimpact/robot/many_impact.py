@@ -76,11 +76,10 @@ def impact_at_many(
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
     warn_of_pulls(matrices.held, held, held_impulses, impulse, 3)
-    axes = np.array([geometry.axes for geometry in matrices.contacts])
     return ManyHit(
         v + matrices.response @ impulse,
-        np.einsum("ni,nij->nj", solution.impulse, axes),
-        axes,
+        np.einsum("ni,nij->nj", solution.impulse, matrices.axes),
+        matrices.axes,
         problem,
         solution,
         held_impulses,
