@@ -13,13 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
+from ..contact_space.simultaneous import compile_policy
 from ..contact_space.solve import solve_impact
 from ..errors import InputError
 from ..html_tables import html_table
+from ._kernels import contact_kinematics
+from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
 from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
-from .matrices import ManyMatrices, many_matrices
+from .matrices import ManyMatrices, contact_points, many_matrices
 from .touching import check_rims
 
 Array = NDArray[np.float64]
@@ -81,9 +84,11 @@ def impact_at_many(
         check_contact("contact", contact)
     held = check_held(held)
     check_rims(model, data, q, contacts)
+    compile_policy(simultaneous, contact_kinematics.jacobian, half_solve, respond)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
-    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
+    configuration = np.asarray(q, dtype=np.float64)
+    data_cache(model, data).check_limits(configuration, stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)
@@ -91,13 +96,12 @@ def impact_at_many(
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
     warn_of_pulls(matrices.held, held, held_impulses, impulse, 3)
-    axes = np.array([geometry.axes for geometry in matrices.contacts])
     return ManyHit(
         v + matrices.response @ impulse,
-        np.einsum("ni,nij->nj", solution.impulse, axes),
+        np.einsum("ni,nij->nj", solution.impulse, matrices.axes),
         tuple(contacts),
-        np.array([geometry.point for geometry in matrices.contacts]),
-        axes,
+        contact_points(model, data, configuration, contacts),
+        matrices.axes,
         problem,
         solution,
         held_impulses,

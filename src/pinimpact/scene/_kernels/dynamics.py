@@ -17,7 +17,7 @@ from . import contact_forces
 from .drives import drive
 from .workspace import SceneWorkspace
 
-ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
+ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
 """Where `calls` has the function; its arguments follow."""
 
 FAR = 0.1
