@@ -202,7 +202,8 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     [
         (
             "falling_rot",
-            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod'?",
+            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod', "
+            "'falling_arm'?",
         ),
         (".", "cannot read .: Is a directory"),
     ],
