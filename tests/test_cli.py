@@ -275,3 +275,16 @@ def test_it_runs_as_a_module_too() -> None:
         env=os.environ,
     )
     assert run.stdout == f"pinimpact, version {pinimpact.__version__}\n"
+
+
+def test_a_reader_that_has_read_enough_is_no_error() -> None:
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pinimpact", "robots"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert shown.stdout is not None
+    shown.stdout.close()
+    _, said = shown.communicate(timeout=60)
+    assert "Errno" not in said

@@ -27,7 +27,7 @@ from .dynamics import SceneDynamics
 from .events import EventWatch, Interruption, as_events
 from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
-from .records import Energy, ModeInterval
+from .records import Energy, ImpactRecord, ModeInterval
 from .scene import STANDARD_GRAVITY, Scene
 from .simulation_state import SimulationState
 from .trajectory import Trajectory
@@ -140,6 +140,14 @@ def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajecto
 def _dynamics_of(*made_of: Any) -> SceneDynamics:
     """Return the dynamics of a motion of its own."""
     return Motion(*made_of).dynamics
+
+
+LAST = 5
+"""How many of the last impacts are named where there are too many."""
+
+
+def _sources(impacts: list[ImpactRecord]) -> str:
+    return ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
 
 
 class Motion:
@@ -564,7 +572,7 @@ class Motion:
             self.last_progress = self.steps, self.state.t
         count = len(impacts) + self.jams - self._counted
         if count > self.max_impacts:
-            last = f", the last at {impacts[-1].source!r}" if impacts else ""
+            last = f", the last at {_sources(impacts)}" if impacts else ""
             raise SimulationError(
                 f"max_impacts: {count} impacts until t = {self.state.t:.6g} s{last}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
