@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import sys
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -119,6 +120,37 @@ def early(a):
     return a[0], c
 
 
+class Pair(NamedTuple):
+    """Arrays that are handed over together."""
+
+    rows: np.ndarray
+    last: np.ndarray
+    factor: float
+
+
+def of_tuple(pair, n):
+    """Arrays of a tuple: read, written, kept in other names, and handed back."""
+    rows, last = pair.rows, pair[1]
+    row = pair.rows[1]
+    kept = last
+    for i in range(n):
+        last = np.full(2, float(i))
+        pair.rows[0, i] += pair.factor + last[1]
+        row[i] -= pair[0][0, 0]
+    again = pair
+    return rows, kept, last, again.rows[0], row
+
+
+def made_here(n):
+    """Arrays of tuples that are gone when they are used."""
+    pair = Pair(np.ones((n, 3)), np.full(3, 2.0), 3.0)
+    row, last = pair.rows[1], pair.last
+    pair = Pair(np.full((n, 3), 5.0), np.full(3, 7.0), 3.0)
+    for i in range(3):
+        row[i] += i + pair.rows[0, 0]
+    return row, last
+
+
 CASES = [
     (items, lambda: (np.arange(12.0).reshape(3, 4), np.ones((3, 4)), 1)),
     (items, lambda: (np.arange(12.0).reshape(4, 3).T, np.ones((4, 3)).T, 2)),
@@ -134,9 +166,17 @@ CASES = [
     (numbers, lambda: (1.0, math.inf, -1, 7)),
     (taken, lambda: (np.array([1.0, 2.0]), 3)),
     (taken, lambda: (np.array([1.0, 2.0]), 0)),
+    (of_tuple, lambda: (Pair(np.arange(6.0).reshape(2, 3), np.ones(2), 0.5), 3)),
+    (of_tuple, lambda: (Pair(np.arange(6.0).reshape(2, 3), np.ones(2), 0.5), 0)),
+    (made_here, lambda: (4,)),
     (early, lambda: (np.array([2.5, 2.0]),)),
     (early, lambda: (np.array([0.1, 2.0]),)),
 ]
+
+
+def parts(arguments):
+    """Arguments, with what is in their tuples."""
+    return [part for one in arguments for part in (one if isinstance(one, tuple) else (one,))]
 
 
 @pytest.mark.parametrize(("function", "arguments"), CASES)
@@ -150,7 +190,7 @@ def test_a_kernel_does_what_python_does(function, arguments):
         found, expected = (found,), (expected,)
     for one, other in zip(found, expected, strict=True):
         assert np.array_equal(one, other, equal_nan=True)
-    for one, other in zip(ours, theirs, strict=True):  # what was written into arguments
+    for one, other in zip(parts(ours), parts(theirs), strict=True):  # what was written into arguments
         assert np.array_equal(one, other, equal_nan=True)
 
 
@@ -163,10 +203,24 @@ def test_what_a_kernel_returns_outlives_it():
 
 
 def test_references_to_arguments_are_left_as_they_were():
-    a = np.ones(2)
-    kernel = compiled(taken)
-    kernel(a, 2)
-    before = sys.getrefcount(a)
+    a, pair = np.ones(2), Pair(np.ones((2, 3)), np.ones(2), 1.0)
+    kernels = compiled(taken), compiled(of_tuple)
+
+    def call():
+        kernels[0](a, 2)
+        kernels[1](pair, 2)
+
+    call()
+    before = [sys.getrefcount(one) for one in (a, pair.rows, pair.last)]
     for _ in range(10):
-        kernel(a, 2)
-    assert sys.getrefcount(a) == before
+        call()
+    assert [sys.getrefcount(one) for one in (a, pair.rows, pair.last)] == before
+
+
+def test_what_comes_out_of_a_tuple_outlives_it():
+    found = [compiled(made_here)(n) for n in range(2, 50)]
+    gc.collect()
+    rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
+    assert all(np.array_equal(row, [6.0, 7.0, 8.0]) for row, _ in found)
+    assert all(np.array_equal(last, [2.0, 2.0, 2.0]) for _, last in found)
+    assert len(rubbish) == len(found)

@@ -6,6 +6,8 @@ import pytest
 
 import pinimpact
 from pinimpact import Contact, InputError, Plane, Scene, simulate
+from pinimpact.robot._kernels.responses import coupled
+from pinimpact.robot.matrices import checked_matrices
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
@@ -93,6 +95,49 @@ def test_locked_joints_and_held_contacts(quadruped):
         pinimpact.impact(model, model.createData(), q, v, feet()[:2], held=feet()[2:])
 
 
+def test_contacts_and_joint_stops_by_dense_algebra(quadruped):
+    """W and what impulses do, with a joint that is locked and stops of others, from M⁻¹ of what can move."""
+    model, q = quadruped
+    rng = np.random.default_rng(3)
+    q, v = pin.integrate(model, q, rng.normal(size=model.nv)), rng.normal(size=model.nv)
+    contacts, data = feet()[:2], model.createData()
+    joints = ["FL_HFE", "HR_KFE"]
+    stops = np.zeros((2, model.nv))
+    for row, joint, sign in zip(stops, joints, (1.0, -1.0), strict=True):
+        row[model.joints[model.getJointId(joint)].idx_v] = sign
+    free = np.ones(model.nv, dtype=bool)
+    free[model.joints[model.getJointId("FR_HFE")].idx_v] = False
+    found = checked_matrices(model, data, q, contacts, (), free, stops)
+
+    alone = [pinimpact.contact_matrices(model, data, q, contact) for contact in contacts]
+    jacobian = np.zeros((12, model.nv))
+    jacobian[:6] = np.vstack([one.jacobian for one in alone])
+    jacobian[[8, 11]] = stops
+    inverse = np.zeros((model.nv, model.nv))
+    inverse[np.ix_(free, free)] = np.linalg.inv(pin.crba(model, model.createData(), q)[np.ix_(free, free)])
+    np.testing.assert_allclose(found.delassus, jacobian @ inverse @ jacobian.T, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.response, inverse @ jacobian.T, rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(found.velocity(v).ravel(), jacobian @ v, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(found.axes, [one.axes for one in alone])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_who_feels_whom(seed):
+    """The contacts of one block of a matrix that falls into blocks, whatever their order."""
+    rng = np.random.default_rng(seed)
+    n = 9
+    block = rng.integers(0, 3, n)
+    chain = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) <= 4  # felt through others
+    feels = chain & (block[:, None] == block)
+    w = np.kron(feels, np.ones((3, 3))) * rng.normal(size=(3 * n, 3 * n)) + 10.0 * np.eye(3 * n)
+    w += 1e-15 * rng.normal(size=w.shape)
+    w = 0.5 * (w + w.T)
+    found = np.empty(n, dtype=np.int64)
+    coupled(w, 4, found)
+    reached = np.linalg.matrix_power(feels.astype(int), n)[4] > 0
+    np.testing.assert_array_equal(found != 0, reached)
+
+
 def test_a_standing_quadruped_that_is_struck(quadruped):
     # resting feet take part: they push, never pull, and those that are not pressed lift
     model, q = quadruped
@@ -174,7 +219,8 @@ def test_records_of_an_impact_at_many(landing, tmp_path):
     motion = simulate(Scene(model, contacts=feet(restitution=0.5)), q, np.zeros(model.nv), 0.11)
     mass = pin.crba(model, model.createData(), motion.impacts[0].q)
     mass = np.triu(mass) + np.triu(mass, 1).T
-    one = motion.impacts[0]
+    one, other = motion.impacts[:2]
+    assert one.solution.part_of is other.solution.part_of
     change = (mass @ (one.v_after - one.v_before))[:3]
     assert change == pytest.approx(sum(impact.impulse_world for impact in motion.impacts[:4]), abs=1e-10)
     energy = 0.5 * one.v_after @ mass @ one.v_after - 0.5 * one.v_before @ mass @ one.v_before

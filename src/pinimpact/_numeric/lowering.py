@@ -157,14 +157,14 @@ class Lowering(lowering.Lower):
         return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
 
     def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:
-        """Return the arrays that need no count of references, for others outlive them.
+        """Return the arrays, and tuples of them, that need no count of references, for others outlive them.
 
-        They are arguments, the views that a type `lends`, and rows of such ones.
+        They are arguments, items of such tuples, the views that a type `lends`, and rows of such arrays.
 
         Args:
             values: What each variable is assigned.
         """
-        found = {name for name in values if isinstance(self.typeof(name), types.Array)}
+        found = {name for name in values if isinstance(self.typeof(name), (types.Array, types.BaseTuple))}
 
         def lent(name: str, value: Any) -> bool:
             kind = self.typeof(name)
@@ -175,6 +175,8 @@ class Lowering(lowering.Lower):
             if not isinstance(value, ir.Expr) or value.op not in ("getattr", "getitem", "static_getitem"):
                 return False
             owner = self.typeof(value.value.name)
+            if isinstance(owner, types.BaseTuple):
+                return value.value.name in found and self._place_in(kind, owner, value) is not None
             if value.op == "getattr":
                 return getattr(owner, "lends", False)
             index = value.index if value.op == "getitem" else value.index_var
@@ -356,18 +358,30 @@ class Lowering(lowering.Lower):
         kind = self.typeof(expr.value.name)
         if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, _ARRAY):
             return self.builder.extract_value(self.loadvar(expr.value.name), _SHAPE)
-        return None
+        return self._known_item(resty, expr)
 
     # ---- tuples
 
+    def _place_in(self, resty: Any, kind: Any, expr: Any) -> int | None:
+        """Return the place in a tuple of what an expression reads of it, None where it is not known."""
+        if not isinstance(kind, types.BaseTuple):
+            return None
+        place = None
+        if expr.op == "static_getitem":
+            place = expr.index
+        elif expr.op == "getattr" and isinstance(kind, types.BaseNamedTuple) and expr.attr in kind.fields:
+            place = kind.fields.index(expr.attr)
+        known = isinstance(place, int) and -len(kind) <= place < len(kind) and kind.types[place] == resty
+        return place if known else None
+
     def _known_item(self, resty: Any, expr: Any) -> Any:
-        kind, index = self.typeof(expr.value.name), expr.index
-        if not isinstance(kind, types.BaseTuple) or not isinstance(index, int):
+        kind = self.typeof(expr.value.name)
+        place = self._place_in(resty, kind, expr)
+        if place is None:
             return None
-        if not -len(kind) <= index < len(kind) or kind.types[index] != resty:
-            return None
-        found = parts(self.builder, self.loadvar(expr.value.name), len(kind))[index]
-        self.incref(resty, found)
+        found = parts(self.builder, self.loadvar(expr.value.name), len(kind))[place]
+        if not self._to_unowned:
+            self.incref(resty, found)
         return found
 
     def _of_pair(self, resty: Any, expr: Any, which: int) -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from ..html_tables import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
 from .inputs import Array
 from .solution import Path, Segment, Solution, Work
+
+Segments = tuple[tuple[Segment, ...], ...]
 
 RESTS = 1e-9
 """Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
@@ -37,36 +40,65 @@ class ManyPath:
         return self.impulse[:, :, 2]
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ManyStory(NamedTuple):
+    """What makes up those parts of a `ManySolution` that few ask for.
+
+    Attributes:
+        segments: Makes them.
+        works: (n, 3) of compression, restitution and friction [J].
+        surface_velocity: (n, 3) of the surfaces [m/s].
+        singular: Whether W is.
+    """
+
+    segments: Callable[[], Segments]
+    works: Array
+    surface_velocity: Array
+    singular: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class ManySolution:
     """What an impact at n contacts came to, in the contact axes (t₁, t₂, n) of each.
 
     Attributes:
         velocity: (n, 3) post-impact contact velocities [m/s].
         impulse: (n, 3) impulses on the robot [N s].
-        work: The `Work` ledger of each contact, arrays (n,) [J].
-        segments: Of each contact, its `Segment`s in order, in terms of its own P₃; empty where the policy
-            has no path.
-        flags: What was special about it.
         iterations: Steps that were taken.
         events: How often contacts changed their modes, or single impacts, or phases.
         simultaneous: The policy.
         law: The restitution law that was used.
+        story: What `work`, `segments` and `flags` are made from.
         notes: What a reader should know of the answer.
         path: The recorded `ManyPath`, or None.
     """
 
     velocity: Array
     impulse: Array
-    work: Work
-    segments: tuple[tuple[Segment, ...], ...]
-    flags: Flag
     iterations: int
     events: int
     simultaneous: str
     law: str
+    story: ManyStory
     notes: tuple[str, ...] = ()
     path: ManyPath | None = None
+
+    @cached_property
+    def work(self) -> Work:
+        """The `Work` ledger of each contact, arrays (n,) [J]."""
+        works = self.story.works
+        surface = np.sum(self.impulse * self.story.surface_velocity, axis=1)
+        return Work(works[:, 0], works[:, 1], works[:, 2], surface)
+
+    @cached_property
+    def segments(self) -> Segments:
+        """Of each contact, its `Segment`s in order, in terms of its own P₃; empty where there is no path."""
+        return self.story.segments()
+
+    @cached_property
+    def flags(self) -> Flag:
+        """What was special about it."""
+        works = self.story.works
+        return flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
 
     @property
     def compression_impulse(self) -> Array:
@@ -181,19 +213,17 @@ class PartSolution(Solution):
         return tuple(name for name, present in zip(EFFECTS, computed, strict=True) if present)
 
 
-def segments_of(rows: Array, count: int, impulse_scale: float) -> tuple[tuple[Segment, ...], ...]:
+def segments_of(rows: Array, count: int) -> Segments:
     """Return the segments of each contact from rows contact, mode, phase, P₃ at start and end."""
     modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
     phases: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
     found: list[list[Segment]] = [[] for _ in range(count)]
     for contact, mode, phase, start, end in rows.tolist():
-        found[int(contact)].append(
-            Segment(modes[int(mode)], phases[int(phase)], start * impulse_scale, end * impulse_scale)
-        )
+        found[int(contact)].append(Segment(modes[int(mode)], phases[int(phase)], start, end))
     return tuple(map(tuple, found))
 
 
-def flags_of(segments: tuple[tuple[Segment, ...], ...], energy: float, size: float, singular: bool) -> Flag:
+def flags_of(segments: Segments, energy: float, size: float, singular: bool) -> Flag:
     """Return what was special about an impact.
 
     Args:

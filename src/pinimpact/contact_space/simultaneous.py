@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -13,10 +14,10 @@ from ..checks import finite_array
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
 from .inputs import Array, Inputs
 from .laws import find_law
-from .many_solution import ManyPath, ManySolution, flags_of, segments_of
+from .many_solution import ManyPath, ManySolution, ManyStory, Segments, segments_of
 from .one_contact import solve_inputs
 from .problem import ZERO, ImpactProblem
-from .solution import Segment, Work
+from .solution import Segment
 
 
 class ManyInputs(NamedTuple):
@@ -67,7 +68,7 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
         UnknownNameError: No such law.
     """
     n = np.shape(problem.velocity)[0]
-    velocity = finite_array("velocity", problem.velocity, (n, 3))
+    velocity = np.array(finite_array("velocity", problem.velocity, (n, 3)))
     delassus = finite_array("delassus", problem.delassus, (3 * n, 3 * n))
     largest = float(np.abs(delassus).max(initial=0.0))
     asymmetry = float(np.abs(delassus - delassus.T).max(initial=0.0))
@@ -169,52 +170,45 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             f"rtol: {rtol!r} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
         )
     n = len(inputs.velocity)
-    scale = float(np.abs(inputs.velocity).max(initial=0.0)) or 1.0
-    most = float(np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3], initial=0.0)) or 1.0
+    velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
     rows = np.empty((64 * n + 64, 5))
     path = np.empty((2048, 6 * n + 1)) if record else np.empty((0, 6 * n + 1))
     while True:
-        velocity, impulse = inputs.velocity.ravel() / scale, np.zeros(3 * n)
-        works, counts = np.zeros((n, 3)), np.zeros(5, dtype=np.int64)
-        stopped = propagate(
-            *(inputs.delassus, velocity, inputs.friction, inputs.restitution, inputs.stiffness / most),
-            *(float(exponent), float(rtol), MOST_STEPS, impulse, works, counts, rows, path),
+        counts = np.zeros(5, dtype=np.int64)
+        stopped, missed = propagate(
+            *(inputs.delassus, inputs.velocity.ravel(), inputs.friction, inputs.restitution),
+            *(inputs.stiffness, float(exponent), float(rtol), MOST_STEPS),
+            *(velocity, impulse, works, counts, rows, path),
         )
-        if counts[2] >= len(rows):
+        steps, events, used, points, ended = counts.tolist()
+        if used >= len(rows):
             rows = np.empty((4 * len(rows), 5))
-        elif record and counts[3] >= len(path):
+        elif record and points >= len(path):
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
             break
-    after, impulses = (scale * velocity).reshape(n, 3), (scale * impulse).reshape(n, 3)
-    if not stopped or not (np.isfinite(after).all() and np.isfinite(impulses).all()):
+    if not stopped:
         _refuse(inputs)
-    works *= scale * scale
-    change = after.ravel() - inputs.velocity.ravel() - inputs.delassus @ impulses.ravel()
-    allowed = max(MISSED, 100.0 * rtol)
-    missed, gained = np.abs(change).max(initial=0.0) / scale, works.sum() / max(np.abs(works).sum(), 1e-300)
-    if max(missed, gained) > allowed:  # never a wrong answer without a word
+    if missed > max(MISSED, 100.0 * rtol):  # never a wrong answer without a word
         plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
         told = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
         return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, told))
-    segments = segments_of(rows[: counts[2]], n, scale)
     notes = _of_law(inputs)
-    if counts[4] == 2:
+    if ended == 2:
         notes += (
-            f"After {counts[1]} events in {counts[0]} steps what was left was resolved at once, and nothing "
-            f"of it was restored. The last of them: {_last(rows[: counts[2]])}.",
+            f"After {events} events in {steps} steps what was left was resolved at once, and nothing "
+            f"of it was restored. The last of them: {_last(rows[:used])}.",
         )
-    recorded = path[: counts[3]]
     story = None
     if record:
         story = ManyPath(
-            recorded[:, 0].copy(),
-            scale * recorded[:, 1 : 3 * n + 1].reshape(-1, n, 3),
-            scale * recorded[:, 3 * n + 1 :].reshape(-1, n, 3),
+            path[:points, 0].copy(),
+            path[:points, 1 : 3 * n + 1].reshape(-1, n, 3),
+            path[:points, 3 * n + 1 :].reshape(-1, n, 3),
         )
-    taken = int(counts[0]), int(counts[1])
+    segments = partial(segments_of, rows[:used].copy(), n)
     names = "propagate", "energetic"
-    return _answer(inputs, names, after, impulses, works, taken, segments, notes, story)
+    return _answer(inputs, names, velocity, impulse, works, (steps, events), segments, notes, story)
 
 
 LAST = 5
@@ -236,7 +230,7 @@ def _answer(
     impulse: Array,
     works: Array,
     counts: tuple[int, int],
-    segments: tuple[tuple[Segment, ...], ...] | None = None,
+    segments: Callable[[], Segments] | None = None,
     notes: tuple[str, ...] = (),
     path: ManyPath | None = None,
 ) -> ManySolution:
@@ -249,25 +243,15 @@ def _answer(
         impulse: (3n,).
         works: (n, 3) of compression, restitution and friction.
         counts: Of iterations and events.
-        segments: Of each contact; None where there is no path.
+        segments: Makes those of each contact; None where there is no path.
         notes: What a reader should know.
         path: The recorded path.
     """
     n = len(inputs.velocity)
-    impulse = impulse.reshape(n, 3)
-    parts = ((),) * n if segments is None else segments
-    surface = np.sum(impulse * inputs.surface_velocity, axis=1)
-    return ManySolution(
-        velocity.reshape(n, 3),
-        impulse,
-        Work(works[:, 0], works[:, 1], works[:, 2], surface),
-        parts,
-        flags_of(parts, works.sum(), np.abs(works).sum(), inputs.singular),
-        *counts,
-        *names,
-        notes,
-        path,
-    )
+    if segments is None:
+        segments = partial(tuple, ((),) * n)
+    story = ManyStory(segments, works, inputs.surface_velocity, inputs.singular)
+    return ManySolution(velocity.reshape(n, 3), impulse.reshape(n, 3), *counts, *names, story, notes, path)
 
 
 def _of_law(inputs: ManyInputs) -> tuple[str, ...]:
@@ -341,7 +325,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
         velocity[3 * j + 2] = one.velocity[2]
         count += 1
         iterations += one.iterations
-    parts = tuple(map(tuple, segments))
+    parts = partial(tuple, tuple(map(tuple, segments)))
     return _answer(inputs, (name, inputs.law), velocity, impulse, works, (iterations, count), parts)
 
 

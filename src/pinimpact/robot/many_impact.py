@@ -19,7 +19,7 @@ from ..html_tables import html_table
 from .contact import Contact, check_contact, check_held
 from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
-from .matrices import ManyMatrices, many_matrices
+from .matrices import ManyMatrices, contact_geometry, many_matrices
 
 Array = NDArray[np.float64]
 
@@ -89,13 +89,12 @@ def impact_at_many(
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
     warn_of_pulls(matrices.held, held, held_impulses, impulse, 3)
-    axes = np.array([geometry.axes for geometry in matrices.contacts])
     return ManyHit(
         v + matrices.response @ impulse,
-        np.einsum("ni,nij->nj", solution.impulse, axes),
+        np.einsum("ni,nij->nj", solution.impulse, matrices.axes),
         tuple(contacts),
-        np.array([geometry.point for geometry in matrices.contacts]),
-        axes,
+        np.array([contact_geometry(model, data, q, contact).point for contact in contacts]),
+        matrices.axes,
         problem,
         solution,
         held_impulses,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ._kernels import contact_kinematics, tree
+from ._kernels import contact_kinematics
+from ._kernels.responses import half_solve, respond
 from .contact import WORLD, Contact, check_contact, check_held
 from .data_cache import DataCache, checked_configuration, data_cache
 from .names import free_velocities, model_of, singular_mass
@@ -18,6 +20,7 @@ from .pinocchio_bridge import contact_columns
 Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
 _placement = pin.updateFramePlacement
+_WORLD = pin.Convention.WORLD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +125,9 @@ def contact_matrices(
     held = check_held(held)
     geometry = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
-    mass, delassus, response, held_response = _responses(model, data, q, geometry.jacobian, anchors, free)
+    mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
+    rows = np.ascontiguousarray(geometry.jacobian)
+    delassus, response, held_response = _responses(model, data_cache(model, data), mass, rows, anchors, free)
     return ContactMatrices(
         point=geometry.point,
         gap=geometry.gap,
@@ -138,21 +143,21 @@ def contact_matrices(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ManyMatrices:
+class ManyMatrices(NamedTuple):
     """What the robot is, seen from n contacts at once; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes.
 
     Attributes:
-        contacts: Geometry of each contact; joint rows come after them.
+        axes: (k, 3, 3) contact axes t₁, t₂, n as rows, in world axes; joint rows, which have none, come after
+            the k contacts.
         jacobian: (3n, nv) J.
         surface_velocity: (n, 3) of the surfaces, see `ContactGeometry`.
         delassus: (3n, 3n) W, with what is held and locked taken into account [1/kg].
         response: (nv, 3n) Δq̇ per unit impulse.
         held: Geometry of each held contact.
-        held_response: (k, 3, 3n) impulse on each held contact (world axes) per impulse.
+        held_response: (h, 3, 3n) impulse on each held contact (world axes) per impulse.
     """
 
-    contacts: tuple[ContactGeometry, ...]
+    axes: Array
     jacobian: Array
     surface_velocity: Array
     delassus: Array
@@ -172,7 +177,6 @@ def many_matrices(
     contacts: Sequence[Contact],
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
-    joint_rows: ArrayLike = (),
 ) -> ManyMatrices:
     """Return the matrices of n contacts at a configuration.
 
@@ -183,59 +187,73 @@ def many_matrices(
         contacts: The contacts.
         held: Contacts that hold, see `contact_matrices`.
         locked: Joints whose velocity cannot change.
-        joint_rows: (m, nv) rows of joint stops, which act like contacts without a tangential plane.
     """
     model = model_of(model)
     free = free_velocities(model, locked)
     held = check_held(held)
-    geometries = tuple(contact_geometry(model, data, q, contact) for contact in contacts)
+    cache = data_cache(model, data)
+    q = checked_configuration(cache, model, q)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
-    stops = np.asarray(joint_rows, dtype=np.float64).reshape(-1, model.nv)
-    n = len(geometries) + len(stops)
-    jacobian, surface = np.zeros((3 * n, model.nv)), np.zeros((n, 3))
-    for i, geometry in enumerate(geometries):
-        jacobian[3 * i : 3 * i + 3] = geometry.jacobian
-        surface[i] = geometry.surface_velocity
-    jacobian[3 * len(geometries) + 2 :: 3] = stops
-    _, delassus, response, held_response = _responses(model, data, q, jacobian, anchors, free)
-    return ManyMatrices(
-        geometries, jacobian, surface, delassus, response, anchors, held_response.reshape(-1, 3, 3 * n)
-    )
+    return checked_matrices(model, data, q, contacts, anchors, free, np.zeros((0, cache.nv)))
+
+
+def checked_matrices(
+    model: pin.Model,
+    data: pin.Data,
+    q: Array,
+    contacts: Sequence[Contact],
+    anchors: tuple[ContactGeometry, ...],
+    free: NDArray[np.bool_],
+    stops: Array,
+) -> ManyMatrices:
+    """Return the matrices of n contacts, and of joint stops, for arguments that need no check.
+
+    Args:
+        model: As that of `contact_matrices`.
+        data: Likewise.
+        q: (nq,) configuration.
+        contacts: The contacts.
+        anchors: Geometry of each held contact.
+        free: (nv,) False for velocities that are locked.
+        stops: (m, nv) rows of joint stops, which act like contacts without a tangential plane.
+    """
+    cache = data_cache(model, data)
+    mass = cache.mass_matrix(model, data, q, _WORLD)
+    k, n = len(contacts), len(contacts) + len(stops)
+    jacobian, geometry = np.zeros((3 * n, cache.nv)), np.zeros((n, 12))
+    for i, contact in enumerate(contacts):
+        kinematic = kinematics(model, data, q, cache, contact)
+        rows = jacobian[3 * i : 3 * i + 3]
+        geometry[i] = contact_kinematics.jacobian(*kinematic, contact.constants, rows)
+    jacobian[3 * k + 2 :: 3] = stops
+    delassus, response, held_response = _responses(model, cache, mass, jacobian, anchors, free)
+    axes = geometry[:k, :9].reshape(k, 3, 3)
+    return ManyMatrices(axes, jacobian, geometry[:, 9:], delassus, response, anchors, held_response)
 
 
 def _responses(
     model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
+    cache: DataCache,
+    mass: Array,
     jacobian: Array,
     anchors: Sequence[ContactGeometry],
     free: NDArray[np.bool_],
-) -> tuple[Array, Array, Array, Array]:
-    """Return M, W, the response of q̇ to impulses, and that of held contacts, of the rows of a Jacobian."""
-    cache = data_cache(model, data)
-    mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
-    loose = np.where(free[:, None] & free, mass, np.diag(np.where(free, 0.0, 1.0)))
-    lower = np.zeros_like(mass)
-    stopped = tree.factor(loose, cache.parents, lower)
+) -> tuple[Array, Array, Array]:
+    """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian."""
+    m, nv = jacobian.shape
+    y, lower = jacobian.copy(), np.empty((nv, nv))
+    held_response = np.zeros((0, 3, m))
+    if anchors:
+        y = np.vstack([jacobian, *(anchor.axes.T @ anchor.jacobian for anchor in anchors)])
+    stopped = half_solve(mass, cache.parents, free, lower, y)
     if stopped >= 0:
         raise singular_mass(model, stopped)
-
-    def half_solve(rows: Array) -> Array:
-        """L⁻ᵀ of each row, where what is locked does not move."""
-        y = np.where(free, rows, 0.0)
-        tree.solve_transposed(lower, cache.parents, y)
-        return y
-
-    y = half_solve(jacobian)
-    held_response = np.zeros((0, 3, len(jacobian)))
     if anchors:
-        world_rows = [anchor.axes.T @ anchor.jacobian for anchor in anchors]
-        y, impulses = _project_out(half_solve(np.vstack(world_rows)), y)
-        held_response = impulses.reshape(-1, 3, len(jacobian))
-    delassus = y @ y.T
-    response = y.copy()
-    tree.solve(lower, cache.parents, response)
-    return mass, 0.5 * (delassus + delassus.T), response.T, held_response
+        y, impulses = _project_out(y[m:], y[:m])
+        held_response = impulses.reshape(-1, 3, m)
+    delassus, response = np.empty((m, m)), np.empty((m, nv))
+    respond(lower, cache.parents, y, delassus, response)
+    return delassus, response.T, held_response
 
 
 def kinematics(

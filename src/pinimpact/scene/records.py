@@ -11,11 +11,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactGroup:
+    """An impact at several contacts and limits at once, shared by the records of what has had an impulse.
+
+    Attributes:
+        problem: That of all.
+        policy: How it is resolved.
+    """
+
+    problem: ImpactProblem
+    policy: str
+
+    @cached_property
+    def solution(self) -> ManySolution:
+        """The solution of all, made on first access."""
+        return solve_impact(self.problem, record=True, simultaneous=self.policy)
+
+    def part(self, place: int) -> ImpactProblem:
+        """Return what one contact's own part of the problem is."""
+        problem, rows = self.problem, slice(3 * place, 3 * place + 3)
+        return ImpactProblem(
+            np.asarray(problem.delassus)[rows, rows],
+            np.asarray(problem.velocity)[place],
+            float(problem.friction[place]),
+            float(problem.restitution[place]),
+            problem.law,
+            np.asarray(problem.surface_velocity)[place],
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,8 +62,8 @@ class ImpactRecord:
         simultaneous: Other impacts took place at the same instant.
         record: Whether the solution has a path.
         contact_space: Makes `problem` and `impulse_world`, which few ask for.
-        group: Of an impact at several contacts at once the problem of all, this one's place in it, and the
-            policy. Then v_before and v_after are those of all together, and `problem` is its own part.
+        group: Of an impact at several contacts at once that of all, and this one's place in it. Then v_before
+            and v_after are those of all together, and `problem` is its own part.
     """
 
     time: float
@@ -44,7 +75,7 @@ class ImpactRecord:
     simultaneous: bool
     record: bool
     contact_space: Callable[[], tuple[ImpactProblem, Array]]
-    group: tuple[ImpactProblem, int, str] | None = None
+    group: tuple[ImpactGroup, int] | None = None
 
     @cached_property
     def _contact_space(self) -> tuple[ImpactProblem, Array]:
@@ -64,8 +95,8 @@ class ImpactRecord:
     def solution(self) -> Solution:
         """The full solution of the impact, made on first access; of several at once, this one's part."""
         if self.group is not None:
-            problem, place, policy = self.group
-            return solve_impact(problem, record=True, simultaneous=policy).part(place)
+            whole, place = self.group
+            return whole.solution.part(place)
         return solve_impact(self.problem, record=self.record)
 
     def __repr__(self) -> str:

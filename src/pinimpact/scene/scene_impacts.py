@@ -17,18 +17,23 @@ from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
 from ..errors import PinimpactError, SimulationError
+from ..robot._kernels.responses import coupled
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.joint_limits import JointLimit
-from ..robot.matrices import contact_matrices, many_matrices
+from ..robot.matrices import checked_matrices, contact_geometry, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
+from .records import ImpactGroup
 from .scene import Scene
 
 Array = NDArray[np.float64]
 
 _compiled: set[tuple[bool, bool]] = set()
+
+_NO_AXES = np.zeros((3, 3))
+"""Those of a joint limit, whose impulse is none in the world."""
 
 
 class Impact(NamedTuple):
@@ -47,30 +52,36 @@ class Impact(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class Group(NamedTuple):
-    """What several contacts and limits at one instant come to.
+class Struck(NamedTuple):
+    """What has had an impulse in an impact at several contacts and limits at one instant.
+
+    Attributes:
+        source: Which contact or limit.
+        place: In the problem of all.
+        resting: The bounce would have been slower than the resting speed, so restitution was left out.
+        contact_space: Makes its own problem and the impulse in world axes.
+    """
+
+    source: int
+    place: int
+    resting: bool
+    contact_space: Callable[[], tuple[ImpactProblem, Array]]
+
+
+class GroupImpact(NamedTuple):
+    """What an impact at several contacts and limits at one instant comes to.
 
     Attributes:
         v: (nv,) velocity after it.
-        sources: Which have had an impulse.
-        resting: Of these, whether the bounce would have been slower than the resting speed.
-        contact_space: Of these, what makes the problem and the impulse in world axes.
-        places: Of these, in the problem.
-        problem: That of all.
+        struck: What has had an impulse.
+        group: What the records of these share.
         notes: What a reader should know of it.
     """
 
     v: Array
-    sources: tuple[int, ...]
-    resting: tuple[bool, ...]
-    contact_space: tuple[Callable[[], tuple[ImpactProblem, Array]], ...]
-    places: tuple[int, ...]
-    problem: ImpactProblem
+    struck: tuple[Struck, ...]
+    group: ImpactGroup
     notes: tuple[str, ...]
-
-
-COUPLED = 1e-12
-"""Part of what two contacts feel of themselves below which they do not feel each other."""
 
 
 class SceneImpacts:
@@ -187,9 +198,7 @@ class SceneImpacts:
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
-    def resolve_group(
-        self, q: Array, v: Array, first: int, touching: Sequence[int], rates: Array
-    ) -> Group | None:
+    def resolve_group(self, q: Array, v: Array, first: int, touching: Sequence[int]) -> GroupImpact | None:
         """Resolve the impact of all that touches and feels what collides; None if nothing does.
 
         Args:
@@ -197,73 +206,66 @@ class SceneImpacts:
             v: (nv,) velocity before it.
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
-            rates: (n + nl,) rates of all gaps.
         """
         count = len(self._dynamics.contacts)
-        contacts = [self._dynamics.contacts[i] for i in touching if i < count]
+        every = [self._dynamics.contacts[i] if i < count else None for i in touching]
+        contacts = [contact for contact in every if contact is not None]
         limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
-        rows = np.zeros((len(limits), self._model.nv))
-        for row, limit in zip(rows, limits, strict=True):
+        stops = np.zeros((len(limits), self._model.nv))
+        for row, limit in zip(stops, limits, strict=True):
             row[limit.index_v] = limit.sign
-        matrices = many_matrices(
-            self._model, self._data, q, contacts, self._held, self._locked, joint_rows=rows
-        )
-        chosen = _coupled(matrices.delassus, list(touching).index(first))
+        model, data, free = self._model, self._data, self._yielding
+        anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in self._held)
+        matrices = checked_matrices(model, data, q, contacts, anchors, free, stops)
+        feels = np.empty(len(touching), dtype=np.int64)
+        coupled(matrices.delassus, touching.index(first), feels)
+        chosen = feels.nonzero()[0]
         if len(chosen) == 1:
             return None
-        places = (3 * chosen[:, None] + np.arange(3)).ravel()
-        delassus = np.ascontiguousarray(matrices.delassus[np.ix_(places, places)])
-        velocity = matrices.velocity(v)[chosen]
-        sources = [touching[k] for k in chosen]
-        struck = [self._dynamics.contacts[i] if i < count else None for i in sources]
-        e = np.array([self._restitution(c, rates[i]) for i, c in zip(sources, struck, strict=True)])
-        stiffness = _stiffness(struck, np.diag(delassus)[2::3])
+        delassus, velocity, response = matrices.delassus, matrices.velocity(v), matrices.response
+        surface = matrices.surface_velocity
+        if len(chosen) < len(touching):
+            places = (3 * chosen[:, None] + np.arange(3)).ravel()
+            delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
+            velocity, surface = velocity[chosen], surface[chosen]
+        struck = [every[k] for k in chosen.tolist()]
+        rates = velocity[:, 2].tolist()
+        e = [self._restitution(c, rate) for c, rate in zip(struck, rates, strict=True)]
+        stiffness = _stiffness(struck, delassus.diagonal()[2::3].tolist())
         friction = np.array([0.0 if contact is None else contact.friction for contact in struck])
         laws = {contact.law for contact in struck if contact is not None}
-        resting = np.zeros(len(chosen), dtype=bool)
-        inputs = ManyInputs(  # the robot's own numbers need no check
-            *(delassus, velocity, friction, e, stiffness),
-            min(laws) if len(laws) == 1 else "energetic",
-            matrices.surface_velocity[chosen],
-            singular=False,
-        )
+        law = laws.pop() if len(laws) == 1 else "energetic"
         policy = find_policy(self.policy)
+        resting = [False] * len(struck)
         while True:
+            restitution = np.array([0.0 if rests else one for rests, one in zip(resting, e, strict=True)])
+            # the robot's own numbers need no check
+            inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
             solution = policy.run(inputs, False)
-            bounce = solution.velocity[:, 2]
-            slow = (solution.impulse[:, 2] > 0.0) & (bounce > 0.0) & (bounce < self._resting_speed)
-            more = slow & (e > 0.0) & ~resting
-            if not more.any():
+            impulses = solution.impulse
+            pressed, bounces = impulses[:, 2].tolist(), solution.velocity[:, 2].tolist()
+            more = [
+                0.0 < bounce < self._resting_speed and p > 0.0 and one > 0.0 and not rests
+                for bounce, p, one, rests in zip(bounces, pressed, e, resting, strict=True)
+            ]
+            if not any(more):
                 break
-            resting |= more
-            inputs = inputs._replace(restitution=np.where(resting, 0.0, e))
+            resting = [rests or slow for rests, slow in zip(resting, more, strict=True)]
         problem = ImpactProblem(
-            *(delassus, velocity, friction, inputs.restitution, inputs.law, inputs.surface_velocity),
-            stiffness=stiffness,
+            *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
-        after = v + matrices.response[:, places] @ solution.impulse.ravel()
-        axes = [g.axes for g in matrices.contacts]
-        hit = [k for k in range(len(chosen)) if solution.impulse[k, 2] > 0.0]
-        return Group(
-            after,
-            tuple(sources[k] for k in hit),
-            tuple(bool(resting[k]) for k in hit),
-            tuple(
-                partial(
-                    _given,
-                    _own_problem(problem, k),
-                    solution.impulse[k] @ axes[chosen[k]] if chosen[k] < len(contacts) else np.zeros(3),
-                )
-                for k in hit
-            ),
-            tuple(hit),
-            problem,
-            solution.notes,
-        )
+        group = ImpactGroup(problem, self.policy)
+        hit = []
+        for place, k in enumerate(chosen.tolist()):
+            if pressed[place] > 0.0:
+                axes = matrices.axes[k] if k < len(contacts) else _NO_AXES
+                make = partial(_of_group, group, place, impulses[place], axes)
+                hit.append(Struck(touching[k], place, resting[place], make))
+        return GroupImpact(v + response @ impulses.ravel(), tuple(hit), group, solution.notes)
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""
-        approach = max(-float(rate), 0.0)
+        approach = max(-rate, 0.0)
         if self._sustained and approach <= self._resting_speed:
             return 0.0
         return self._limit_restitution if contact is None else contact.restitution_at(approach)
@@ -313,40 +315,15 @@ class SceneImpacts:
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))
 
 
-def _coupled(delassus: Array, first: int) -> NDArray[np.int64]:
-    """Return the contacts that feel each other and `first`, in their order."""
-    n = len(delassus) // 3
-    sizes = np.abs(delassus).reshape(n, 3, n, 3).max(axis=(1, 3))
-    own = np.sqrt(np.diag(sizes))
-    feels = sizes > COUPLED * own[:, None] * own
-    found = np.zeros(n, dtype=bool)
-    found[first] = True
-    for _ in range(n):
-        found |= feels[found].any(axis=0)
-    return np.flatnonzero(found)
-
-
-def _stiffness(struck: Sequence[Contact | None], inverse_masses: Array) -> Array:
+def _stiffness(struck: Sequence[Contact | None], inverse_masses: Sequence[float]) -> Array:
     """Return relative stiffnesses; of joint limits such that κ W is the mean of the contacts'."""
-    given = [np.nan if contact is None else contact.stiffness for contact in struck]
-    stiffness = np.array(given, dtype=float)
-    stops = np.isnan(stiffness)
-    mean = float(np.mean((stiffness * inverse_masses)[~stops])) if not stops.all() else 1.0
-    usable = np.where(inverse_masses > 0.0, inverse_masses, 1.0)
-    stiffness[stops] = (mean if mean > 0.0 else 1.0) / usable[stops]
-    return stiffness
-
-
-def _own_problem(problem: ImpactProblem, k: int) -> ImpactProblem:
-    """Return what one contact's own part of a problem of many is."""
-    rows = slice(3 * k, 3 * k + 3)
-    return ImpactProblem(
-        np.asarray(problem.delassus)[rows, rows],
-        np.asarray(problem.velocity)[k],
-        float(problem.friction[k]),
-        float(problem.restitution[k]),
-        problem.law,
-        np.asarray(problem.surface_velocity)[k],
+    given = [contact.stiffness * w for contact, w in zip(struck, inverse_masses, strict=True) if contact]
+    mean = (sum(given) / len(given) if given else 0.0) or 1.0
+    return np.array(
+        [
+            contact.stiffness if contact else mean / (w if w > 0.0 else 1.0)
+            for contact, w in zip(struck, inverse_masses, strict=True)
+        ]
     )
 
 
@@ -356,6 +333,10 @@ def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:
 
 def _of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
     return ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e), np.zeros(3)
+
+
+def _of_group(group: ImpactGroup, place: int, impulse: Array, axes: Array) -> tuple[ImpactProblem, Array]:
+    return group.part(place), impulse @ axes
 
 
 def _given(problem: ImpactProblem, impulse: Array) -> tuple[ImpactProblem, Array]:

@@ -186,32 +186,29 @@ class SimulationState:
         ]
         if len(touching) < 2 or not self._impacts.together:
             return []
-        rates = self.dynamics.gaps_at(self.q, self.v)[:, 1]
-        group = self._impacts.resolve_group(self.q, self.v, first, touching, rates)
-        if group is None:
+        impact = self._impacts.resolve_group(self.q, self.v, first, touching)
+        if impact is None:
             return []
-        for text in group.notes:
+        for text in impact.notes:
             self.note(text)
         before = self.v
-        self.change_velocity(group.v)
-        self._where[list(group.sources)] = TOUCHING
+        self.change_velocity(impact.v)
         found = []
-        for i, resting, make, place in zip(
-            group.sources, group.resting, group.contact_space, group.places, strict=True
-        ):
+        for source, place, resting, make in impact.struck:
+            self._where[source] = TOUCHING
             if resting:
-                self._note_rest(i)
+                self._note_rest(source)
             found.append(
                 {
                     "time": self.t,
-                    "source": self.names[i],
+                    "source": self.names[source],
                     "q": self.q,
                     "v_before": before,
-                    "v_after": group.v,
+                    "v_after": impact.v,
                     "contact_space": make,
                     "resting": resting,
-                    "record": self._record and i < contacts,
-                    "group": (group.problem, place, self._impacts.policy),
+                    "record": self._record and source < contacts,
+                    "group": (impact.group, place),
                 }
             )
         return found

@@ -21,7 +21,7 @@ from ..robot.sphere import Sphere
 from ..robot.surfaces import Surface
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
-from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note
+from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note
 
 Array = NDArray[np.float64]
 
@@ -57,10 +57,7 @@ def write_trajectory(
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
-    groups: list[ImpactProblem] = []
-    for impact in impacts:
-        if impact.group is not None and all(impact.group[0] is not known for known in groups):
-            groups.append(impact.group[0])
+    groups = list(dict.fromkeys(impact.group[0] for impact in impacts if impact.group is not None))
     nq, nv = q.shape[1], v.shape[1]
     meta = {
         "format": FORMAT,
@@ -87,11 +84,9 @@ def write_trajectory(
             ]
             for i in impacts
         ],
-        "groups": [{name: _plain(getattr(group, name)) for name in GROUP} for group in groups],
+        "groups": [{name: _plain(getattr(group.problem, name)) for name in GROUP} for group in groups],
         "in_group": [
-            None
-            if i.group is None
-            else [next(k for k, known in enumerate(groups) if known is i.group[0]), *i.group[1:]]
+            None if i.group is None else [groups.index(i.group[0]), i.group[1], i.group[0].policy]
             for i in impacts
         ],
     }
@@ -162,11 +157,12 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         segment.end = end
         segments.append(segment)
-    groups = [
-        ImpactProblem(**{name: _numbers(value) for name, value in group.items()})
-        for group in meta.get("groups", ())
-    ]
     in_group = meta.get("in_group", [None] * len(meta["impacts"]))
+    policies = {place[0]: place[2] for place in in_group if place is not None}
+    groups = [
+        ImpactGroup(ImpactProblem(**{name: _numbers(value) for name, value in group.items()}), policies[k])
+        for k, group in enumerate(meta.get("groups", ()))
+    ]
     scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
     impacts = [
         ImpactRecord(
@@ -185,7 +181,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
                 (mu, e, law),
                 None if np.isnan(scales[i]) else float(scales[i]),
             ),
-            None if in_group[i] is None else (groups[in_group[i][0]], *in_group[i][1:]),
+            None if in_group[i] is None else (groups[in_group[i][0]], in_group[i][1]),
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]

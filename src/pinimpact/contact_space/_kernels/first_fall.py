@@ -25,6 +25,15 @@ def value(c, degree, s):
     return total
 
 
+@inner
+def value_at(rows, i, degree, s):
+    """Return Σ rows[k, i] sᵏ."""
+    total = rows[degree, i]
+    for k in range(degree - 1, -1, -1):
+        total = total * s + rows[k, i]
+    return total
+
+
 @ahead(FLOATS, int, float, float, FLOAT_ROWS)
 @separate
 def first_fall(c, degree, h, zero, rows):
@@ -58,14 +67,18 @@ def first_fall(c, degree, h, zero, rows):
             return 0.0
     # a root at zero is taken out: what is left is positive there
     n = degree - first
+    lowest = power[first]
     for k in range(n + 1):
         power[k] = power[k + first]
         rest[k] = power[k]
+        if k > 0:
+            lowest -= abs(power[k])
+    if lowest >= 0.0:  # the first coefficient outweighs all others
+        return NEVER
     # Bernstein's coefficients: b_j = Σ_k C(j, k)/C(n, k) a_k
+    binomial = 1.0
     for k in range(1, n + 1):
-        binomial = 1.0
-        for i in range(k):
-            binomial *= (n - i) / (i + 1.0)
+        binomial *= (n - k + 1.0) / k
         rest[k] /= binomial
     for k in range(1, n + 1):
         for j in range(n, k - 1, -1):

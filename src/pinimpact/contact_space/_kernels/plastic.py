@@ -71,6 +71,7 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
         impulse[3 * j + 2] += given[j]
 
 
+@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def impulses_together(w, v, friction, given, impulse):
     """Fill the impulses (3n,) of Coulomb's law on impulses: sliding contacts neither part nor approach.

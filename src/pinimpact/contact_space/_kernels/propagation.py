@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
 from .codes import (
     COMPRESSION,
@@ -24,7 +25,7 @@ from .codes import (
     SLIPPING,
     STUCK,
 )
-from .first_fall import NEVER, first_fall, value
+from .first_fall import NEVER, first_fall, value_at
 from .plastic import end_plastically
 from .propagation_friction import AT_BOUND, SLIP, settle, unknown_after
 from .propagation_series import (
@@ -75,20 +76,51 @@ POINTS = 4
 """Points recorded on a step."""
 
 
+@ahead(
+    FLOAT_ROWS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    float,
+    float,
+    int,
+    FLOATS,
+    FLOATS,
+    FLOAT_ROWS,
+    INTEGERS,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+)
 @jit
 def propagate(
-    w, v, friction, restitution, stiffness, exponent, accuracy, most_steps, impulse, works, counts, rows, path
+    w,
+    start,
+    friction,
+    restitution,
+    stiffness,
+    exponent,
+    accuracy,
+    most_steps,
+    v,
+    impulse,
+    works,
+    counts,
+    rows,
+    path,
 ):
     """Resolve an impact at n contacts.
 
     Args:
         w: (3n, 3n) W.
-        v: (3n,) velocities, the largest of size one; takes those after the impact.
-        friction, restitution: (n,) μ and e, of the energetic law.
-        stiffness: (n,) κ; the largest κ W₃₃ is one.
+        start: (3n,) velocities before it.
+        friction: (n,) μ.
+        restitution: (n,) e, of the energetic law.
+        stiffness: (n,) κ.
         exponent: η, 1 or 3/2.
         accuracy: Part of the velocities that a step may miss.
         most_steps: A bound.
+        v: (3n,) takes the velocities after it.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
         counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, else
@@ -97,7 +129,71 @@ def propagate(
         path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
 
     Returns:
-        Whether the approach could be stopped.
+        Whether the approach could be stopped, and what the answer misses: velocities that the impulses do not
+        make, in parts of the largest before it, or energy that they create, in parts of the works' sizes.
+    """
+    n = len(friction)
+    scale, most = 0.0, 0.0
+    for i in range(3 * n):
+        scale = max(scale, abs(start[i]))
+        impulse[i] = 0.0
+    for j in range(n):
+        most = max(most, stiffness[j] * w[3 * j + 2, 3 * j + 2])
+        for k in range(3):
+            works[j, k] = 0.0
+    scale, most = scale if scale > 0.0 else 1.0, most if most > 0.0 else 1.0
+    ratios = np.empty(n)
+    for j in range(n):
+        ratios[j] = stiffness[j] / most
+    for i in range(3 * n):
+        v[i] = start[i] / scale
+    stopped = _follow(
+        w,
+        v,
+        friction,
+        restitution,
+        ratios,
+        exponent,
+        accuracy,
+        most_steps,
+        impulse,
+        works,
+        counts,
+        rows,
+        path,
+    )
+    missed = gained = size = 0.0
+    for i in range(3 * n):
+        made = start[i] / scale
+        for k in range(3 * n):
+            made += w[i, k] * impulse[k]
+        missed = max(missed, abs(v[i] - made))
+        stopped = stopped and math.isfinite(v[i]) and math.isfinite(impulse[i])
+    for i in range(3 * n):
+        v[i] *= scale
+        impulse[i] *= scale
+    for j in range(n):
+        for k in range(3):
+            gained += works[j, k]
+            size += abs(works[j, k])
+            works[j, k] *= scale * scale
+    for row in range(min(counts[2], len(rows))):
+        rows[row, 3] *= scale
+        rows[row, 4] *= scale
+    for row in range(min(counts[3], len(path))):
+        for i in range(1, 6 * n + 1):
+            path[row, i] *= scale
+    return stopped, max(missed, gained / max(size, 1e-300))
+
+
+@inner
+def _follow(
+    w, v, friction, restitution, stiffness, exponent, accuracy, most_steps, impulse, works, counts, rows, path
+):
+    """Go from event to event, with velocities of size one and κ W₃₃ ≤ 1; see `propagate`.
+
+    Args:
+        v: (3n,) velocities; takes those after the impact.
     """
     n = len(friction)
     unloading = np.zeros(n)
@@ -376,7 +472,7 @@ def _find_events(system, state, series, h, crowded, roots, guard, work):
                 guard[1] = 0.0
             time = _fall(guard, h, 0.0, False, work)
             if time < NEVER:
-                across = value(series.v[:, y], ORDER, time) * ux - value(series.v[:, x], ORDER, time) * uy
+                across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
                 if abs(across) <= 10.0 * TINY:
                     roots[j, 2] = time
             elif speed < STOPS and not begins(state.fresh[j]):
@@ -448,7 +544,7 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
                     latest[j] = used
                     used += 1
         for i in range(x, z + 1):
-            state.v[i] = value(series.v[:, i], degree, h)
+            state.v[i] = value_at(series.v, i, degree, h)
         speed = math.hypot(state.v[x], state.v[y])
         if speed > 10.0 * SLIP:
             state.fresh[j] = 0
@@ -459,7 +555,7 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
                 state.normal[j] = LOADING
             else:
                 _open(state, j)
-        state.indentation[j] = value(series.indentation[:, j], degree, h)
+        state.indentation[j] = value_at(series.indentation, j, degree, h)
         if state.normal[j] == LOADING:
             state.deepest[j] = state.indentation[j]
     return used
@@ -481,7 +577,7 @@ def _apply(system, state, series, roots, first, tie):
                 if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= MOVED:
                     _stick(state, other)
         elif tangent:
-            fx, fy = value(series.force[:, z - 2], ORDER, first), value(series.force[:, z - 1], ORDER, first)
+            fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
             length = math.hypot(fx, fy)
             if length > 0.0:
                 state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
@@ -532,7 +628,7 @@ def _record_step(path, points, clock, series, state, h, degree, pace, root):
             s = h * part / POINTS
             path[points, 0] = clock + _time_power(0, s, pace, root)
             for i in range(m):
-                path[points, 1 + i] = value(series.v[:, i], degree, s)
+                path[points, 1 + i] = value_at(series.v, i, degree, s)
                 rest = 0.0
                 for k in range(degree + 1):
                     rest += series.force[k, i] * (

@@ -1,0 +1,97 @@
+"""What impulses in given directions do to a robot: W and M⁻¹Jᵀ from M and the rows of J."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, INTEGERS, ahead
+from ..._numeric.jit import inner, jit
+from .tree import factor, solve, solve_transposed
+
+
+@ahead(FLOAT_ROWS, INTEGERS, FLAGS, FLOAT_ROWS, FLOAT_ROWS)
+@jit
+def half_solve(mass, parents, free, lower, rows):
+    """Fill `lower` with L, M = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ x.
+
+    Args:
+        mass: (nv, nv) M.
+        parents: (nv,) the next velocity on the way to the root, or −1.
+        free: (nv,) False for velocities that are locked: to these M and the rows do not reach.
+        lower: (nv, nv) takes L.
+        rows: Rows of Jacobians.
+
+    Returns:
+        −1, or the first velocity whose inertia is not positive.
+    """
+    n = len(free)
+    loose = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            loose[i, j] = mass[i, j] if free[i] and free[j] else 0.0
+        if not free[i]:
+            loose[i, i] = 1.0
+            for row in rows:
+                row[i] = 0.0
+    stopped = factor(loose, parents, lower)
+    if stopped < 0:
+        solve_transposed(lower, parents, rows)
+    return stopped
+
+
+@ahead(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
+@jit
+def respond(lower, parents, y, delassus, response):
+    """Fill `delassus` (m, m) with W = y yᵀ and `response` (m, nv) with M⁻¹ x, for rows y = L⁻ᵀ x (m, nv)."""
+    for a in range(len(y)):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(y.shape[1]):
+                total += y[a, i] * y[b, i]
+            delassus[a, b] = total
+            delassus[b, a] = total
+        for i in range(y.shape[1]):
+            response[a, i] = y[a, i]
+    solve(lower, parents, response)
+
+
+COUPLED = 1e-12
+"""Part of what two contacts feel of themselves below which they do not feel each other."""
+
+
+@ahead(FLOAT_ROWS, int, INTEGERS)
+@jit
+def coupled(delassus, first, found):
+    """Tell which of n contacts feel `first`, or what feels it: 1 in `found` (n,).
+
+    Args:
+        delassus: (3n, 3n) W.
+        first: One of them.
+        found: Takes the answer.
+    """
+    n = len(found)
+    own = np.empty(n)
+    for i in range(n):
+        own[i] = _largest(delassus, i, i)
+        found[i] = 1 if i == first else 0
+    waiting = np.empty(n, dtype=np.int64)
+    waiting[0], count = first, 1
+    while count > 0:
+        count -= 1
+        i = waiting[count]
+        for j in range(n):
+            size = _largest(delassus, i, j)
+            if found[j] == 0 and size * size > COUPLED * COUPLED * own[i] * own[j]:
+                found[j] = 1
+                waiting[count] = j
+                count += 1
+
+
+@inner
+def _largest(delassus, i, j):
+    """Return the size of the largest number in one contact's block of W for another's impulses."""
+    largest = 0.0
+    for a in range(3 * i, 3 * i + 3):
+        for b in range(3 * j, 3 * j + 3):
+            largest = max(largest, abs(delassus[a, b]))
+    return largest
