@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -279,3 +281,17 @@ def test_a_reader_that_has_read_enough_is_no_error() -> None:
     shown.stdout.close()
     _, said = shown.communicate(timeout=60)
     assert "Errno" not in said
+
+
+def test_cost_shows_what_it_waits_for(monkeypatch, tmp_path):
+    def waits(*_, progress, **__):
+        progress("a class")
+        logging.getLogger("pinimpact.compiling").warning("compiling kernels: up to about 5 s")
+        time.sleep(0.3)
+        raise pinimpact.InputError("enough")
+
+    monkeypatch.setattr("pinimpact.studies.cost.run_cost", waits)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    shown = call("cost", "-o", str(tmp_path)).stderr
+    assert "measuring a class" in shown
+    assert "compiling kernels: up to about 5 s" in shown

@@ -50,6 +50,64 @@ after = overloads()
 print({name: count for name, count in after.items() if count != before.get(name, 0) and "scene" in name})
 """
 
+WATCHED = """
+import sys
+import numpy as np, pinocchio as pin
+from numba.core.dispatcher import Dispatcher
+from pinimpact import Contact, Plane, Scene, impact, load_robot, simulate
+from tests.scene_models import UP, ball, free_body
+
+def there():  # each kernel that is compiled or loaded, with its types
+    kernels = {item for name, module in list(sys.modules.items()) if name.startswith("pinimpact.")
+               for item in list(vars(module).values()) if isinstance(item, Dispatcher)}
+    return {(one.py_func.__qualname__, types) for one in kernels for types in one.overloads}
+
+names = lambda found: {name for name, _ in found}
+corners = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+box = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), corners)
+"""
+
+LISTS = (
+    WATCHED
+    + """
+def strike(e, mu):
+    tips = [Contact(f"tip{k}", Plane(), friction=mu, restitution=e) for k in range(4)]
+    impact(box, box.createData(), [0, 0, 0.1, *UP], [0.1, 0, -1.0, 0, 0.3, 0], tips)
+
+strike(0.5, 0.0)
+before = there()
+assert {"propagate", "impulses_together"} <= names(before)  # what others may come to need, too
+strike(0.0, 0.5)
+print({name: 1 for name in names(there() - before)})
+"""
+)
+
+GROUPS = (
+    WATCHED
+    + """
+set_up = lambda scene, q: simulate(scene, q, np.zeros(scene.model.nv), 1e-6)
+floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
+set_up(Scene(ball(), [floor]), [0, 0, 1.0, *UP])
+assert not names(there()) & {"propagate", "impulses_together", "coupled"}  # one alone has no need of them
+
+def struck(scene, q, v, duration):  # by several at once, with nothing compiled but at the set-up
+    set_up(scene, q)
+    before = there()
+    run = simulate(scene, q, v, duration)
+    assert any(impact.group for impact in run.impacts)
+    assert not names(there() - before), names(there() - before)
+
+for policy in ("together", "any", "propagate"):
+    feet = [Contact(f"tip{k}", Plane(), friction=0.4, restitution=0.5, law="poisson") for k in range(4)]
+    struck(Scene(box, feet, simultaneous=policy), [0, 0, 0.2, *UP], [0.3, 0, 0, 0, 0, 0], 0.3)
+panda = load_robot("panda")
+hand = Contact("panda_hand_tcp", Plane((0, 0, 0.2)), friction=0.4, restitution=0.5)
+bent = [0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02]
+struck(Scene(panda, [hand], locked=["panda_joint1"]), bent, np.zeros(9), 0.5)
+print({})
+"""
+)
+
 TOLD_AHEAD = """
 import sys
 import numpy as np
@@ -68,7 +126,9 @@ print({one.py_func.__qualname__: set(one.overloads) - {types_ahead(one)}
 """
 
 
-@pytest.mark.parametrize("code", [RUNS, TOLD_AHEAD], ids=["nothing compiled later", "as told ahead"])
+@pytest.mark.parametrize(
+    "code", [RUNS, LISTS, GROUPS, TOLD_AHEAD], ids=["nothing later", "lists", "groups", "as told"]
+)
 def test_what_is_compiled(code):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],

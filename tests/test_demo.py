@@ -161,8 +161,22 @@ def test_frames_that_suggest_themselves() -> None:
         assert [model.frames[i].name for i in suggested_frames(model)][: len(first)] == first
 
 
+SAMPLES = (
+    *("rod", "spherical_pendulum", "panda", "ur5", "allegro_left_hand", "asr_twodof", "cassie", "solo12"),
+    *("anymal_kinova", "iris", "g1", "tiago", "double_pendulum_continuous"),
+)
+"""An arm, a hand, feet, wings, wheels, joints of every kind, and a file that is not read."""
+
+
+def robots() -> list[object]:
+    """All named robots; those that are no samples only where all are asked for."""
+    more = pytest.mark.exhaustive
+    names = [name for names in named_robots().values() for name in names]
+    return [pytest.param(name, marks=[] if name in SAMPLES else more) for name in names]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for names in named_robots().values() for name in names])
+@pytest.mark.parametrize("name", robots())
 def test_every_named_robot_strikes_and_moves_on(name: str) -> None:
     """Its impact takes the energy that its works say; in a scene of its own it falls or swings."""
     with warnings.catch_warnings():

@@ -105,15 +105,16 @@ def test_slip_begins_and_ends_when_a_swelling_force_says_so():
 
 
 @pytest.mark.slow
-def test_a_pendulum_keeps_period_and_energy_over_many_swings():
-    amplitude, swings = 2.0, 10_000
+@pytest.mark.parametrize("swings", [1000, pytest.param(10_000, marks=pytest.mark.exhaustive)])
+def test_a_pendulum_keeps_period_and_energy_over_many_swings(swings):
+    amplitude = 2.0
     m = np.sin(amplitude / 2) ** 2
     period = 4 * ellipk(m) * np.sqrt(1 / G)
     trajectory = run(
         Scene(pendulum()), [amplitude], [0.0], swings * period, audit=1e-8, rtol=1e-12, atol=1e-13
     )
     assert trajectory.q[-1, 0] == pytest.approx(amplitude, abs=1e-8)
-    assert abs(trajectory.v[-1, 0]) < 2e-4  # a phase error of 1e-9 of a swing each
+    assert abs(trajectory.v[-1, 0]) < 2e-8 * swings  # a phase error of 1e-9 of a swing each
     quarter = np.array([0.1, 0.3, 12.34]) * period
     sn = ellipj(np.sqrt(G) * quarter + ellipk(m), m)[0]
     q, _ = trajectory.sample(quarter)

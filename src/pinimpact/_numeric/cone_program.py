@@ -14,7 +14,10 @@ import numpy as np
 
 from .ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from .jit import inner, separate
-from .loops import assign
+from .loops import assign, ones
+
+CONE = np.int64(3)
+"""Size of the cones of friction."""
 
 MAX_ITERATIONS = 60
 """What no program needs; badly scaled ones stop there."""
@@ -238,7 +241,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     """
     m, n = G.shape
     degree = lines + len(sizes)
-    beta, v, lam = np.ones(len(sizes)), np.zeros(m), np.empty(m)
+    beta, v, lam = ones(len(sizes)), np.zeros(m), np.empty(m)
     scaled, lower = np.empty((m, n)), np.empty((n, n))
     rx, rz, dx, column = np.empty(n), np.empty(m), np.empty(n), np.empty(m)
     ds, dz, right, work, reduced = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)

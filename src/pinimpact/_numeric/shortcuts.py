@@ -19,6 +19,7 @@ from numba.core import base, event, ir, postproc, transforms
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.rewrites import rewrite_registry
 from numba.core.types.functions import BaseFunction
+from numba.core.typing.context import Context
 
 from .lowering import counted
 
@@ -57,6 +58,32 @@ def _remembering_sizes(original: Callable[..., int]) -> Callable[..., int]:
     return get_abi_size
 
 
+def _unless_lock(original: Callable[..., None]) -> Callable[..., None]:
+    """Return `event.start_event` or `event.end_event` without a word of locks, which LLVM often takes."""
+
+    def tell(kind: str, *args: Any, **kws: Any) -> None:
+        if kind not in ("numba:compiler_lock", "numba:llvm_lock"):
+            original(kind, *args, **kws)
+
+    return tell
+
+
+def _remembering_attributes(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `Context.find_matching_getattr_template` with a memory."""
+    known: dict[Any, Any] = {}
+
+    def find_matching_getattr_template(self: Any, typ: Any, attr: str) -> Any:
+        key = self, typ, attr
+        found = known.get(key)
+        if found is None:
+            found = original(self, typ, attr)
+            if found is not None:
+                known[key] = found
+        return found
+
+    return find_matching_getattr_template
+
+
 # what has no variables in it
 _LEAVES = frozenset({str, int, float, bool, type(None), ir.Loc, BuiltinFunctionType})
 
@@ -84,7 +111,14 @@ _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
     (Type, "get_abi_size", _remembering_sizes(Type.get_abi_size)),
     (base, "_has_loc", cache(base._has_loc)),
     (ir.Inst, "_rec_list_vars", _variables(ir.Inst._rec_list_vars)),
+    (
+        Context,
+        "find_matching_getattr_template",
+        _remembering_attributes(Context.find_matching_getattr_template),
+    ),
     (event, "install_timer", lambda *_: nullcontext()),
+    (event, "start_event", _unless_lock(event.start_event)),
+    (event, "end_event", _unless_lock(event.end_event)),
 )
 
 

@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -53,6 +54,7 @@ class _Memory:
     def __init__(self) -> None:
         self._file: Path | None = None
         self._known: dict[str, Code] = {}
+        self._unsaved = False
 
     def keep_in(self, folder: str) -> None:
         """Remember in this folder, unless another one was named before."""
@@ -74,12 +76,14 @@ class _Memory:
             tree = ast.parse(text)
             imports = _imports(module, path, tree)
             self._known[key] = _digest(tree), imports
-            self._save()
+            self._unsaved = True
         return self._known[key]
 
-    def _save(self) -> None:
-        if self._file is None:
+    def save(self) -> None:
+        """Leave what was found to other processes, if there is a folder."""
+        if self._file is None or not self._unsaved:
             return
+        self._unsaved = False
         with contextlib.suppress(OSError):
             handle, name = tempfile.mkstemp(dir=self._file.parent, prefix=PACKAGE)
             with os.fdopen(handle, "w") as file:
@@ -100,10 +104,11 @@ def stamp(module: str) -> str:
         if name not in found:
             found[name], imports = memory.code(name)
             waiting.extend(imports)
+    memory.save()
     return _hash(json.dumps(sorted(found.items())).encode())
 
 
-def _is_text(node: ast.stmt) -> bool:
+def _is_text(node: ast.AST) -> bool:
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
@@ -113,17 +118,25 @@ def _is_text(node: ast.stmt) -> bool:
 
 def _digest(tree: ast.Module) -> str:
     """Take the texts out of a tree and return a digest of what is left."""
-    for node in ast.walk(tree):
+    for node in (tree, *_statements(tree)):
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
     return _hash(ast.dump(tree).encode())
 
 
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Return all statements in one, or in a module."""
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for one in getattr(node, name, ()):
+            yield one
+            yield from _statements(one)
+
+
 def _imports(module: str, path: Path, tree: ast.Module) -> list[str]:
     here = module if path.name == "__init__.py" else module.rpartition(".")[0]
     found: set[str] = set()
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

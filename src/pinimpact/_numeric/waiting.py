@@ -23,7 +23,7 @@ PURPOSES = {"scene": "scenes", "robot": "impacts of robots", "contact_space": "i
 COUNT = "compiling, once: %d of %d"
 """What is said at the level INFO."""
 
-BYTES_PER_SECOND = 5000
+BYTES_PER_SECOND = 7500
 """Of Python's own code of kernels, compiled on one core of a present machine, about."""
 
 SHORT = 1.0

@@ -111,13 +111,22 @@ def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[No
 
 
 @contextmanager
-def _working(quiet: bool, what: str) -> Iterator[None]:
-    """Show on a terminal that something takes time, and what is compiled meanwhile."""
+def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal that something takes time, and what is compiled meanwhile.
+
+    Returns:
+        What prints a line on how far it has come.
+    """
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)
     with console.status(what) as status, compiling_shown(console, status.update):
-        yield
+
+        def tell(line: str) -> None:
+            status.update(what)
+            console.print(line, highlight=False, soft_wrap=True)
+
+        yield tell
 
 
 def _tell(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
@@ -356,12 +365,10 @@ def cost(
 
         with _working(quiet, "simulating"):
             problems = {robot: run_demo(robot).impact.problem}
-    report = run_cost(
-        problems,
-        methods or None,
-        time_cap=time_cap,
-        progress=None if quiet else lambda name: click.echo(f"measuring {name}", err=True),
-    )
+    with _working(quiet, "measuring") as tell:
+        report = run_cost(
+            problems, methods or None, time_cap=time_cap, progress=lambda name: tell(f"measuring {name}")
+        )
 
     def words() -> str:
         if target is not None:

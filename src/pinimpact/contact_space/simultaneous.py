@@ -51,11 +51,13 @@ class Policy:
 
     Attributes:
         run: run(inputs, record, **options) -> `ManySolution`.
+        kernels: Returns the kernels that it calls beyond those of single impacts.
         summary: One line on what it is.
         options: Names of its keyword options and their defaults.
     """
 
     run: Run
+    kernels: Callable[[], tuple[Any, ...]]
     summary: str
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -133,6 +135,23 @@ def find_policy(name: str) -> Policy:
     return policy
 
 
+_compiled: set[str] = set()
+
+
+def compile_policy(name: str, *others: Any) -> None:
+    """Compile or load all kernels of a policy when it is first asked for, and others with them.
+
+    Args:
+        name: Of the policy.
+        others: Kernels that tell their types ahead.
+    """
+    if name not in _compiled:
+        from .._numeric.jit import compile_all
+
+        compile_all(*((kernel,) for kernel in (*others, *find_policy(name).kernels())))
+        _compiled.add(name)
+
+
 def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
     """Resolve an impact at n contacts; see `solve_impact`."""
     policy = find_policy(simultaneous)
@@ -143,7 +162,9 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
                 field=name,
                 value=options[name],
             )
-    return policy.run(many_inputs(problem), record, **options)
+    inputs = many_inputs(problem)
+    compile_policy(simultaneous)
+    return policy.run(inputs, record, **options)
 
 
 # ---- propagate
@@ -412,28 +433,46 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
     return _answer(inputs, ("reflect", "newton"), after, impulse, works, (count, count))
 
 
+def _kernels_at_once() -> tuple[Any, ...]:
+    from ._kernels.plastic import impulses_together
+
+    return (impulses_together,)
+
+
+def _kernels_of_waves() -> tuple[Any, ...]:
+    from ._kernels.propagation import propagate
+
+    return propagate, *_kernels_at_once()
+
+
 POLICIES: Mapping[str, Policy] = MappingProxyType(
     {
         "propagate": Policy(
             _propagate,
+            _kernels_of_waves,
             "waves through stiff contacts that share a clock, with the energetic law: unique, symmetric, and "
             "creates no energy; depends on ratios of stiffness",
             {"exponent": 1.0, "rtol": 1e-16},
         ),
         "sequence": Policy(
-            _sequence, "one contact after another, the fastest first: the answer depends on the order"
+            _sequence, tuple, "one contact after another, the fastest first: the answer depends on the order"
         ),
         "together": Policy(
             _together,
+            _kernels_at_once,
             "Poisson's law in two phases, a complementarity problem: no waves, and with friction neither "
             "unique nor sure to create no energy",
         ),
         "reflect": Policy(
             _reflect,
+            _kernels_at_once,
             "generalized reflections, mixed with a plastic impact by e: no friction, no waves",
         ),
         "any": Policy(
-            _any, "one after another in an order drawn by seed: how much does the order matter?", {"seed": 0}
+            _any,
+            tuple,
+            "one after another in an order drawn by seed: how much does the order matter?",
+            {"seed": 0},
         ),
     }
 )

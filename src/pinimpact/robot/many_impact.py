@@ -13,9 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
+from ..contact_space.simultaneous import compile_policy
 from ..contact_space.solve import solve_impact
 from ..errors import InputError
 from ..html_tables import html_table
+from ._kernels import contact_kinematics
+from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
 from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
@@ -79,6 +82,7 @@ def impact_at_many(
     for contact in contacts:
         check_contact("contact", contact)
     held = check_held(held)
+    compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)

@@ -12,7 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
-from ..robot._kernels import contact_kinematics, robot_impact
+from ..contact_space.simultaneous import find_policy
+from ..robot._kernels import contact_kinematics, responses, robot_impact
 from ..robot._kernels.constants import CONSTANTS
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
@@ -155,7 +156,8 @@ class SceneDynamics:
         self._driven = len(motors.velocity) > 0
         self.work.stiff_joints = self._driven or layout.rate_of_damping(self.work.damping) > STIFF
         self.work.force_margin = math.inf
-        _compile(self.work)
+        alone = len(contacts) + len(limits) < 2
+        _compile(self.work, None if alone else scene.simultaneous)
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
@@ -283,19 +285,24 @@ def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model
     return robot
 
 
-_compiled: set[tuple[bool, bool]] = set()
+_compiled: set[tuple[bool, bool, str | None]] = set()
 
 
-def _compile(work: SceneWorkspace) -> None:
+def _compile(work: SceneWorkspace, policy: str | None) -> None:
     """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
     The types of what they take are the same for every scene; only one with friction takes steps in which slip
-    turns, only one with drives, or damping that is stiff, steps of theirs.
+    turns, only one with drives, or damping that is stiff, steps of theirs; only where two can touch at one
+    instant impacts are resolved together.
+
+    Args:
+        work: The workspace.
+        policy: For impacts at one instant, if there can be any.
     """
     rough, driven = bool(work.friction.any()), bool(work.stiff_joints)
-    if (rough, driven) in _compiled:
+    if (rough, driven, policy) in _compiled:
         return
-    _compiled.add((rough, driven))
+    _compiled.add((rough, driven, policy))
     q, v, coefficients, numbers = work.q0, work.v0, work.dense_coefficients, np.zeros(1, dtype=np.int64)
     three, jacobian = np.zeros((1, 3)), np.zeros((1, 3, len(v)))
     compile_all(
@@ -315,9 +322,17 @@ def _compile(work: SceneWorkspace) -> None:
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
         (robot_impact.robot_impact,),
         (contact_kinematics.locate,),
+        (responses.half_solve,),
+        (responses.respond,),
+        *(_of_groups(policy) if policy else ()),
         *(((step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),) if rough else ()),
         *(_of_drives(work, q, v) if driven else ()),
     )
+
+
+def _of_groups(policy: str) -> tuple[tuple[Any, ...], ...]:
+    """Return the kernels that impacts at one instant need."""
+    return (responses.coupled,), *((kernel,) for kernel in find_policy(policy).kernels())
 
 
 def _of_drives(work: SceneWorkspace, q: Array, v: Array) -> tuple[tuple[Any, ...], ...]:

@@ -25,6 +25,9 @@ NO_FLAG = np.int64(0)
 JAM, IMPACT_WITHOUT_COLLISION, SECOND_COMPRESSION, STICKS, SLIP_RESUMED, LOCKS, *_more = _bits(11)
 ENERGY_CREATED, NEAR_JUMP, NEAR_STICK_THRESHOLD, SINGULAR_DELASSUS, SLIP_TURNS = _more
 
+NONE_YET = np.int64(0)
+"""Where a count begins."""
+
 IN_SLIP, IN_STICK, IN_RESUMED_SLIP = _counting(3)
 """The mode of a row of the trace."""
 

@@ -14,6 +14,7 @@ from .codes import (
     NEAR_JUMP,
     NEVER,
     NO_IMPACT,
+    NONE_YET,
     NOT_CONVERGED,
     RESTITUTION,
     SEPARATED,
@@ -82,7 +83,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
     ledger = new_ledger()
     course = frictionless_course(problem)
     settled = mu == 0.0  # from here on all rates are constant
-    status, iterations, rows, points = SEPARATED, 0, 0, 0
+    status, iterations, rows, points = SEPARATED, 0, NONE_YET, NONE_YET
     if path.shape[0] > 0:
         points = record_point(path, points, 0.0, problem.v1, problem.v2, problem.v3, 0.0, 0.0)
 

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.cone_program import cone_program
+from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.jit import inner, jit, separate
+from ..._numeric.loops import repeated
 
 STOPPED = 1e-6
 """Part of the largest velocity that an approach may keep by rounding."""
@@ -62,7 +63,7 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
         for j in range(n):
             linear[a] += w[places[a], 3 * j + 2] * given[j] / largest
     x, s, z = np.empty(columns), np.empty(rows), np.empty(rows)
-    cone_program(program, linear, signs, sides, n, np.full(cones, 3), 1e-22, x, s, z)
+    cone_program(program, linear, signs, sides, n, repeated(cones, CONE), 1e-22, x, s, z)
     for i in range(3 * n):
         impulse[i] = 0.0
     for a in range(columns):

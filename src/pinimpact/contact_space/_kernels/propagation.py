@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
+from ..._numeric.loops import repeated
 from .codes import (
     COMPRESSION,
     FREE,
@@ -18,6 +19,7 @@ from .codes import (
     IN_SLIP,
     IN_STICK,
     LOADING,
+    NONE_YET,
     OPEN,
     RESTITUTION,
     RISING,
@@ -71,6 +73,9 @@ RESTING = 1e-10
 
 MOST_EVENTS = 200
 """Events per contact after which the rest is a plastic impact."""
+
+NO_ROW = np.int64(-1)
+"""Where a contact has no row yet."""
 
 POINTS = 4
 """Points recorded on a step."""
@@ -215,7 +220,7 @@ def _follow(
     series = new_series(ORDER, n)
     roots, work = np.empty((n, 3)), np.empty((4, ORDER + 1))
     guard = np.empty(ORDER + 1)
-    latest = np.full(n, -1, dtype=np.int64)
+    latest = repeated(n, NO_ROW)
     for j in range(n):
         if v[3 * j + 2] <= TINY:
             if not w[3 * j + 2, 3 * j + 2] > 0.0:
@@ -224,7 +229,7 @@ def _follow(
                 continue
             _close(system, state, j)
     clock, at_once = 0.0, 0
-    events = rows_used = points = steps = 0
+    events = rows_used = points = steps = NONE_YET
     points = _record(path, points, clock, state)
     while True:
         presses = _loaded(state)
@@ -267,7 +272,7 @@ def _follow(
                 )
                 if path.shape[0] > 0:
                     points = _record_step(path, points, clock, series, state, h, degree, pace, root)
-                clock += _time_power(0, h, pace, root)
+                clock += _time_power(NONE_YET, h, pace, root)
             steps += 1
             counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
             if first <= h or steps >= most_steps:
@@ -626,7 +631,7 @@ def _record_step(path, points, clock, series, state, h, degree, pace, root):
     for part in range(1, POINTS):
         if points < path.shape[0]:
             s = h * part / POINTS
-            path[points, 0] = clock + _time_power(0, s, pace, root)
+            path[points, 0] = clock + _time_power(NONE_YET, s, pace, root)
             for i in range(m):
                 path[points, 1 + i] = value_at(series.v, i, degree, s)
                 rest = 0.0
@@ -636,4 +641,4 @@ def _record_step(path, points, clock, series, state, h, degree, pace, root):
                     )
                 path[points, 1 + m + i] = state.impulse[i] - rest
             points += 1
-    return _record(path, points, clock + _time_power(0, h, pace, root), state)
+    return _record(path, points, clock + _time_power(NONE_YET, h, pace, root), state)

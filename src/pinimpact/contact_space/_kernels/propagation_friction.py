@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from ..._numeric.cone_program import cone_program
+from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.elimination import solve
 from ..._numeric.jit import inner
+from ..._numeric.loops import repeated
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
     RESUMED,
@@ -28,7 +29,10 @@ AHEAD = 1e-6
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
 
-WEIGHED_ORDER = 4
+NO_LINES = np.int64(0)
+"""Half-lines of a program that has none."""
+
+WEIGHED_ORDER = np.int64(4)
 """Order of the series that says so."""
 
 FIT = 1e-11
@@ -382,7 +386,7 @@ def _hold_plane(system, state, forces):
     before = np.empty(2 * count)
     program, linear = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     cones, sides = np.zeros((3 * count, 2 * count)), np.zeros(3 * count)
-    sizes = np.full(count, 3, dtype=np.int64)
+    sizes = repeated(count, CONE)
     for c in range(count):
         for a in range(2):
             before[2 * c + a] = forces[3 * at[c] + a]
@@ -400,7 +404,7 @@ def _hold_plane(system, state, forces):
             cones[3 * c + 1 + a, 2 * c + a] = -1.0
         sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
     x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
-    cone_program(program, linear, cones, sides, 0, sizes, 1e-22, x, s, z)
+    cone_program(program, linear, cones, sides, NO_LINES, sizes, 1e-22, x, s, z)
     change = 0.0
     for c in range(count):
         for a in range(2):

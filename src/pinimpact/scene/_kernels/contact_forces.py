@@ -13,7 +13,7 @@ import numpy as np
 from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import assign
+from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply, products
 from .workspace import SceneWorkspace
 
@@ -166,7 +166,7 @@ def solve_least_norm(work):
             solution[a] += known[a]
         return unique
     assign(trial, solution)
-    pushes = np.ones(size, dtype=np.bool_)
+    pushes = flags(size, True)
     while True:
         pull, pulling, width = 0.0, size, 0
         a = 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, separate
-from ..._numeric.loops import assign, nonzero
+from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
 from .closed_set import close, delassus_of_rows, scalar_row, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK
@@ -144,7 +144,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
         return contacts[jamming], True, gained, 0.0
-    stopped = np.zeros(size, dtype=np.bool_)  # rows whose velocity becomes zero
+    stopped = flags(size, False)  # rows whose velocity becomes zero
     pace, unique = resulting_accelerations(delassus, free, force, strength)
     modes_of_contacts(
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference

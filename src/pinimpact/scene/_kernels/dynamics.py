@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, separate
@@ -14,7 +16,7 @@ from . import contact_forces
 from .drives import drive
 from .workspace import SceneWorkspace
 
-ABA, INVERT, KINEMATICS, CONTROL = 0, 2, 4, 6
+ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
 """Where `calls` has the function; its arguments follow."""
 
 LEAST_EFFECTIVE = 1e-9

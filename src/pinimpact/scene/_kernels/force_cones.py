@@ -14,9 +14,10 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._numeric.cone_program import cone_program
+from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.jit import separate
 from ..._numeric.least_norm import least_norm
+from ..._numeric.loops import flags, repeated
 from ..._numeric.products import apply
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
@@ -40,6 +41,9 @@ LONGEST = 1e12
 GAP = 1e-20
 """Gap to which programs are solved: what is about to slip has an acceleration of 10⁻⁸ beside those of others,
 and its force is to be at its bound to 10⁻¹² nevertheless."""
+
+CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
+"""What `polish` is told of a contact in its first iteration."""
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
@@ -94,7 +98,7 @@ def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a
     nc, size = len(mu), len(x)
     slips = np.empty(nc, dtype=np.int64)
     count = 0
-    closed, a_now = np.ones(nc, dtype=np.int64), np.empty(size)
+    closed, a_now = repeated(nc, CLOSED), np.empty(size)
     for i in range(nc):
         if not held[i] and (velocity[i, 0] != 0.0 or velocity[i, 1] != 0.0):
             slips[count] = i
@@ -163,7 +167,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     # variables: three of a contact at rest with friction or held, one of others, one of a scalar row
     which = np.empty(size, dtype=np.int64)
     n = lines = cones = 0
-    at_rest = np.zeros(nc, dtype=np.bool_)
+    at_rest = flags(nc, False)
     for i in range(nc):
         at_rest[i] = (mu[i] > 0.0 and velocity[i, 0] == 0.0 and velocity[i, 1] == 0.0) or held[i]
         if at_rest[i]:
@@ -184,7 +188,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             P[a, b] = w[which[a], which[b]]
     m = lines + 3 * cones
     G, h, s, z = np.zeros((m, n)), np.zeros(m), np.empty(m), np.empty(m)
-    sizes = np.full(cones, 3)
+    sizes = repeated(cones, CONE)
     line, cone = 0, lines
     for a in range(n):
         row = which[a]
@@ -209,7 +213,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     f, a_now = np.zeros(size), np.empty(size)
     corrected = np.zeros(size)  # what is added to the free accelerations
     lifts, changes, reach = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
-    worst, undecided = math.inf, np.full(nc, -1)
+    worst, undecided = math.inf, repeated(nc, AS_FORCES_SAY)
     for outer in range(OUTER):
         for k in range(n):
             c[k] = f0[which[k]] + corrected[which[k]]

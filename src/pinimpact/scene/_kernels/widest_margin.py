@@ -14,9 +14,10 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import ahead
-from ..._numeric.cone_program import cone_program
+from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
+from ..._numeric.loops import repeated
 from .contact_forces import SLIP, STICK, rubs
 from .workspace import SceneWorkspace
 
@@ -48,7 +49,7 @@ def widest_margin(work):
     h[cone] = LARGEST
     for j in range(free):
         G[cone + 1 + j, j] = -1.0
-    sizes = np.full(cones + 1, 3)
+    sizes = repeated(cones + 1, CONE)
     sizes[cones] = n
     P, c = np.zeros((n, n)), np.zeros(n)
     c[free] = -1.0
@@ -78,7 +79,7 @@ def least_admissible(work, x):
     fill_bounds(work, x, null, free, unit, 0.0, G, h, 0, lines)
     P, c = np.eye(free), np.zeros(free)  # x is at right angles to the null space
     y, s, z = np.zeros(free), np.empty(rows), np.empty(rows)
-    cone_program(P, c, G, h, lines, np.full(cones, 3), ACCURACY, y, s, z)
+    cone_program(P, c, G, h, lines, repeated(cones, CONE), ACCURACY, y, s, z)
     for j in range(free):
         for a in range(size):
             x[a] += unit * y[j] * null[j, a]
