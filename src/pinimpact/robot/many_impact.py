@@ -84,7 +84,7 @@ def impact_at_many(
         check_contact("contact", contact)
     held = check_held(held)
     check_rims(model, data, q, contacts)
-    compile_policy(simultaneous, contact_kinematics.jacobian, half_solve, respond)
+    compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     configuration = np.asarray(q, dtype=np.float64)
