@@ -23,6 +23,7 @@ from .dynamics import (
     set_state,
 )
 from .events.registry import find_first_event
+from .force_choice import choose_forces
 from .samples import along, record_sample
 from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
 from .step_drives import rate_of_drives
@@ -52,6 +53,7 @@ def begin(work, t, q, v):
     for m in range(n):
         rates[0, m] = v[m]
     evaluate(work, t, rates[0, n:])
+    choose_forces(work, t, rates[0, n:])
     for m in range(n):
         work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     turn_references(work, work.contact_velocity)

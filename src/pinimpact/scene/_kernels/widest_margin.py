@@ -13,11 +13,11 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from .contact_forces import SLIP, STICK, rubs
+from .contact_forces import SLIP, STICK
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
@@ -25,12 +25,14 @@ LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-@ahead(SceneWorkspace)
+@ahead(SceneWorkspace, FLOATS)
 @separate
-def widest_margin(work):
+def widest_margin(work, found):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N].
 
-    Where the motion is the same for all of them its forces are kept, see `contact_forces.solve_least_norm`.
+    Args:
+        work: The workspace.
+        found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
@@ -54,12 +56,11 @@ def widest_margin(work):
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, sizes, ACCURACY, y, s, z)
-    if y[free] > 0.0 and not rubs(work):
-        known = work.inner_forces
+    if y[free] > 0.0:
         for a in range(size):
-            known[a] = x[a]
+            found[a] = x[a]
             for j in range(free):
-                known[a] += unit * y[j] * null[j, a]
+                found[a] += unit * y[j] * null[j, a]
     return unit * y[free]
 
 

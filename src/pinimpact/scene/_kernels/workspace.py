@@ -108,7 +108,10 @@ class SceneWorkspace(Workspace):
     target = reals("closed_rows", meaning="their right-hand side")
     solution = reals("closed_rows", meaning="their solution")
     inner_forces = reals(
-        "closed_rows", meaning="within their bounds, where others that are not unique are not"
+        "closed_rows", meaning="that are known, of which the nearest are taken where they are not unique"
+    )
+    found_forces = reals(
+        "sources", 3, meaning="of what closed, where modes were set last; a scalar's comes first"
     )
     stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     samples = integer("how many samples of the step under way there are, see `samples`")
