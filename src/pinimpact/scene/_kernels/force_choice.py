@@ -1,9 +1,9 @@
-"""Which forces act where they are not unique and the motion depends on them.
+"""Which forces act where they are not unique and the motion depends on them. (theory.md, 11)
 
 Contacts that share their load and slip may share it in several ways, each with another friction, and the
-motion is another for each. (theory.md, 11) Those of least norm are taken where they are within their bounds and
-what begins to slip begins to slip; else those farthest from their bounds, or those by which the modes were
-found. Until the modes are set anew it is those nearest to them that act.
+motion is another for each. Those of least norm are taken where they keep within their bounds and let begin
+what begins to slip; else those farthest from their bounds, or those by which the modes were found. Until the
+modes are set anew it is the nearest to them that act.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def choose_forces(work, t, out):
     if work.forces_unique or not rubs(work) or fit(work, out):
         return
     known = work.inner_forces
-    if widest_margin(work, known) > 0.0:
+    if widest_margin(work, True, known) > 0.0:
         evaluate(work, t, out)
         if fit(work, out):
             return
@@ -43,8 +43,11 @@ def choose_forces(work, t, out):
 
 @inner
 def fit(work, out):
-    """Return whether the forces last evaluated are within their bounds, and no slip begins backwards."""
-    if not work.force_margin >= 0.0:
+    """Return whether the forces last evaluated, or others with the same motion, are within their bounds.
+
+    And whether no slip begins backwards.
+    """
+    if work.force_margin < 0.0 and not widest_margin(work, False, work.inner_forces) > 0.0:
         return False
     mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
     velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration

@@ -8,7 +8,7 @@ from ..._numeric.jit import jit
 from ...robot._kernels import contact_kinematics, surfaces
 from ...robot._kernels.placement import rotate
 from .closed_set import close
-from .contact_forces import apply_forces, rubs
+from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
 from .widest_margin import least_admissible
 
@@ -43,7 +43,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
     evaluate(work, t, out)
     if work.callback_failed:
         return False
-    if not work.forces_unique and work.force_margin < 0.0 and not rubs(work):
+    if not work.forces_unique and work.force_margin < 0.0:
         least_admissible(work, work.solution)
         apply_forces(work, out[: len(v)], out[len(v) + 2 :])
     index, found = work.closed_index, work.contact_force

@@ -17,26 +17,33 @@ from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.cone_program import cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from .contact_forces import SLIP, STICK
+from ..._numeric.loops import assign
+from .contact_forces import SLIP, STICK, rubs
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
+FELT = 1e-9
+"""Part of the parts that make it up below which an acceleration is rounding."""
+
 LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-@ahead(SceneWorkspace, FLOATS)
+@ahead(SceneWorkspace, bool, FLOATS)
 @separate
-def widest_margin(work, found):
+def widest_margin(work, moving, found):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N].
 
     Args:
         work: The workspace.
+        moving: Whether the motion may be another one for them.
         found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
+    if not moving and rubs(work):
+        free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
@@ -65,11 +72,51 @@ def widest_margin(work, found):
 
 
 @inner
+def keep_motion(work, x, null, free):
+    """Go to the forces last evaluated, and to the changes of them that do not change the motion.
+
+    Args:
+        work: The workspace.
+        x: (size,) takes the forces.
+        null: (size, size) a basis of what the rows do not feel, in its first rows; likewise.
+        free: How many these are.
+
+    Returns:
+        How many are left.
+    """
+    response = work.force_response
+    size, n = response.shape
+    effects, no_change, none = np.zeros((n, free)), np.zeros(n), np.empty(free)
+    largest = whole = 0.0
+    for j in range(n):
+        for c in range(free):
+            parts = 0.0
+            for m in range(size):
+                effects[j, c] += response[m, j] * null[c, m]
+                parts += abs(response[m, j] * null[c, m])
+            largest, whole = max(largest, abs(effects[j, c])), max(whole, parts)
+    assign(x, work.solution)
+    if largest <= FELT * whole:
+        return free
+    basis, kept = np.zeros((free, free)), np.zeros((free, size))
+    left = free - least_norm(effects, no_change, FELT * whole / largest, none, basis)
+    for c in range(left):
+        for d in range(free):
+            for m in range(size):
+                kept[c, m] += basis[c, d] * null[d, m]
+    for c in range(left):
+        assign(null[c], kept[c])
+    return left
+
+
+@inner
 def least_admissible(work, x):
     """Fill x with the forces of least norm that keep to their bounds, as nearly as there are any."""
     size = len(work.target)
     null = np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
+    if rubs(work):
+        free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0 or free == 0:
         return

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, jit, separate
-from ..contact_forces import rubs
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
@@ -30,12 +29,11 @@ def value(work, _, t):
 def margin_of_forces(work):
     """Return by how much forces can keep to what their modes allow, at the state last evaluated.
 
-    Where something rubs it is those that act that count, for the motion may depend on them, see
-    `force_choice`; else the motion is the same for all, and what is found is kept.
+    It is forces with the same motion that count, see `force_choice`, and those that are found are kept.
     """
     margin = work.force_margin
-    if margin < 0.0 and not work.forces_unique and not rubs(work):
-        margin = widest_margin(work, work.inner_forces) + work.force_tolerance
+    if margin < 0.0 and not work.forces_unique:
+        margin = widest_margin(work, False, work.inner_forces) + work.force_tolerance
     return margin
 
 
