@@ -167,6 +167,8 @@ class SceneWorkspace(Workspace):
     end_margin = real("the margin of the forces at the end [N]")
     end_drift = real("of what is closed, at the end; see `drift`")
     growth = real("how much longer the next step may be")
+    friction_power = real("that friction gives in the step, which it must not: the step is refused [W]")
+    friction_may_drive = flag("whether steps are taken nevertheless, for no shorter one has done better")
     force_bound_ignored = flag("whether forces beyond their bounds are no event: no other modes do better")
     event_time = real("[s]; infinite where there is none, minus infinity to ask for a shorter step")
     event_kind = integer("its position in the registry")
