@@ -12,9 +12,6 @@ from .radau import STAGES as TURNING
 ROUNDING = 1e-9
 """Part of the power of a contact or joint that is rounding."""
 
-BEHIND = 2e-3
-"""Part of the speed at which a contact may stick by which slip may go backwards: twice what ends it."""
-
 
 @inner
 def friction_drives(work, explicit):
@@ -22,13 +19,13 @@ def friction_drives(work, explicit):
 
     At the stages, as their rates and samples tell: of all contacts together, and of each by the direction of
     its slip; of joints, with their damping, at the stages, and of each at the end. Zero but for more than
-    rounding or what the tolerance allows.
+    rounding, what the tolerance allows, and motion so slow that it counts as rest.
     """
     end, start, h = work.event_time, work.step_start, work.step_length
     mode, mu, sliding, v1 = work.closed_mode, work.closed_friction, work.sliding_friction, work.v1
     rates, slip, times = work.stage_rates, work.sample_slip, work.sample_times
     n, given = len(v1), 0.0
-    slow = max(BEHIND * work.stick_speed, min(work.atol, 0.1 * work.stick_speed))
+    slow = work.stick_speed + work.atol
     rubbing, load = False, 0.0
     for k in range(len(mode)):
         for d in range(3):
@@ -44,7 +41,7 @@ def friction_drives(work, explicit):
         if sliding[j] != 0.0:
             joints = True
             if v1[j] * sliding[j] < 0.0 and end > start + h:
-                against = abs(v1[j]) - 2.0 * (work.atol + work.rtol * max(abs(work.v0[j]), abs(v1[j])))
+                against = abs(v1[j]) - slow - 2.0 * work.rtol * max(abs(work.v0[j]), abs(v1[j]))
                 given = max(given, against * abs(sliding[j]))
     if (rubbing or joints) and end > start + h:
         largest = most = of_joints = most_of_joints = -math.inf
@@ -54,8 +51,8 @@ def friction_drives(work, explicit):
             of_joints, most_of_joints = max(of_joints, damped), max(most_of_joints, abs(damped))
         speeds = 0.0
         for j in range(n):
-            speeds += abs(sliding[j]) * (work.atol + work.rtol * max(abs(work.v0[j]), abs(v1[j])))
-        if rubbing and largest > ROUNDING * most + 2.0 * load * (slow + max(work.touching_gap, work.atol)):
+            speeds += abs(sliding[j]) * (slow + work.rtol * max(abs(work.v0[j]), abs(v1[j])))
+        if rubbing and largest > ROUNDING * most + 2.0 * load * (slow + work.touching_gap):
             given = max(given, largest)
         if joints and of_joints > ROUNDING * most_of_joints + 2.0 * speeds:
             given = max(given, of_joints)
