@@ -23,7 +23,7 @@ NAMES = (
     "other_model",
     "scene_cost",
     "scene_ladder",
-    "sustained",
+    "persistent_contact",
     "geometry",
 )
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")

@@ -135,5 +135,8 @@ def wrong_in(trajectory: Trajectory, rtol: float) -> str:
         gained = float(np.diff(work, prepend=0.0).max()) / size
         if gained > 10.0 * rtol:
             return f"the {name} gain {gained:.2g} of the energy by friction"
+    for note in trajectory.notes:
+        if note.text.startswith("Friction gives"):
+            return note.text
     missing = unaccounted(trajectory)
     return f"{missing:.2g} of the energy unaccounted for" if missing > 1e4 * rtol else ""

@@ -20,6 +20,7 @@ from rich.console import Console
 import pinimpact
 from pinimpact.app.cli import RUN_FILES, main
 from pinimpact.app.demo import FIXED_BASE, FREE_BASE, SWINGS, run_demo
+from pinimpact.app.scene_loader import load_scene
 
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
 
@@ -197,6 +198,30 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     assert [impact["time"] for impact in facts["impacts"]] == [impact.time for impact in trajectory.impacts]
     assert len(facts["notes"]) == len(trajectory.notes)
     assert facts["energy"]["not accounted for"] == trajectory.energy.residual[-1]
+
+
+def test_the_sampling_of_a_run_can_be_given(tmp_path: Path) -> None:
+    text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
+    text = text.replace("duration = 0.6", "duration = 0.004").replace("rtol = 1e-6", "rtol = 1e-9")
+    bare = tmp_path / "bare.toml"
+    bare.write_text(text, encoding="utf-8")
+    options = ("--json", "-o", str(tmp_path / "out"))
+    result = call("run", str(bare), "--period", "1 ms", "--delay", "0.002", *options)
+    assert result.exit_code == 0, result.output
+    found = pinimpact.Trajectory.load(json.loads(result.stdout)["files"]["Trajectory"])
+    # at rest at its reference its motors begin with nothing, and act two samples late
+    loaded = load_scene(bare, {"period": 1e-3, "delay": 2e-3})
+    assert (loaded.scene.period, loaded.scene.delay) == (1e-3, 2e-3)
+    assert found.q[-1] == pytest.approx(loaded.run().q[-1], abs=1e-15)
+    assert np.ptp(found.energy.control[found.t <= 2e-3]) == 0.0
+    for given, said in (
+        (("--period", "2 N"), "control.period"),
+        (("--delay", "1 ms"), "control.delay: a control is late where it is sampled"),
+    ):
+        result = call("run", str(bare), *given, *options)
+        assert (result.exit_code, said in result.output) == (1, True), result.output
+    result = call("run", str(SCENES / "falling_rod.toml"), "--period", "1 ms", *options)
+    assert (result.exit_code, "has no table [control] to go by" in result.output) == (1, True)
 
 
 @pytest.mark.parametrize(

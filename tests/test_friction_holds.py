@@ -86,6 +86,24 @@ def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, rtol):
     assert trajectory.q[-1, 0] == pytest.approx(2.5 * late**3 / 3.0, rel=1e3 * rtol)
 
 
+@pytest.mark.parametrize("numbering", [(0, 1, 2, 3), (1, 3, 0, 2)])
+def test_a_box_that_turns_about_a_corner_is_not_driven_by_its_friction(numbering):
+    """Its motion depends on how four corners share its weight; not in every way does the corner move."""
+    turn = 0.5 * math.pi * (np.arange(4) + 0.6 / math.pi)
+    points = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.full(4, -0.1)])
+    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), points)
+    scene = Scene(model, [Contact(f"tip{k}", Plane(), friction=0.4) for k in numbering])
+    tilt = pin.Quaternion(pin.exp3(np.array([-0.126657, 0.064093, 0.065197]))).coeffs()
+    speed = np.array([1.058919, -0.55601, -0.188803, 1.021386, 0.323351, 0.331532])
+    trajectory = simulate(scene, [0, 0, 0.4, *tilt], speed, 1.0)
+    assert trajectory.statistics["steps"] < 500  # 60,000 a tenth of a second where it is driven to and fro
+    assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-9)
+    assert np.abs(trajectory.v[-1]).max() < 1e-9
+    times = trajectory.modes[-1].start + np.linspace(-0.01, 0.0, 50)
+    supports = sum(trajectory.forces(f"tip{k} on plane", times) for k in range(4))
+    assert supports[:, 2] == pytest.approx(G, abs=1e-6)
+
+
 @pytest.mark.parametrize("corners", [3, 4])
 def test_a_box_on_corners_moves_as_a_point_does(corners):
     load = Swing(5.5, 3.0, 0.4, 1.0)

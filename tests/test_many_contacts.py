@@ -454,3 +454,28 @@ def test_what_ends_at_its_bound_tells_the_last_events(monkeypatch):
     assert "The last of them: contact 0 slip in compression" in solution.notes[-1]
     assert sum(u) == pytest.approx(1.0, abs=1e-12)  # nothing lost of the momentum
     assert (np.diff(u) >= -1e-9).all()  # nor is any approach left
+
+
+def test_what_waves_cannot_stop_is_no_reason_to_refuse_what_can_be_stopped():
+    """A foot with e > 0 lands beside two at rest with e = 0 that hardly feel it."""
+    delassus = np.array(
+        [
+            [18.82, 1.787, 14.241, 0.02, 0.024, 0.008, 0.014, -0.012, 0.033],
+            [1.787, 18.238, -2.399, 0.079, 0.186, 0.01, 0.037, 0.287, -0.16],
+            [14.241, -2.399, 40.042, 0.007, -0.004, 0.005, -0.006, 0.038, -0.037],
+            [0.02, 0.079, 0.007, 46.327, -2.7, -3.091, 0.005, -0.015, 0.041],
+            [0.024, 0.186, -0.004, -2.7, 38.456, -6.455, -0.001, -0.07, 0.123],
+            [0.008, 0.01, 0.005, -3.091, -6.455, 13.131, 0.004, -0.031, 0.029],
+            [0.014, 0.037, -0.006, 0.005, -0.001, 0.004, 25.128, -7.016, -15.432],
+            [-0.012, 0.287, 0.038, -0.015, -0.07, -0.031, -7.016, 28.814, 6.505],
+            [0.033, -0.16, -0.037, 0.041, 0.123, 0.029, -15.432, 6.505, 28.429],
+        ]
+    )
+    velocity = np.zeros((3, 3))
+    velocity[0] = [-0.016, 0.0185, -0.0523]
+    problem = ImpactProblem(delassus, velocity, np.full(3, 1.2), np.array([0.6, 0.0, 0.0]), law="energetic")
+    solution = solve_impact(problem)
+    assert solution.velocity[:, 2].min() > -1e-9
+    found = velocity.ravel() + delassus @ solution.impulse.ravel()
+    assert solution.velocity.ravel() == pytest.approx(found, abs=1e-9)
+    assert solution.work.total.sum() < 0.0

@@ -17,6 +17,35 @@ from .loops import assign
 
 
 @inner
+def columns_times(r, k, first, column, out):
+    """Fill out[j], from a first j on, with the products of columns j and `column` of r from row k on.
+
+    With `column` below zero, of each column and itself. Four at a time, so that no sum waits for another.
+    """
+    m, n = r.shape
+    j = first
+    while j < n:
+        last = n - 1
+        j1, j2, j3 = min(j + 1, last), min(j + 2, last), min(j + 3, last)
+        a = b = c = d = 0.0
+        if column < 0:
+            for i in range(k, m):
+                a += r[i, j] * r[i, j]
+                b += r[i, j1] * r[i, j1]
+                c += r[i, j2] * r[i, j2]
+                d += r[i, j3] * r[i, j3]
+        else:
+            for i in range(k, m):
+                part = r[i, column]
+                a += part * r[i, j]
+                b += part * r[i, j1]
+                c += part * r[i, j2]
+                d += part * r[i, j3]
+        out[j], out[j1], out[j2], out[j3] = a, b, c, d
+        j += 4
+
+
+@inner
 def decompose(matrix, rights, rank_tolerance, order, factor):
     """Replace a matrix (m, n) by its complete orthogonal decomposition, and each of rights (k, m) by Qᵀ b.
 
@@ -34,16 +63,14 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
     r = matrix
     for j in range(n):
         order[j] = j
-    rank, largest = 0, 0.0
+    rank, largest, sums = 0, 0.0, np.empty(n)
     for k in range(min(m, n)):
         # anew at every step, for updated norms lose their digits just where the rank is decided
         longest, chosen = -1.0, k
+        columns_times(r, k, k, -1, sums)
         for j in range(k, n):
-            total = 0.0
-            for i in range(k, m):
-                total += r[i, j] * r[i, j]
-            if total > longest:
-                longest, chosen = total, j
+            if sums[j] > longest:
+                longest, chosen = sums[j], j
         pivot = math.sqrt(longest)
         largest = max(largest, pivot)
         if not pivot > rank_tolerance * largest:
@@ -55,13 +82,13 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
             pivot = -pivot
         r[k, k] -= pivot  # the reflection's vector takes the column's place, up to the diagonal
         scale = 1.0 / (pivot * r[k, k])
+        columns_times(r, k, k + 1, k, sums)
         for j in range(k + 1, n):
-            total = 0.0
-            for i in range(k, m):
-                total += r[i, k] * r[i, j]
-            total *= scale
-            for i in range(k, m):
-                r[i, j] += total * r[i, k]
+            sums[j] *= scale
+        for i in range(k, m):
+            part = r[i, k]
+            for j in range(k + 1, n):
+                r[i, j] += sums[j] * part
         for b in rights:
             total = 0.0
             for i in range(k, m):

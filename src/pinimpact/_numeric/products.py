@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .jit import inner
 
 
@@ -16,11 +18,31 @@ def apply(matrix, x, out):
 
 
 @inner
+def apply_symmetric(matrix, x, out):
+    """Fill out (n,) with a symmetric matrix (n, n) times x (n,), of which many may be zero."""
+    n = len(out)
+    for i in range(n):
+        out[i] = 0.0
+    for j in range(n):
+        part = x[j]
+        if part != 0.0:
+            for i in range(n):
+                out[i] += matrix[j, i] * part
+
+
+@inner
 def products(rows, others, out):
-    """Fill out (k, l) with the products of each of rows (k, n) and each of others (l, n)."""
+    """Fill out (k, l) with the products of each of rows (k, n), many of them zero, and of others (l, n)."""
+    n = rows.shape[1]
+    places = np.empty(n, dtype=np.int64)
     for a in range(len(rows)):
+        count = 0
+        for j in range(n):
+            if rows[a, j] != 0.0:
+                places[count] = j
+                count += 1
         for b in range(len(others)):
             total = 0.0
-            for j in range(rows.shape[1]):
-                total += rows[a, j] * others[b, j]
+            for k in range(count):
+                total += rows[a, places[k]] * others[b, places[k]]
             out[a, b] = total

@@ -274,15 +274,34 @@ def plan(scene: Path, as_json: bool) -> None:
     _tell(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
 
 
+def _plain(text: str) -> float | str:
+    """Return a number where a text is one, else the text with its unit."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 @main.command()
 @click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--period", help="Sample the control so often, in place of what the file says: '2 ms', or [s].")
+@click.option("--delay", help="Let a sampled control act so late, likewise.")
 @click.option("--all", "every", is_flag=True, help="Show every impact, mode and note.")
 @OUT
 @FORCE
 @JSON
 @QUIET
 @plain_errors
-def run(scene: Path, every: bool, out: Path | None, force: bool, as_json: bool, quiet: bool) -> None:
+def run(
+    scene: Path,
+    period: str | None,
+    delay: str | None,
+    every: bool,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Simulate a scene file: print what happened, write trajectory, replay and pictures.
 
     Ctrl-C ends the run early, with exit status 130; what was computed until then is written all the same.
@@ -293,7 +312,8 @@ def run(scene: Path, every: bool, out: Path | None, force: bool, as_json: bool, 
     from .report import run_facts, run_report
     from .scene_loader import load_scene
 
-    loaded = load_scene(scene)
+    sampling = {"period": period, "delay": delay}
+    loaded = load_scene(scene, {key: _plain(text) for key, text in sampling.items() if text is not None})
     folder = make_folder(out, RUN_FILES, force)
     stopped: PinimpactError | None = None
     with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:

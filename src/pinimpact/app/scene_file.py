@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -234,8 +234,12 @@ def bundled_scenes() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def read_scene_file(path: Path) -> SceneFile:
+def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> SceneFile:
     """Return the checked tables of a scene file; paths in it are as they stand there.
+
+    Args:
+        path: The file.
+        control: Keys of its table ``[control]`` to put in the place of those in the file.
 
     Raises:
         InputError: No such file, no TOML, a key with a bad value; the message names the key.
@@ -255,6 +259,15 @@ def read_scene_file(path: Path) -> SceneFile:
         raise InputError(f"scene: cannot read {path}: {reason}", field="scene", value=str(path)) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"scene: {path} is not TOML: {error}", field="scene", value=str(path)) from error
+    if control:
+        if not isinstance(tables.get("control"), dict):
+            key = next(iter(control))
+            raise InputError(
+                f"control.{key}: {control[key]!r} given, but {path} has no table [control] to go by",
+                field=f"control.{key}",
+                value=control[key],
+            )
+        tables["control"] |= control
     try:
         return SceneFile.model_validate_json(json.dumps(tables, default=str))
     except ValidationError as error:

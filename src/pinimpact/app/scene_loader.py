@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,11 +116,12 @@ class LoadedScene:
             yield "Replay", Path(replay(self.robot, trajectory, page, speed=speed))
 
 
-def load_scene(path: str | Path) -> LoadedScene:
+def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> LoadedScene:
     """Read a scene file. Paths in it are relative to the file.
 
     Args:
         path: The file, or the name of a scene that comes with pinimpact, such as "falling_rod".
+        control: Keys of its table ``[control]`` to put in the place of those in the file.
 
     Raises:
         InputError: No such file, no TOML, a key with a bad value; the message names the key.
@@ -128,7 +129,7 @@ def load_scene(path: str | Path) -> LoadedScene:
         ModelError: A robot that cannot be used.
     """
     path = bundled_scenes().get(str(path), Path(path))
-    file = read_scene_file(path)
+    file = read_scene_file(path, control)
     robot, v0 = _robots(file, path.parent)
     model = robot.model
     if file.gravity is not None:

@@ -208,9 +208,7 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
             break
-    if not stopped:
-        _refuse(inputs)
-    if missed > max(MISSED, 100.0 * rtol):  # never a wrong answer without a word
+    if not (stopped and missed <= max(MISSED, 100.0 * rtol)):  # never a wrong answer without a word
         plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
         told = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
         return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, told))

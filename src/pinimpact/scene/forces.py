@@ -32,6 +32,7 @@ class ClosedSet(NamedTuple):
         direction_speed: Slip below it has the direction last known [m/s].
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
+        known: Forces that the motion was begun with, of which the nearest act; empty for those of least norm.
     """
 
     modes: NDArray[np.int64]
@@ -42,12 +43,15 @@ class ClosedSet(NamedTuple):
     direction_speed: float
     slips: bool
     unique: bool
+    known: Array
 
     @classmethod
     def of(cls, work: SceneWorkspace) -> ClosedSet | None:
         """Return what is closed now, or None if nothing holds or rubs."""
         if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
             return None
+        slips = work.closed_mode == SLIP
+        rubs = bool((slips & (work.closed_friction > 0.0)).any())
         return cls(
             work.modes.copy(),
             work.sliding_friction.copy(),
@@ -55,8 +59,9 @@ class ClosedSet(NamedTuple):
             work.control_force.copy(),
             work.contact_constants[work.closed_index],
             work.direction_speed,
-            bool((work.closed_mode == SLIP).any()),
+            bool(slips.any()),
             work.forces_unique,
+            work.inner_forces.copy() if rubs else np.empty(0),
         )
 
 
@@ -145,7 +150,7 @@ class EvaluatedForces:
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)
         unique = force_evaluation.forces_at(
-            work, t, *step.at(t), directions, closed.unique, world, points, normals, joints
+            work, t, *step.at(t), directions, closed.unique, closed.known, world, points, normals, joints
         )
         dynamics.check()
         return Forces(world, points, normals, joints, bool(unique))

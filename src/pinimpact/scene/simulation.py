@@ -58,6 +58,10 @@ JAMS = 3
 NEARLY_SINGULAR = 1e-3
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
 
+MOST_HALVED = 6
+"""How often a step in which friction does positive work is halved before modes are set anew; where that does
+not help either it is taken, and told."""
+
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -210,6 +214,7 @@ class Motion:
         self.jams = 0
         self.last_progress = 0, 0.0
         self.forces_were_unique = True
+        self.friction_drove = False
         self.bounce = math.inf
         self._closed: ClosedSet | None = None
         self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
@@ -223,7 +228,7 @@ class Motion:
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
         self._length = 0.0
-        self._ahead_at = -math.inf
+        self._ahead_at = self._modes_anew_at = -math.inf
         self._changes: deque[float] = deque(maxlen=CROWD)
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._counted = 0
@@ -289,8 +294,18 @@ class Motion:
         twin.work.take_over(self.work)
         twin.events = self.events.copy()
         for name in (
-            *("w", "steps", "rejected", "jams", "last_progress", "forces_were_unique", "bounce", "ended_by"),
-            *("_length", "_ahead_at", "_counted", "_consistent", "_closed"),
+            *(
+                "w",
+                "steps",
+                "rejected",
+                "jams",
+                "last_progress",
+                "forces_were_unique",
+                "friction_drove",
+                "bounce",
+                "ended_by",
+            ),
+            *("_length", "_ahead_at", "_modes_anew_at", "_counted", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -371,6 +386,7 @@ class Motion:
         error = self.atol + self.rtol * max(map(abs, state.v.tolist()))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
+        work.friction_may_drive = False
         self.dynamics.set_saturation(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
@@ -409,6 +425,7 @@ class Motion:
         left = stop - t
         natural = h
         h = min(h, self.max_step, self.bounce)
+        halved = 0
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
@@ -443,6 +460,17 @@ class Motion:
                 break
             self.rejected += 1
             h = 0.5 * trial  # the slip turns too fast for a step of this length
+            if work.friction_power > 0.0:
+                halved += 1
+                if halved == MOST_HALVED:
+                    if self._modes_anew_at != t:
+                        self._modes_anew_at = t
+                        self._settle()
+                        self._begin_motion()
+                        return h
+                    work.friction_may_drive = True
+        if work.friction_power > 0.0:
+            self._note_driving(work.friction_power)
         self.steps += 1
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
         step.closed, step.directions = self._closed, directions
@@ -474,6 +502,15 @@ class Motion:
         self._sample()
         longer = trial * work.growth
         return max(longer, natural) if trial == left else longer
+
+    def _note_driving(self, power: float) -> None:
+        """Tell of friction that does positive work, once."""
+        if not self.friction_drove:
+            self.state.note(
+                f"Friction gives {power:.3g} W, and no shorter step ends that: the motion may be wrong from "
+                "here on; a smaller rtol may help."
+            )
+        self.friction_drove = True
 
     def _arriving(self) -> int | None:
         """Return the contact or, past those, the limit that arrives at the event last found, or None."""

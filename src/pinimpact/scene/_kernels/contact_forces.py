@@ -14,7 +14,7 @@ from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags
-from ..._numeric.products import apply, products
+from ..._numeric.products import apply_symmetric, products
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -81,7 +81,7 @@ def set_up_equations(work, acceleration):
     rows, response, system, target = work.equation_rows, work.force_response, work.system, work.target
     index = work.scalar_velocity
     n, size = len(acceleration), len(rows)
-    column = np.empty(n)
+    column, alone = np.empty(n), np.empty(n)
     least = 1.0
     m = 0
     for i in range(len(mode)):
@@ -92,14 +92,11 @@ def set_up_equations(work, acceleration):
             for j in range(n):
                 rows[m, j] = jacobian[i, 2, j]
                 column[j] = rows[m, j] - mu[i] * (s1 * jacobian[i, 0, j] + s2 * jacobian[i, 1, j])
+            apply_symmetric(minverse, rows[m], alone)
+            apply_symmetric(minverse, column, response[m])
             for j in range(n):
-                total = along = 0.0
-                for k in range(n):
-                    total += minverse[j, k] * column[k]
-                    along += minverse[j, k] * rows[m, k]
-                response[m, j] = total
-                effective += rows[m, j] * total
-                plain += rows[m, j] * along
+                effective += rows[m, j] * response[m, j]
+                plain += rows[m, j] * alone[j]
             if plain > 0.0:
                 least = min(least, effective / plain)
             target[m] = -free[i, 2]
@@ -107,7 +104,7 @@ def set_up_equations(work, acceleration):
         else:
             for d in range(3):
                 assign(rows[m], jacobian[i, d])
-                apply(minverse, rows[m], response[m])
+                apply_symmetric(minverse, rows[m], response[m])
                 target[m] = -free[i, d]
                 m += 1
     for i in range(len(index)):

@@ -128,7 +128,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         rows[3 * nc + m, scalars[m]] = 1.0
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
-    force, strength = np.zeros((nc, 3)), np.zeros(ns)
+    force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
     converged = sweeps >= 0
     if jamming < 0 and not converged:
@@ -144,6 +144,10 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
         return contacts[jamming], True, gained, 0.0
+    for k in range(nc):
+        assign(found[contacts[k]], force[k])
+    for m in range(ns):
+        found[work.contacts + joints[m], 0] = strength[m]
     stopped = flags(size, False)  # rows whose velocity becomes zero
     pace, unique = resulting_accelerations(delassus, free, force, strength)
     modes_of_contacts(

@@ -14,7 +14,7 @@ from .widest_margin import least_admissible
 
 
 @jit
-def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints):
+def forces_at(work, t, q, v, directions, unique, known, forces, points, normals, joints):
     """Fill the forces of what is closed in the modes that `work.modes` has.
 
     Args:
@@ -24,6 +24,8 @@ def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints
         v: (nv,) velocity.
         directions: (n, 2) of slip, for contacts too slow to show them.
         unique: Whether the forces have been unique so far.
+        known: (m,) forces that the motion was begun with, of which the nearest act; empty for those of least
+            norm.
         forces: (n, 3) takes those on the robot in world axes, zero before [N].
         points: (n, 3) takes where they act [m].
         normals: (n, 3) takes the surfaces' normals there, in world axes.
@@ -34,6 +36,8 @@ def forces_at(work, t, q, v, directions, unique, forces, points, normals, joints
     """
     close(work, directions)
     work.forces_unique = unique
+    for a in range(len(known)):
+        work.inner_forces[a] = known[a]
     set_state(work, q, v)
     out = np.empty(len(v) + 4)
     evaluate(work, t, out)

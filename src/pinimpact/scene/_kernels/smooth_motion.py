@@ -23,6 +23,8 @@ from .dynamics import (
     set_state,
 )
 from .events.registry import find_first_event
+from .force_choice import choose_forces
+from .friction_power import friction_drives
 from .samples import along, record_sample
 from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
 from .step_drives import rate_of_drives
@@ -52,6 +54,7 @@ def begin(work, t, q, v):
     for m in range(n):
         rates[0, m] = v[m]
     evaluate(work, t, rates[0, n:])
+    choose_forces(work, t, rates[0, n:])
     for m in range(n):
         work.stage_reactions[0, m] = rates[0, n + m] - work.acceleration[m]
     turn_references(work, work.contact_velocity)
@@ -144,6 +147,11 @@ def finish(work, t, h, error, explicit):
     if explicit:
         step_dop853.complete(work, t, h)
     find_first_event(work)
+    work.friction_power = 0.0
+    if work.event_time > -math.inf:
+        work.friction_power = friction_drives(work, explicit)
+        if work.friction_power > 0.0 and not work.friction_may_drive:
+            work.event_time = -math.inf
     set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
     work.growth = 1.0
     if work.event_time > t + h:

@@ -18,7 +18,7 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
-from ..._numeric.products import apply
+from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP
 from .radau import (
     CONVERGED,
@@ -55,7 +55,7 @@ def turn(work, k, s1, s2, across, effect):
     for j in range(n):
         across[j] = s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]
         pushed[j] = -force * across[j]
-    apply(work.minverse, pushed, effect)
+    apply_symmetric(work.minverse, pushed, effect)
     for m in range(size):
         total = 0.0
         for j in range(n):

@@ -13,29 +13,37 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import repeated
+from ..._numeric.loops import assign, repeated
 from .contact_forces import SLIP, STICK, rubs
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-13
+FELT = 1e-9
+"""Part of the parts that make it up below which an acceleration is rounding."""
+
 LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-@ahead(SceneWorkspace)
+@ahead(SceneWorkspace, bool, FLOATS)
 @separate
-def widest_margin(work):
+def widest_margin(work, moving, found):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N].
 
-    Where the motion is the same for all of them its forces are kept, see `contact_forces.solve_least_norm`.
+    Args:
+        work: The workspace.
+        moving: Whether the motion may be another one for them.
+        found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
+    if not moving and rubs(work):
+        free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
@@ -55,13 +63,50 @@ def widest_margin(work):
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
     cone_program(P, c, G, h, lines, sizes, ACCURACY, y, s, z)
-    if y[free] > 0.0 and not rubs(work):
-        known = work.inner_forces
+    if y[free] > 0.0:
         for a in range(size):
-            known[a] = x[a]
+            found[a] = x[a]
             for j in range(free):
-                known[a] += unit * y[j] * null[j, a]
+                found[a] += unit * y[j] * null[j, a]
     return unit * y[free]
+
+
+@inner
+def keep_motion(work, x, null, free):
+    """Go to the forces last evaluated, and to the changes of them that do not change the motion.
+
+    Args:
+        work: The workspace.
+        x: (size,) takes the forces.
+        null: (size, size) a basis of what the rows do not feel, in its first rows; likewise.
+        free: How many these are.
+
+    Returns:
+        How many are left.
+    """
+    response = work.force_response
+    size, n = response.shape
+    effects, no_change, none = np.zeros((n, free)), np.zeros(n), np.empty(free)
+    largest = whole = 0.0
+    for j in range(n):
+        for c in range(free):
+            parts = 0.0
+            for m in range(size):
+                effects[j, c] += response[m, j] * null[c, m]
+                parts += abs(response[m, j] * null[c, m])
+            largest, whole = max(largest, abs(effects[j, c])), max(whole, parts)
+    assign(x, work.solution)
+    if largest <= FELT * whole:
+        return free
+    basis, kept = np.zeros((free, free)), np.zeros((free, size))
+    left = free - least_norm(effects, no_change, FELT * whole / largest, none, basis)
+    for c in range(left):
+        for d in range(free):
+            for m in range(size):
+                kept[c, m] += basis[c, d] * null[d, m]
+    for c in range(left):
+        assign(null[c], kept[c])
+    return left
 
 
 @inner
@@ -70,6 +115,8 @@ def least_admissible(work, x):
     size = len(work.target)
     null = np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
+    if rubs(work):
+        free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0 or free == 0:
         return

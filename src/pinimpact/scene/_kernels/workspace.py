@@ -118,7 +118,10 @@ class SceneWorkspace(Workspace):
     target = reals("closed_rows", meaning="their right-hand side")
     solution = reals("closed_rows", meaning="their solution")
     inner_forces = reals(
-        "closed_rows", meaning="within their bounds, where others that are not unique are not"
+        "closed_rows", meaning="that are known, of which the nearest are taken where they are not unique"
+    )
+    found_forces = reals(
+        "sources", 3, meaning="of what closed, where modes were set last; a scalar's comes first"
     )
     stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     samples = integer("how many samples of the step under way there are, see `samples`")
@@ -179,6 +182,8 @@ class SceneWorkspace(Workspace):
     end_margin = real("the margin of the forces at the end [N]")
     end_drift = real("of what is closed, at the end; see `drift`")
     growth = real("how much longer the next step may be")
+    friction_power = real("that friction gives in the step, which it must not: the step is refused [W]")
+    friction_may_drive = flag("whether steps are taken nevertheless, for no shorter one has done better")
     force_bound_ignored = flag("whether forces beyond their bounds are no event: no other modes do better")
     event_time = real("[s]; infinite where there is none, minus infinity to ask for a shorter step")
     event_kind = integer("its position in the registry")

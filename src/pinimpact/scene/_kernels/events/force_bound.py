@@ -27,10 +27,13 @@ def value(work, _, t):
 
 @jit
 def margin_of_forces(work):
-    """Return by how much forces can keep to what their modes allow, at the state last evaluated."""
+    """Return by how much forces can keep to what their modes allow, at the state last evaluated.
+
+    It is forces with the same motion that count, see `force_choice`, and those that are found are kept.
+    """
     margin = work.force_margin
     if margin < 0.0 and not work.forces_unique:
-        margin = widest_margin(work) + work.force_tolerance
+        margin = widest_margin(work, False, work.inner_forces) + work.force_tolerance
     return margin
 
 

@@ -1,0 +1,205 @@
+"""What persistent contact costs: robots that stand, land and trot, and a box on many corners.
+
+python -m benchmarks.persistent_contact
+
+Beside it stands the time of MuJoCo with steps of 2 ms for the same bodies and contact points, its joints
+drawn by springs and dampers of the same gains.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from benchmarks.scene_cost import free_body
+from benchmarks.timing import best_of, publish, row
+from example_robot_data import robots_loader
+
+from pinimpact import Contact, JointPD, Plane, Scene, Trajectory, load_robot, simulate
+
+ROUNDS = 3
+FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+STEP = 2e-3
+"""Of MuJoCo [s]."""
+SOLES = ("left_sole_link", "right_sole_link")
+Run = Callable[[], Trajectory]
+
+
+def on_its_feet(model: pin.Model, q: np.ndarray, frames: list[str]) -> np.ndarray:
+    """Return q with the lowest of some frames at z = 0."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    q = q.copy()
+    q[2] -= min(data.oMf[model.getFrameId(frame)].translation[2] for frame in frames)
+    return q
+
+
+def quadruped() -> tuple[pin.Model, np.ndarray, list[Contact]]:
+    """Return solo12, standing, and its contacts."""
+    model = load_robot("solo12").model
+    q = pin.neutral(model)
+    q[7:] = np.tile([0.0, 0.7, -1.4], 4)
+    return model, on_its_feet(model, q, list(FEET)), [Contact(foot, Plane(), friction=0.6) for foot in FEET]
+
+
+def standing() -> Run:
+    """Solo12 stands for 10 s under joint PD."""
+    model, q, contacts = quadruped()
+    scene = Scene(model, contacts, control=JointPD(20.0, 0.5, q))
+    return lambda: simulate(scene, q, np.zeros(model.nv), 10.0, rtol=1e-6, atol=1e-8)
+
+
+def trotting() -> Run:
+    """Solo12 trots in place for 1 s: pairs of legs are drawn up in turn, by a control sampled at 1 kHz."""
+    model, q, contacts = quadruped()
+    lift = np.array([0.0, 0.35, -0.7])
+
+    def control(t: float, at: np.ndarray, v: np.ndarray) -> np.ndarray:
+        target = q[7:].copy()
+        phase = np.sin(2.0 * np.pi * 2.0 * t)
+        for leg in (0, 3) if phase > 0.0 else (1, 2):
+            target[3 * leg : 3 * leg + 3] += abs(phase) * lift
+        tau = np.zeros(model.nv)
+        tau[6:] = 12.0 * (target - at[7:]) - 0.3 * v[6:]
+        return tau
+
+    scene = Scene(model, contacts, control=control, period=1e-3)
+    return lambda: simulate(scene, q, np.zeros(model.nv), 1.0, rtol=1e-6, atol=1e-8)
+
+
+def humanoid() -> Run:
+    """Talos stands for 1 s on the corners of its soles, drawn to its posture by joint PD."""
+    robot = load_robot("talos")
+    model, corners = robot.model, []
+    for sole in SOLES:
+        frame = model.frames[model.getFrameId(sole)]
+        for x in (-0.1, 0.1):
+            for y in (-0.06, 0.06):
+                placement = frame.placement * pin.SE3(np.eye(3), np.array([x, y, 0.0]))
+                corners.append(f"{sole} {x:+g} {y:+g}")
+                model.addFrame(pin.Frame(corners[-1], frame.parentJoint, placement, pin.FrameType.OP_FRAME))
+    q = on_its_feet(model, robot.q0, corners)
+    contacts = [Contact(corner, Plane(), friction=0.7) for corner in corners]
+    scene = Scene(model, contacts, control=JointPD(2000.0, 40.0, q), without=["joint limits"])
+    return lambda: simulate(scene, q, np.zeros(model.nv), 1.0, rtol=1e-6, atol=1e-8)
+
+
+def tilted_box() -> tuple[np.ndarray, np.ndarray]:
+    """Return 16 corners of a box, and where it is dropped."""
+    turn = 2.0 * np.pi * np.arange(16) / 16
+    corners = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.full(16, -0.1)])
+    tilt = pin.Quaternion(pin.utils.rotate("x", 0.2) @ pin.utils.rotate("y", 0.1)).coeffs()
+    return corners, np.array([0.0, 0.0, 0.4, *tilt])
+
+
+def box() -> Run:
+    """A box with 16 corners below is dropped tilted and comes to rest, 2 s."""
+    corners, q = tilted_box()
+    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2), tuple(map(tuple, corners)))
+    contacts = [Contact(f"tip{k}", Plane(), friction=0.5, restitution=0.0) for k in range(16)]
+    scene = Scene(model, contacts)
+    return lambda: simulate(scene, q, np.zeros(6), 2.0, rtol=1e-6, atol=1e-8)
+
+
+def in_mujoco(
+    loader: str,
+    q: np.ndarray,
+    tips: Sequence[tuple[str, tuple[float, float, float]]],
+    gains: tuple[float, float],
+    duration: float,
+) -> Callable[[], None]:
+    """Return a run of a robot with a free base in MuJoCo, with small spheres at points of its links.
+
+    Args:
+        loader: Name of its loader in example-robot-data.
+        q: (nq,) configuration at the start, to which the joints are drawn.
+        tips: Links, and the points on them.
+        gains: Stiffness and damping of each joint.
+        duration: [s].
+    """
+    text = Path(getattr(robots_loader, loader)().df_path).read_text()
+    text = re.sub(r"<(visual|collision|transmission|gazebo)\b[^>]*?(/>|>.*?</\1>)", "", text, flags=re.DOTALL)
+    compiler = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
+    text = re.sub(r"(<robot[^>]*>)", rf"\1{compiler}", text, count=1)
+    spec = mujoco.MjSpec.from_string(text)
+    base = spec.worldbody.first_body()
+    base.add_freejoint()
+    for joint in spec.joints:
+        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            joint.stiffness[0], joint.damping[0] = gains
+    return stepping(spec, q, [(spec.body(link), point) for link, point in tips], duration)
+
+
+def stepping(
+    spec: mujoco.MjSpec, q: np.ndarray, tips: Sequence[tuple], duration: float
+) -> Callable[[], None]:
+    """Return a run in MuJoCo from rest over a floor, with spheres of 1 mm at points of its bodies."""
+    spec.option.timestep = STEP
+    floor = spec.worldbody.add_geom()
+    floor.type, floor.size, floor.pos = mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 0.1], [0, 0, -1e-3]
+    for body, point in tips:
+        tip = body.add_geom()
+        tip.type, tip.size, tip.mass, tip.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [1e-3, 0, 0], 0.0, point
+    model = spec.compile()
+    start = q.copy()
+    start[3:7] = q[[6, 3, 4, 5]]  # w first
+    model.qpos_spring[:] = start
+    data = mujoco.MjData(model)
+
+    def run() -> None:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
+        for _ in range(round(duration / STEP)):
+            mujoco.mj_step(model, data)
+        assert np.isfinite(data.qpos).all()
+
+    return run
+
+
+def standing_in_mujoco() -> Callable[[], None]:
+    """Return the same as `standing`."""
+    _, q, _ = quadruped()
+    return in_mujoco("Solo12Loader", q, [(foot, (0.0, 0.0, 0.0)) for foot in FEET], (20.0, 0.5), 10.0)
+
+
+def box_in_mujoco() -> Callable[[], None]:
+    """Return the same as `box`."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    body.mass, body.explicitinertial = 1.0, True
+    body.inertia = np.diag(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2).inertia)
+    body.add_freejoint()
+    corners, q = tilted_box()
+    return stepping(spec, q, [(body, corner) for corner in corners], 2.0)
+
+
+CASES = {
+    "solo12 stands, 10 s": (standing, 0.3),
+    "solo12 trots in place, 1 s": (trotting, 0.5),
+    "talos on 8 corners, 1 s": (humanoid, 1.0),
+    "box on 16 corners dropped tilted, 2 s": (box, 0.3),
+}
+
+
+AGAINST = {
+    "solo12 stands, 10 s": standing_in_mujoco,
+    "box on 16 corners dropped tilted, 2 s": box_in_mujoco,
+}
+
+
+def main() -> None:
+    """Take the best of a few runs of each, in turns."""
+    runs = {name: make() for name, (make, _) in CASES.items()}
+    others = {f"{name}, MuJoCo": make() for name, make in AGAINST.items()}
+    seconds = best_of({**runs, **others}, rounds=ROUNDS)
+    rows = [row(name, seconds[name], goal) for name, (_, goal) in CASES.items()]
+    rows += [row(name, seconds[name]) for name in others]
+    publish("persistent_contact", rows)
+
+
+if __name__ == "__main__":
+    main()

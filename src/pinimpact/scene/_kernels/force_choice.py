@@ -1,0 +1,89 @@
+"""Which forces act where they are not unique and the motion depends on them. (theory.md, 11)
+
+Contacts that share their load and slip may share it in several ways, each with another friction, and the
+motion is another for each. Those of least norm are taken where they keep within their bounds and let begin
+what begins to slip; else those farthest from their bounds, or those by which the modes were found. Until the
+modes are set anew it is the nearest to them that act.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.ahead import FLOATS, ahead
+from ..._numeric.jit import inner, separate
+from .contact_forces import SLIP, rubs
+from .dynamics import evaluate
+from .widest_margin import widest_margin
+from .workspace import SceneWorkspace
+
+BACKWARDS = 1e-9
+"""Part of the largest acceleration of a contact by which slip may begin against its direction."""
+
+
+@ahead(SceneWorkspace, float, FLOATS)
+@separate
+def choose_forces(work, t, out):
+    """Choose the forces of a motion that begins, evaluated at its start; see `dynamics.evaluate`."""
+    if work.forces_unique or not rubs(work) or fit(work, out):
+        return
+    known = work.inner_forces
+    if widest_margin(work, True, known) > 0.0:
+        evaluate(work, t, out)
+        if fit(work, out):
+            return
+    take_found(work)
+    evaluate(work, t, out)
+    if fit(work, out):
+        return
+    for a in range(len(known)):
+        known[a] = 0.0
+    evaluate(work, t, out)
+
+
+@inner
+def fit(work, out):
+    """Return whether the forces last evaluated, or others with the same motion, are within their bounds.
+
+    And whether no slip begins backwards.
+    """
+    if work.force_margin < 0.0 and not widest_margin(work, False, work.inner_forces) > 0.0:
+        return False
+    mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
+    velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration
+    acceleration = work.acceleration
+    for k in range(len(mode)):
+        if mode[k] != SLIP or mu[k] == 0.0:
+            continue
+        if math.hypot(velocity[k, 0], velocity[k, 1]) > work.certain_speed:
+            continue
+        along, largest = 0.0, 0.0
+        for d in range(2):
+            total = free[k, d]
+            largest = max(largest, abs(total))
+            for j in range(len(acceleration)):
+                total += jacobian[k, d, j] * (out[j] - acceleration[j])
+            along += reference[k, d] * total
+        if along < -BACKWARDS * largest:
+            return False
+    return True
+
+
+@inner
+def take_found(work):
+    """Take as known the forces by which the modes were found."""
+    known, found, mode, index = work.inner_forces, work.found_forces, work.closed_mode, work.closed_index
+    a = 0
+    for k in range(len(mode)):
+        if mode[k] == SLIP:
+            known[a] = found[index[k], 2]
+            a += 1
+        else:
+            for d in range(3):
+                known[a + d] = found[index[k], d]
+            a += 3
+    modes = work.modes
+    for i in range(work.contacts, len(modes)):
+        if modes[i] != 0:
+            known[a] = found[i, 0]
+            a += 1

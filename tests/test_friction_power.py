@@ -1,0 +1,64 @@
+"""Friction does no positive work: what would let it is refused in the step, and told where it cannot be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene
+from pinimpact.scene.simulation import Motion
+
+from .scene_models import G, slider, unbounded
+
+
+def sliding():
+    """A point that slides at 1 m/s, μ = 0.3."""
+    scene = Scene(slider(), [Contact("point", Plane(), friction=0.3)])
+    motion = Motion(scene, np.zeros(3), [1.0, 0.0, 0.0], 1e-8, 1e-10, math.inf, 100)
+    motion.begin()
+    return motion
+
+
+def test_friction_that_takes_is_let_alone():
+    motion = sliding()
+    motion.advance(0.2)
+    assert motion.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
+    assert motion.rejected == 0
+    assert not motion.state.notes
+
+
+def test_a_contact_that_drives_is_mended():
+    motion = sliding()
+    motion.work.closed_friction[:] = -0.3  # as a mode of the wrong sign would
+    motion._begin_motion()
+    motion.advance(0.2)
+    assert motion.rejected >= 6
+    assert motion.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
+
+
+def test_what_cannot_be_mended_is_told():
+    motion = sliding()
+    motion.work.friction[:] = -0.3
+    motion._settle()
+    motion._begin_motion()
+    motion.advance(0.2)
+    (note,) = [note.text for note in motion.state.notes if note.text.startswith("Friction gives")]
+    assert float(note.split()[2]) == pytest.approx(0.3 * G, rel=0.3)
+
+
+def test_a_joint_whose_friction_has_the_wrong_sign_is_mended():
+    model = pin.Model()
+    index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    unbounded(model)
+    model.friction = np.array([0.5])
+    motion = Motion(Scene(model), [0.0], [1.0], 1e-8, 1e-10, math.inf, 100)
+    motion.begin()
+    motion.work.sliding_friction[:] = -0.5
+    motion._begin_motion()
+    motion.advance(1.0)
+    assert motion.state.v[0] == pytest.approx(0.5)
+    assert motion.state.q[0] == pytest.approx(0.75)
