@@ -14,7 +14,7 @@ from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inner, separate
 from .contact_forces import SLIP, rubs
 from .dynamics import evaluate
-from .widest_margin import widest_margin
+from .widest_margin import ANY_MOTION, SAME_MOTION, widest_margin
 from .workspace import SceneWorkspace
 
 BACKWARDS = 1e-9
@@ -28,7 +28,7 @@ def choose_forces(work, t, out):
     if work.forces_unique or not rubs(work) or fit(work, out):
         return
     known = work.inner_forces
-    if widest_margin(work, True, known) > 0.0:
+    if widest_margin(work, ANY_MOTION, known) > 0.0:
         evaluate(work, t, out)
         if fit(work, out):
             return
@@ -47,7 +47,7 @@ def fit(work, out):
 
     And whether no slip begins backwards.
     """
-    if work.force_margin < 0.0 and not widest_margin(work, False, work.inner_forces) > 0.0:
+    if work.force_margin < 0.0 and not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
         return False
     mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
     velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration

@@ -29,20 +29,24 @@ LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-@ahead(SceneWorkspace, bool, FLOATS)
+ANY_MOTION, SAME_MOTION = np.int64(1), np.int64(0)
+"""Whether forces may move what they act on in another way."""
+
+
+@ahead(SceneWorkspace, int, FLOATS)
 @separate
 def widest_margin(work, moving, found):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N].
 
     Args:
         work: The workspace.
-        moving: Whether the motion may be another one for them.
+        moving: Whether the motion may be another one for them: ANY_MOTION or SAME_MOTION.
         found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if not moving and rubs(work):
+    if moving == SAME_MOTION and rubs(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
