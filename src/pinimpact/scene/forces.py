@@ -32,6 +32,9 @@ class ClosedSet(NamedTuple):
         direction_speed: Slip below it has the direction last known [m/s].
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
+        joints: (k, 2) of the contacts that are closed: of the tip, of the surface.
+        signs: (k, nv) of them, see `SceneWorkspace.velocity_signs`.
+        swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
     """
 
     modes: NDArray[np.int64]
@@ -42,10 +45,18 @@ class ClosedSet(NamedTuple):
     direction_speed: float
     slips: bool
     unique: bool
+    joints: NDArray[np.int64]
+    signs: Array
+    swapped: NDArray[np.int64]
 
     @classmethod
-    def of(cls, work: SceneWorkspace) -> ClosedSet | None:
-        """Return what is closed now, or None if nothing holds or rubs."""
+    def of(cls, work: SceneWorkspace, swapped: NDArray[np.int64]) -> ClosedSet | None:
+        """Return what is closed now, or None if nothing holds or rubs.
+
+        Args:
+            work: The workspace.
+            swapped: See above.
+        """
         if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
             return None
         return cls(
@@ -57,6 +68,9 @@ class ClosedSet(NamedTuple):
             work.direction_speed,
             bool((work.closed_mode == SLIP).any()),
             work.forces_unique,
+            work.contact_joints[work.closed_index],
+            work.velocity_signs[work.closed_index],
+            swapped,
         )
 
 
@@ -136,6 +150,7 @@ class EvaluatedForces:
         work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
         work.drive_side[:], work.control_force[:] = closed.sides, closed.control
         work.contact_constants[index] = closed.constants
+        work.contact_joints[index], work.velocity_signs[index] = closed.joints, closed.signs
         work.direction_speed = closed.direction_speed
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
@@ -148,6 +163,8 @@ class EvaluatedForces:
             work, t, *step.at(t), directions, closed.unique, world, points, normals, joints
         )
         dynamics.check()
+        world[closed.swapped] *= -1.0
+        normals[closed.swapped] *= -1.0
         return Forces(world, points, normals, joints, bool(unique))
 
 
