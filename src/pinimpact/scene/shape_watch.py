@@ -416,7 +416,7 @@ class ShapeWatch:
             if depth > SUNK * watched.size:
                 raise SimulationError(
                     f"contacts: {watched.label!r} sinks {depth:.3g} m in at t = {end:.6g} s, past the points "
-                    "that touch; max_step= makes shorter steps, in which they are followed more closely",
+                    "that touch: corners may have met corners or edges just so; start a little beside it",
                     field="contacts",
                     value=watched.label,
                 )
