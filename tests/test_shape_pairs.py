@@ -150,7 +150,7 @@ def test_a_ball_rolls_over_an_edge_until_it_slips():
 
     theta = brentq(slips, 0.01, 1.0, xtol=1e-15)
     (sticking,) = (mode for mode in trajectory.modes if mode.mode == "stick")
-    q, v = trajectory.at(sticking.end)
+    q, _ = trajectory.at(sticking.end)
     assert q[0] == pytest.approx(0.5 + radius * math.sin(theta), abs=1e-8)
     assert q[2] == pytest.approx(0.5 + radius * math.cos(theta), abs=1e-8)
     assert not trajectory.impacts
@@ -238,7 +238,7 @@ def test_wrong_pairs_are_refused():
         Scene(robot, contacts=replace(on_block, plane=Box(size=(1, 1, 1), body="thing")))
     with pytest.raises(InputError, match="only a collision shape meets a box"):
         Contact("thing", BLOCK)
-    with pytest.raises(InputError, match="size: .*above 0"):
+    with pytest.raises(InputError, match=r"size: .*above 0"):
         Box(size=(1.0, 0.0, 1.0))
     cone = shaped_body(coal.Cone(0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cone")
     with pytest.raises(InputError, match="'cone' is a Cone"):

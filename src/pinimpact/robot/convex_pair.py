@@ -389,7 +389,7 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
         tolerance: By which features that touch may be behind the foremost ones [m].
     """
     size = a.shape.reach + b.shape.reach
-    found = nearest_features(a, b, normal, tolerance / min(a.shape.reach, b.shape.reach))
+    found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
     radius = a.shape.radius + b.shape.radius
     kept: list[Touch] = []
     for touch in found:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -62,7 +63,26 @@ def collision_shape(robot: Any, name: str) -> CarriedShape:
     found = find_shape(shapes, name)
     frame = shape_frame(model, found)
     placement = model.frames[frame].placement.actInv(found.placement)
-    return carried(model, of_collision_geometry(found.geometry, name), frame, placement, name)
+    return carried(model, _known_shape(shapes, found), frame, placement, name)
+
+
+_known: dict[int, tuple[Any, dict[str, tuple[Any, ConvexShape]]]] = {}
+
+
+def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject) -> ConvexShape:
+    """Return the convex shape of a collision shape, remembered as long as its model lives."""
+    key, solid = id(shapes), found.geometry
+    known = _known.get(key)
+    if known is None or known[0]() is not shapes:
+        forget = _known.pop
+        known = _known[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
+    if not hasattr(solid, "vertices"):
+        return of_collision_geometry(solid, found.name)
+    points = np.array(solid.vertices(), dtype=np.float64)
+    before = known[1].get(found.name)
+    if before is None or not np.array_equal(before[0], points):
+        before = known[1][found.name] = points, of_collision_geometry(solid, found.name)
+    return before[1]
 
 
 class Solid(Surface):

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex_pair import TOUCHING, Followed, Touch, Turning, gap, ties
+from .convex_pair import TOUCHING, Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape
 
 Array = NDArray[np.float64]
@@ -105,8 +105,14 @@ def first_touch(
         state = at(t)
         value, near = gap(state.a, state.b, near)
         size = state.a.shape.reach + state.b.shape.reach
-        if value > TOUCHING * size or state.a.shape.radius + state.b.shape.radius > 0.0:
-            return [_front(state, value, near, bend, _goes_with(state, value, near))]
+        turns = [_goes_with(state, value, near)]
+        if state.a.shape.radius + state.b.shape.radius > 0.0:
+            if value <= TOUCHING * size:
+                found = touches(state.a, state.b, near, TOUCHING * size)
+                turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in found]
+            return [_front(state, value, near, bend, turn) for turn in turns]
+        if value > TOUCHING * size:
+            return [_front(state, value, near, bend, turns[0])]
         return [
             _front(state, value, one.normal, bend, _turn(state, one)) for one in ties(state.a, state.b, near)
         ]

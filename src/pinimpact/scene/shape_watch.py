@@ -492,16 +492,16 @@ class ShapeWatch:
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
             now = self._at(watched, step)(meeting.time)
             low_a, low_b = _heights(watched.points[i].touch, normal, now)
-            lift = self._lift(watched)
             sunk = min(-min(low_a.min(), low_b.min(), 0.0), SUNK * watched.size)
-            found = touches(*placed, normal, max(self._slack(watched, placed), sunk))
+            slack = max(self._slack(watched, placed), sunk)
+            found = touches(*placed, normal, slack)
             arriving = self._fill(watched, found, placed, normal)
             if arriving:
                 return arriving
             if watched.pair.a.shape.radius + watched.pair.b.shape.radius == 0.0:
                 watched.flush = (
-                    frozenset(np.flatnonzero(low_a <= lift).tolist()),
-                    frozenset(np.flatnonzero(low_b <= lift).tolist()),
+                    frozenset(np.flatnonzero(low_a <= slack).tolist()),
+                    frozenset(np.flatnonzero(low_b <= slack).tolist()),
                 )
                 return []
         return self._change_features(watched, step, meeting.time, q, v)
