@@ -31,6 +31,9 @@ LOCAL = 1e-5
 TIE = 1e-13
 """Part of the shapes' size to which two separations are the same."""
 
+FACING = 0.9
+"""Cosine of the angle within which a face looks along a direction."""
+
 PARALLEL = 1e-9
 """Sine of the angle below which two edges have no normal of their own."""
 
@@ -119,12 +122,15 @@ def separation(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap
     Args:
         a: The one shape.
         b: The other.
-        near: (3,) a direction along which they are nearly apart, so that only edges there count; None for
-            all.
+        near: (3,) a direction along which they are nearly apart, so that only faces and edges there count;
+            None for all.
     """
     size = a.shape.reach + b.shape.reach
     best, normal = -math.inf, np.array([0.0, 0.0, 1.0])
-    for axes in (b.normals, -a.normals, _crossed(a, b, near)[0]):
+    outward_b, outward_a = b.normals, -a.normals
+    if near is not None:
+        outward_b, outward_a = outward_b[outward_b @ near > FACING], outward_a[outward_a @ near > FACING]
+    for axes in (outward_b, outward_a, _crossed(a, b, near)[0]):
         if len(axes) == 0:
             continue
         values = (axes @ a.vertices.T).min(axis=1) - (axes @ b.vertices.T).max(axis=1)

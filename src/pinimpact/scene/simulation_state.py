@@ -239,6 +239,7 @@ class SimulationState:
                     "resting": resting,
                     "record": self._record and i < contacts,
                     "group": (group.problem, place, self._impacts.policy),
+                    "contact": self._of_pair(i),
                 }
             )
         return found
@@ -261,7 +262,13 @@ class SimulationState:
             "contact_space": impact.contact_space,
             "resting": impact.resting,
             "record": self._record and i < len(self.dynamics.contacts),
+            "contact": self._of_pair(i),
         }
+
+    def _of_pair(self, i: int) -> Contact | None:
+        """Return the contact of two shapes as it is now; None of what is no such contact."""
+        contacts = self.dynamics.contacts
+        return contacts[i] if i < len(contacts) and contacts[i].pair is not None else None
 
     def rest_below(self, speed: float) -> None:
         """Let contacts and limits rest that part no faster than this, since they would be back at once."""
