@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import replace
 
 import coal
@@ -194,7 +196,7 @@ def test_a_box_slides_off_a_table():
     assert deepest(robot, [contact], trajectory) < 1e-8
 
 
-def test_a_slab_rests_on_a_smaller_block():
+def test_a_slab_rests_on_a_smaller_block(tmp_path):
     robot = shaped_body(coal.Box(1.0, 1.0, 0.2), pin.Inertia.FromBox(2.0, 1.0, 1.0, 0.2), name="slab")
     contact = Contact(geometry="slab", plane=Box(size=(0.5, 0.4, 1.0), name="post"), friction=0.5)
     scene = Scene(robot, contacts=contact)
@@ -203,6 +205,17 @@ def test_a_slab_rests_on_a_smaller_block():
     np.testing.assert_allclose(force, (0.0, 0.0, 2.0 * G), atol=1e-9)
     np.testing.assert_allclose(trajectory.v[-1], 0.0, atol=1e-12)
     assert sum(mode.mode == "stick" for mode in trajectory.modes) == 4
+    trajectory.save(tmp_path / "slab.npz")
+    kept = pinimpact.Trajectory.load(tmp_path / "slab.npz")
+    assert kept.contacts == trajectory.contacts
+    np.testing.assert_allclose(
+        sum(kept.forces_world(c.label, 0.05) for c in scene.contacts), force, atol=1e-9
+    )
+    pinimpact.replay(robot, kept, path=tmp_path / "slab.html")
+    page = (tmp_path / "slab.html").read_text(encoding="utf-8")
+    (surfaces,) = re.findall(r'"surfaces": ?(\[.*?\]), ?"lit"', page)
+    (shown,) = json.loads(surfaces)
+    assert shown["size"] == [0.5, 0.4, 1.0]
 
 
 def test_a_capsule_meets_a_sphere_that_is_carried():
