@@ -14,7 +14,7 @@ from benchmarks.timing import best_of, publish, row
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
 
-ROUNDS = 15
+ROUNDS = 60
 LOW = Plane(point=(0.0, 0.0, -0.6), name="low floor")
 FLOOR = Plane(name="floor")
 FALL = np.array([0.0, 0.7, 0.0, -1.75, 0.0, 1.57, 0.785, 0.0, 0.0])

@@ -1,11 +1,12 @@
 """A quadruped lands flat on four feet, and tilted by a thousandth: two impacts, or one with four contacts.
 
-The flat landing is one impact at four contacts. Tilted, the feet touch one after another, microseconds
-apart: each is an impact of its own, at which the feet on the ground take part.
+Its motors hold the legs. The flat landing is one impact at four contacts. Tilted, the feet touch one after
+another, half a millisecond apart: each is an impact of its own, at which the feet on the ground take part.
 """
 
 from __future__ import annotations
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
 
@@ -26,22 +27,44 @@ def land(roll: float, policy: str = "propagate") -> tuple[pinimpact.Trajectory, 
     turn = pin.Quaternion(q[6], q[3], q[4], q[5]) * pin.Quaternion(np.cos(half), np.sin(half), 0.0, 0.0)
     q[2] += 0.05
     q[3:7] = turn.coeffs()
-    scene = pinimpact.Scene(robot, contacts, simultaneous=policy)
+    stiff = list(robot.model.names)[2:]  # motors hold the legs
+    scene = pinimpact.Scene(robot, contacts, locked=stiff, simultaneous=policy)
     motion = pinimpact.simulate(scene, q, np.zeros(robot.model.nv), 0.12)
     first = motion.impacts[0].time
     return motion, motion.at(first + 5e-3)[1][:6]
 
 
+def draw(ax: plt.Axes, motion: pinimpact.Trajectory) -> None:
+    """Draw the velocities of the base in the milliseconds around the first touch."""
+    first = motion.impacts[0].time
+    t = np.linspace(first - 1e-3, first + 5e-3, 600)
+    v = np.array([motion.at(time)[1][:6] for time in t])
+    ax.plot(1e3 * (t - first), v[:, 2], "C0", label="vertical velocity [m/s]")
+    ax.plot(1e3 * (t - first), v[:, 3], "C1", label="roll rate [rad/s]")
+    ax.plot(1e3 * (t - first), v[:, 4], "C2", label="pitch rate [rad/s]")
+    for impact in motion.impacts:
+        if impact.time < t[-1]:
+            ax.axvline(1e3 * (impact.time - first), color="0.8", zorder=0)
+    ax.set(xlabel="time since the first touch [ms]")
+
+
 def main() -> None:
-    """Print both landings side by side."""
-    for policy in ("propagate", "sequence"):
-        for name, roll in (("flat", 0.0), ("rolled by 0.001 rad", 1e-3)):
+    """Print both landings, and draw them side by side."""
+    figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, sharey=True)
+    for row, policy in zip(axes, ("propagate", "sequence"), strict=True):
+        for ax, (name, roll) in zip(row, (("flat", 0.0), ("rolled by 0.001 rad", 1e-3)), strict=True):
             motion, base = land(roll, policy)
             first = motion.impacts[0].time
             early = [impact for impact in motion.impacts if impact.time < first + 5e-3]
             instants = sorted({impact.time for impact in early})
             print(f"{policy}, {name}: {len(early)} impulses at {len(instants)} instants in the first 5 ms")
             print(f"  base after 5 ms: v = {np.round(base[:3], 4)} m/s, ω = {np.round(base[3:], 3)} rad/s")
+            draw(ax, motion)
+            ax.set_title(f"{policy}, {name}")
+    axes[0, 0].legend()
+    figure.tight_layout()
+    figure.savefig("flat_landing.png", dpi=110)
+    print("Figure: flat_landing.png")
 
 
 if __name__ == "__main__":

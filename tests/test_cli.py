@@ -202,7 +202,8 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     [
         (
             "falling_rot",
-            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod'?",
+            "there is no file falling_rot, and no scene of that name; did you mean 'falling_rod', "
+            "'falling_arm'?",
         ),
         (".", "cannot read .: Is a directory"),
     ],
@@ -229,7 +230,15 @@ def test_robots_are_listed() -> None:
 def test_info_tells_joints_limits_and_frames() -> None:
     result = call("info", "panda")
     assert result.exit_code == 0, result.output
-    for text in ("panda_joint4", "-3.072", "-0.0698", "prismatic", "fixed base", "panda_hand_tcp"):
+    for text in (
+        "panda_joint4",
+        "-3.072",
+        "-0.0698",
+        "prismatic",
+        "fixed base",
+        "panda_hand_tcp",
+        "panda_hand_0",
+    ):
         assert text in result.output
     facts = json.loads(call("info", "solo12", "--json").stdout)
     assert facts["free_base"]
@@ -266,3 +275,16 @@ def test_it_runs_as_a_module_too() -> None:
         env=os.environ,
     )
     assert run.stdout == f"pinimpact, version {pinimpact.__version__}\n"
+
+
+def test_a_reader_that_has_read_enough_is_no_error() -> None:
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pinimpact", "robots"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert shown.stdout is not None
+    shown.stdout.close()
+    _, said = shown.communicate(timeout=60)
+    assert "Errno" not in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from click.testing import CliRunner
 import pinimpact
 from pinimpact.app.cli import main
 from pinimpact.app.demo import FREE_BASE, run_demo
+from pinimpact.app.report import rounded
 from pinimpact.app.robot_info import free_base, robot_facts, suggested_frames
-from pinimpact.robot.loading import named_robots
+from pinimpact.robot.loading import load_robot, named_robots
 
 FIXED = """<robot name="post"><link name="base"/>
 <joint name="weld" type="fixed"><parent link="base"/><child link="top"/></joint>
@@ -60,8 +62,25 @@ def test_a_urdf_strikes_with_what_suggests_itself_though_a_joint_moves_nothing(t
 def test_a_urdf_without_shapes_is_replayed_in_lines(tmp_path: Path) -> None:
     result = call("demo", written(tmp_path, PENDULUM), "-o", str(tmp_path / "out"))
     assert result.exit_code == 0, result.output
+    assert re.search(
+        r"The table faces \(-?1, 0, 0\): from here it cannot be struck from above", result.output
+    )
+    assert not re.search(r"e-1[4-9]", result.output)  # what is zero to rounding
     assert "Held as they are, since they move no inertia: idle." in result.output
     assert (tmp_path / "out" / "replay.html").stat().st_size > 100_000
+
+
+def test_zero_to_rounding_is_told_from_small() -> None:
+    assert rounded([1.0, 3e-15, -8e-15, 1e-12]) == [1.0, 0.0, -8e-15, 1e-12]
+    assert rounded([1e-20, 2e-22]) == [1e-20, 2e-22]
+    assert rounded([1e-20, 2e-22], size=1.0) == [0.0, 0.0]
+    assert rounded([]) == []
+
+
+def test_the_ends_of_chains_suggest_themselves() -> None:
+    arm = load_robot(str(Path(__file__).parents[1] / "examples" / "arm.urdf"))
+    assert robot_facts("arm", arm)["contact_frames"] == ["tip"]  # not the hand that it is fixed to
+    assert "At their joints: link2; offset=" in call("info", "double_pendulum").output
 
 
 def test_a_robot_strikes_as_it_is_asked_to() -> None:

@@ -207,9 +207,25 @@ def test_a_break_is_its_own_mirror_image_and_loses_energy(tmp_path, monkeypatch,
     assert -0.5 < solution.work.total.sum() < 0.0
 
 
-def test_a_flat_landing_and_a_tilted_one(capsys) -> None:
-    landing = example("flat_landing")
-    landing.main()
-    assert "propagate, flat: 4 impulses at 1 instants" in capsys.readouterr().out
-    _, flat = landing.land(0.0)
+def test_a_flat_landing_and_a_tilted_one(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("flat_landing", tmp_path, monkeypatch, capsys)
+    assert "propagate, flat: 4 impulses at 1 instants" in out
+    assert (tmp_path / "flat_landing.png").is_file()
+    _, flat = example("flat_landing").land(0.0)
     assert np.abs(flat[[1, 3, 5]]).max() < 1e-3  # the robot's two sides differ by 1e-6 of their masses
+
+
+def test_kicked_feet_push_and_held_ones_pull(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("kicked_quadruped", tmp_path, monkeypatch, capsys)
+    assert (tmp_path / "kicked_quadruped.png").is_file()
+    assert out.count("which pulls") == 2
+    q, free, held = example("kicked_quadruped").kick()
+    push, glued = free.impulses_world[1:], np.array(held.held_impulses)
+    assert (push[:, 2] >= 0.0).all()
+    assert (np.hypot(push[:, 0], push[:, 1]) <= 0.6 * push[:, 2] * (1 + 1e-9)).all()
+    assert glued[:, 2].min() < 0.0
+    model = load_robot("solo12").model
+    data = model.createData()
+    for v, trunk, feet in ((free.v, free.impulses_world[0], push), (held.v, held.impulse_world, glued)):
+        momentum = pin.computeCentroidalMomentum(model, data, q, v).linear
+        assert momentum == pytest.approx(trunk + feet.sum(axis=0), abs=1e-9)

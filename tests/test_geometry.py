@@ -302,6 +302,21 @@ def test_a_smooth_rim_does_not_stand():
     assert np.isnan(hits.v).all(axis=1).tolist() == [True, False]
 
 
+def test_a_rim_that_topples_flat_goes_no_further():
+    """About its lowest point, with θ̈ = −(4 g/5 ρ) cos θ, and θ small; spun, it rolls on round its edge."""
+    rho, theta = 0.2, 0.02
+    robot = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([0.25, 0.25, 0.5]) * rho**2))
+    scene = Scene(robot, contacts=Contact("center", FLOOR, friction=0.8, rim=rho, name="rim"))
+    q0 = turned(pin.utils.rotate("y", theta), (0.0, 0.0, rho * np.sin(theta)))
+    with pytest.raises(SimulationError, match="'rim' lies flat on its surface") as caught:
+        pinimpact.simulate(scene, q0, np.zeros(6), 0.5)
+    topples = np.sqrt(2.0 * theta * 5.0 * rho / (4.0 * G))
+    assert caught.value.partial.t[-1] == pytest.approx(topples, rel=1e-4)
+    spun = run(scene, q0, np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0]), 0.1)
+    assert spun.complete
+    assert spun.q[:, 2].min() > 0.0
+
+
 def test_points_of_a_rim_stand():
     _, scene = can(rim_points=6, restitution=0.2)
     assert len(scene.contacts) == 12
@@ -381,6 +396,8 @@ def test_bad_input_is_refused():
         UnknownNameError, match="links: no link 'thong' has a collision shape; did you mean 'thing'"
     ):
         Scene(robot).contacts_from_geometry(FLOOR, links=["thong"])
+    with pytest.raises(InputError, match="geometry: 'thing_0' is no pinocchio GeometryModel"):
+        Scene(robot.model, geometry="thing_0")
     with pytest.raises(InputError, match="is a box, which can meet planes alone, not a sphere"):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
     with pytest.raises(InputError, match="is a collision shape, which here has no single point"):

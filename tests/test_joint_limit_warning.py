@@ -25,19 +25,21 @@ def degrees():
     return q
 
 
-@pytest.mark.parametrize("keep", [{}, {"locked": ["panda_joint7"]}])
-def test_degrees_are_told_of_once(panda, keep):
+@pytest.mark.parametrize(
+    ("contact", "keep"), [(HAND, {}), (HAND, {"locked": ["panda_joint7"]}), ([HAND], {})]
+)
+def test_degrees_are_told_of_once(panda, contact, keep):
     model, data = panda
     with pytest.warns(
         JointLimitWarning, match=r"'panda_joint4' is at -135,.* -3\.07\d* to -0\.0698.*degrees"
     ) as told:
-        pinimpact.impact(model, data, degrees(), V, HAND, **keep)
+        pinimpact.impact(model, data, degrees(), V, contact, **keep)
     assert told[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pinimpact.impact(model, data, degrees(), V, HAND, **keep)
+        pinimpact.impact(model, data, degrees(), V, contact, **keep)
     with pytest.warns(JointLimitWarning):
-        pinimpact.impact(model, model.createData(), degrees(), V, HAND, **keep)
+        pinimpact.impact(model, model.createData(), degrees(), V, contact, **keep)
 
 
 def test_a_joint_a_little_beyond_is_told_of_without_a_word_on_degrees(panda):

@@ -506,7 +506,7 @@ def test_the_command_line_shows_what_it_waits_for() -> None:
         logger.warning("%s: up to about %d s", "compiling", 25)
         logger.info("compiling, once: %d of %d", 3, 9)
     logger.info("nobody listens any more")
-    assert shown == ["compiling: up to about 25 s", "compiling, once: 3 of 9"]
+    assert shown == ["compiling: up to about 25 s", "compiling, once: 3 of 9, up to about 25 s"]
     with compiling_shown(Console(force_terminal=False), shown.append):
         logger.info("where no bar is seen, the logger goes on as it does")
     assert len(shown) == 2

@@ -445,3 +445,12 @@ def test_an_approach_that_nothing_can_stop():
     w[2, 2] = 1.0
     with pytest.raises(pinimpact.UnstoppableApproachError, match="contact"):
         solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))
+
+
+def test_what_ends_at_its_bound_tells_the_last_events(monkeypatch):
+    monkeypatch.setattr("pinimpact.contact_space.simultaneous.MOST_STEPS", 3)
+    solution, u = collide(*row_of_balls(4), np.array([1.0, 0.0, 0.0, 0.0]), restitution=0.8)
+    assert "resolved at once" in solution.notes[-1]
+    assert "The last of them: contact 0 slip in compression" in solution.notes[-1]
+    assert sum(u) == pytest.approx(1.0, abs=1e-12)  # nothing lost of the momentum
+    assert (np.diff(u) >= -1e-9).all()  # nor is any approach left

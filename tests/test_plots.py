@@ -178,6 +178,56 @@ def test_every_impact_can_be_drawn(problem) -> None:
     assert plots.regime_map(problem, "restitution", resolution=8).has_data()
 
 
+def test_contacts_that_do_not_feel_each_other_are_drawn_as_if_alone() -> None:
+    ones = [
+        pinimpact.ImpactProblem(problem.delassus, problem.velocity, 0.3, 0.5, "energetic")
+        for problem in random_problems(2)
+    ]
+    W = np.zeros((6, 6))
+    for k, one in enumerate(ones):
+        W[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = one.delassus
+    many = pinimpact.ImpactProblem(W, [one.velocity for one in ones], 0.3, 0.5, "energetic")
+    for k, one in enumerate(ones):
+        solution = pinimpact.solve_impact(one)
+        path = smooth_path(one, solution)
+        ax = plots.velocities(many, contact=k)
+        for row, name in enumerate(("v₁", "v₂", "v₃ (normal)")):
+            (line,) = lines(ax, name)
+            expected = np.interp(line[:, 0], path.normal_impulse, path.velocity[:, row])
+            np.testing.assert_allclose(line[:, 1], expected, atol=2e-3)
+            np.testing.assert_allclose(line[-1], [solution.impulse[2], solution.velocity[row]], rtol=1e-6)
+        ax = plots.hodograph(many, contact=k)
+        np.testing.assert_allclose(lines(ax, "separation")[0][0], solution.velocity[:2], atol=1e-7)
+        assert not [line for line in ax.lines if "invariant" in str(line.get_label())]
+        (whole,) = lines(plots.impulses(many, contact=k), "|P_t|")
+        assert whole[-1] == pytest.approx([solution.impulse[2], np.hypot(*solution.impulse[:2])])
+        *_, bar = plots.energy_ledger(many, contact=k).patches
+        assert bar.get_width() == pytest.approx(solution.work.total)
+    *_, bar = plots.energy_ledger(many).patches
+    assert bar.get_width() == pytest.approx(sum(pinimpact.solve_impact(one).work.total for one in ones))
+    figure = plots.impact_figure(many, pinimpact.solve_impact(many))
+    assert [ax.get_title() for ax in figure.axes if "Contact " in ax.get_title()][::2] == [
+        "Contact 0",
+        "Contact 1",
+    ]
+
+
+def test_many_contacts_are_refused_where_a_plot_makes_no_sense() -> None:
+    many = pinimpact.ImpactProblem(np.eye(6), [[0.1, 0, -1.0], [0, 0.2, -1.0]], 0.3, 0.5, "energetic")
+    solution = pinimpact.solve_impact(many, simultaneous="any", seed=3)
+    hit = plots.one_impact.Solved(many, solution)
+    for call, said in (
+        (lambda: plots.hodograph(many), "at 2 contacts: say which one is drawn, 0 to 1"),
+        (lambda: plots.velocities(many, contact=2), "contact: 2 given"),
+        (lambda: plots.hodograph(ROD, contact=1), "is at one contact"),
+        (lambda: plots.hodograph(hit, contact=0), "'any' has left no path"),
+        (lambda: plots.impulse_space(many), "impulse_space is of one contact alone"),
+        (lambda: plots.regime_map(hit), "regime_map is of one contact alone"),
+    ):
+        with pytest.raises(pinimpact.InputError, match=said):
+            call()
+
+
 def test_slip_that_resumes_is_marked() -> None:
     ax = plots.hodograph(ROD)
     assert len(lines(ax, "slip resumes")) == 1

@@ -6,6 +6,7 @@ import re
 from html.parser import HTMLParser
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pinimpact
@@ -75,6 +76,35 @@ def test_a_solution_in_a_notebook():
     assert np.array(rows["impulse [N s]"], float) == pytest.approx(solution.impulse, rel=1e-5, abs=1e-9)
     assert float(rows["total"][0]) == pytest.approx(solution.work.total, rel=1e-5)
     assert str(solution.status) in found.texts
+
+
+def test_an_impact_at_many_contacts_in_a_notebook():
+    robot = pinimpact.load_robot("solo12")
+    floor = pinimpact.Plane(name="floor <wet>")
+    feet = [pinimpact.Contact(name, floor, 0.5, 0.3, "energetic") for name in ("FL_FOOT", "HR_FOOT")]
+    v = np.zeros(robot.model.nv)
+    v[:3] = 0.3, 0.1, -1.0
+    hit = pinimpact.impact(robot.model, robot.data, robot.q0, v, feet)
+    found = Tables(hit._repr_html_())
+    labels = [foot.label for foot in feet]
+    tables = [
+        np.array([row[1:4] for row in found.rows if row and row[0] == label], float) for label in labels
+    ]
+    for j, (world, after, impulse, work) in enumerate(tables):
+        assert world == pytest.approx(hit.impulses_world[j], rel=1e-5)
+        assert after == pytest.approx(hit.solution.velocity[j], rel=1e-5, abs=1e-9)
+        assert impulse == pytest.approx(hit.solution.impulse[j], rel=1e-5)
+        assert work[0] == pytest.approx(hit.solution.work.compression[j], rel=1e-5)
+    (whole,) = [row for row in found.rows if row and row[0] == "all"]
+    data = robot.model.createData()
+    before, after = (pin.computeKineticEnergy(robot.model, data, robot.q0, u) for u in (v, hit.v))
+    assert float(whole[-1]) == pytest.approx(after - before, rel=1e-5)
+    assert f"{labels[0]}: {hit.solution.statuses[0]}" in found.texts
+    assert "contact 1" in [row[0] for row in Tables(hit.solution._repr_html_()).rows if row]
+    one = pinimpact.impact(robot.model, robot.data, robot.q0, v, feet[0])
+    found = Tables(one._repr_html_())
+    assert np.array(found.rows[1], float) == pytest.approx(one.impulse_world, rel=1e-5)
+    assert str(one.solution.status) in found.texts
 
 
 def test_a_plan_in_a_notebook(toss):

@@ -18,6 +18,7 @@ import pytest
 from matplotlib.image import imread
 
 import pinimpact
+from pinimpact.robot.matrices import contact_geometry
 from pinimpact.visual.browser import find_browser, open_page
 from pinimpact.visual.collada import NAMESPACE, one_material_per_mesh
 
@@ -181,6 +182,25 @@ def test_surfaces_of_the_world_lie_under_the_way_of_their_contacts() -> None:
     np.testing.assert_allclose(np.array(ball["matrix"]).reshape(4, 4).T[:3, 3], (1, 2, 3))
 
 
+def test_material_that_moves_is_drawn_as_it_moves() -> None:
+    """A belt, a turntable and a ball: what is drawn moves as contacts feel it."""
+    robot = pinimpact.load_robot("rod")
+    data = robot.model.createData()
+    for surface in (
+        pinimpact.Plane((0.1, 0.2, 0.1), (0, 0.6, 0.8), velocity=(0.5, -0.8, 0.6)),
+        pinimpact.Plane((1.0, 2.0, 0.1), angular_velocity=(0, 0, 3.0)),
+        pinimpact.Sphere((1, 2, 3), 0.4, angular_velocity=(1.0, 0, 2.0)),
+    ):
+        (drawn,) = motion_of(fall_of(robot, surface))["surfaces"]
+        matrix = np.array(drawn["matrix"]).reshape(4, 4).T
+        contact = pinimpact.Contact("tip", surface)
+        q = np.array([0.3, 1.1, 1.2, 0.0, 0.5])
+        felt = contact_geometry(robot.model, data, q, contact)
+        on = felt.point - matrix[:3, 3]
+        here = matrix[:3, :3] @ drawn["slide"] + np.cross(matrix[:3, :3] @ drawn["spin"], on)
+        np.testing.assert_allclose(here, felt.surface_velocity @ felt.axes, atol=1e-6)
+
+
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
 def test_surfaces_on_bodies_move_with_them(kind) -> None:
     robot = pinimpact.load_robot("two_link_arm")
@@ -287,7 +307,10 @@ def test_one_impact_at_many_contacts() -> None:
     v = np.zeros(robot.model.nv)
     v[:3] = 0.3, 0.1, -1.0
     hit = pinimpact.impact(robot.model, robot.data, robot.q0, v, feet)
-    (shown,) = motion_of(pinimpact.replay(robot, hit, None, q=robot.q0, contacts=feet))["impacts"]
+    (shown,) = motion_of(pinimpact.replay(robot, hit, None, q=robot.q0))["impacts"]
+    alone = motion_of(pinimpact.replay(hit, path=None))
+    assert alone["impacts"] == [shown]
+    assert alone["joints"] == {}
     assert (shown["e"], shown["mu"], shown["law"]) == (0.3, 0.5, "energetic")
     data = robot.model.createData()
     before, after = (pin.computeKineticEnergy(robot.model, data, robot.q0, u) for u in (v, hit.v))
@@ -302,8 +325,8 @@ def test_one_impact_at_many_contacts() -> None:
         np.testing.assert_allclose(mark["velocity"][0] @ axes, v[:3], atol=1e-6)
         assert np.all(np.diff(mark["clock"]) >= 0.0)
         assert (mark["clock"][0], mark["clock"][-1]) == (0.0, 1.0)
-    with pytest.raises(pinimpact.InputError, match="give the 3 contacts"):
-        pinimpact.replay(robot, hit, None, q=robot.q0)
+    with pytest.raises(pinimpact.InputError, match="q: a hit does not know"):
+        pinimpact.replay(robot, hit, None)
 
 
 def test_replay_refuses(fall) -> None:
@@ -345,7 +368,6 @@ def test_a_replay_shows_itself(fall, page, monkeypatch, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def dropped():
     """A barrel with a knob that bounces on a rim once and flies on, and one that comes to lie there."""
-    shapes = pin.GeometryModel()
     robot = shaped_body(coal.Cylinder(0.1, 0.3), pin.Inertia.FromCylinder(1.0, 0.1, 0.3))
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
     shapes = robot.collision_model
@@ -378,6 +400,7 @@ def test_shapes_are_lit_while_they_touch(dropped, tmp_path: Path) -> None:
 
 
 @in_a_browser
+@pytest.mark.slow
 def test_a_browser_shows_what_is_lit(dropped, tmp_path: Path) -> None:
     robot, trajectory = dropped
     shown = pinimpact.replay(robot, trajectory, tmp_path / "replay.html", slowdown=1.0)

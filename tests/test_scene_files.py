@@ -48,35 +48,52 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
 
 
-def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
-    text = (SCENES / "falling_arm.toml").read_text(encoding="utf-8")
+def test_an_arm_falls_by_its_shapes_alone() -> None:
     loaded = load_scene(SCENES / "falling_arm.toml")
     shapes = {contact.shape for contact in loaded.scene.contacts}
     assert shapes == {s.name for s in loaded.robot.collision_model.geometryObjects} - {"panda_link0_0"}
     contact = loaded.scene.contacts[-1]
     assert (contact.friction, contact.restitution, contact.law) == (0.5, 0.2, "energetic")
     assert contact.plane == pinimpact.Plane(name="floor")
-    hand = text.replace('links = "all"  ', 'geometry = "panda_hand_0"')
-    assert {contact.shape for contact in scene_of(tmp_path, hand).scene.contacts} == {"panda_hand_0"}
-    named = hand.replace('"panda_hand_0"', '"panda_leftfinger_3"\nname = "finger"')
-    assert scene_of(tmp_path, named).scene.contacts[0].label == "finger corner 1"
-    fingers = text.replace('"all"  ', '["panda_leftfinger", "panda_rightfinger"]')
-    assert len(scene_of(tmp_path, fingers).scene.contacts) == 8 * 8
-    for wrong, message in (
-        (
-            'links = "all"\nframe = "panda_hand"',
-            r"contact\[0\]: frame and links given; give one of frame, geom",
-        ),
+
+
+def link(name: str, shape: str) -> str:
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    return f'<link name="{name}">{inertial}<collision><geometry>{shape}</geometry></collision></link>'
+
+
+def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
+    hinge = '<joint name="hinge" type="continuous"><parent link="box"/><child link="can"/></joint>'
+    shapes = link("box", '<box size="1 1 1"/>'), link("can", '<cylinder radius="1" length="1"/>')
+    (tmp_path / "chest.urdf").write_text(f'<robot name="chest">{"".join(shapes)}{hinge}</robot>', "utf-8")
+    text = BALL.replace(str(SCENES / "ball.urdf"), "chest.urdf").replace('name = "ball on belt"', "")
+    text = text.replace('radius = "5 cm"', "")
+
+    def names(what: str) -> list[str]:
+        return [c.label for c in scene_of(tmp_path, text.replace('frame = "ball"', what)).scene.contacts]
+
+    assert names('geometry = "can_0"') == ["can_0 rim 1 on belt", "can_0 rim 2 on belt"]
+    assert names('geometry = "box_0"\nname = "lid"')[0] == "lid corner 1"
+    assert len(names('links = "all"')) == 10
+    assert len(names('links = ["can"]\nrim_points = 3')) == 6
+    for what, message in (
+        ('links = "all"\nframe = "can"', r"contact\[0\]: frame and links given; give one of frame, geometry"),
         ("", r"contact\[0\]: none given"),
         ('links = "all"\nradius = 0.1', r"contact\[0\].radius: goes with a frame"),
+        ('geometry = "can_0"\nheld = true', r"contact\[0\].held: goes with a frame"),
         ('links = "all"\nrim_points = 2', r"contact\[0\]: geometry: rim_points: 2 given"),
     ):
         with pytest.raises(pinimpact.InputError, match=message):
-            scene_of(tmp_path, text.replace('links = "all"  ', wrong + "\n"))
+            names(what)
     with pytest.raises(
-        pinimpact.UnknownNameError, match=r"contact\[0\]: links: no link 'panda_hund' .*panda_hand"
+        pinimpact.UnknownNameError, match=r"contact\[0\]: links: no link 'cans' .* mean 'can'"
     ):
-        scene_of(tmp_path, text.replace('"all"  ', '["panda_hund"]'))
+        names('links = ["cans"]')
+    with pytest.raises(
+        pinimpact.UnknownNameError, match="no collision shape is called 'can'; did you mean 'can_0'"
+    ):
+        names('geometry = "can"')
 
 
 def test_joints_by_name_and_unit() -> None:

@@ -131,7 +131,8 @@ def test_a_control_that_fails_keeps_what_was_computed(answer, text):
 
 
 def test_impacts_that_accumulate_end_in_an_error_with_what_was_computed():
-    with pytest.raises(pinimpact.SimulationError, match="max_impacts") as caught:
+    last_five = r"max_impacts: .* the last at ('[^']+' \([\d.]+ s\)(, |;)){5}"
+    with pytest.raises(pinimpact.SimulationError, match=last_five) as caught:
         simulate(dropped_ball(without=["sustained contact"]), *START, 5.0, max_impacts=20)
     assert len(caught.value.partial.impacts) == 20
 

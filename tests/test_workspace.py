@@ -213,3 +213,42 @@ def test_the_values_of_one_are_copied_into_another_but_not_its_addresses():
     assert (other.marks == 0).all()
     one.table[:] = 7.0
     assert (other.table != 7.0).all()
+
+
+class Growing(Workspace):
+    """What has room for so many."""
+
+    room = size("room")
+    columns = size("columns")
+    active = count("room", "in use")
+    front = reals("active", meaning="what is in use")
+    square = reals("active", "active", meaning="a matrix of what is in use")
+    flat = reals(2, "active", "columns", meaning="three dimensions")
+    other = reals("columns", meaning="of another size")
+
+
+@numba.njit
+def total_of(work):
+    """Add up what is in use, as compiled code sees it."""
+    return work.front.sum() + 100.0 * work.square.sum() + 1e4 * work.flat[1].sum()
+
+
+def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
+    work = Growing({"room": 2, "columns": 3}, {})
+    work.active = 2
+    work.front[:], work.square[:], work.other[:] = [1.0, 2.0], [[3.0, 4.0], [5.0, 6.0]], 9.0
+    work.flat[:] = np.arange(12.0).reshape(2, 2, 3)
+    before = total_of(work)
+    other = work.other
+    with pytest.raises(ValueError, match="active: 3 set, at most room = 2"):
+        work.active = 3
+    work.enlarge({"room": 5})
+    assert (work.room, work.active, total_of(work)) == (5, 2, before)
+    assert np.array_equal(work.flat, np.arange(12.0).reshape(2, 2, 3))
+    assert np.shares_memory(other, work.other)
+    work.enlarge({"room": 3})  # not smaller
+    work.active = 5
+    assert (work.room, work.square.shape) == (5, (5, 5))
+    work.square[:] = 1.0
+    work.front[:] = work.flat[:] = 0.0
+    assert total_of(work) == 2500.0

@@ -50,6 +50,8 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
         with _warnings_as_lines():
             try:
                 return command(*args, **kwargs)
+            except BrokenPipeError:  # `pinimpact … | head` has read enough; click ends quietly
+                raise
             except (PinimpactError, OSError) as error:
                 raise click.ClickException(str(error)) from error
             except KeyboardInterrupt:
@@ -72,15 +74,21 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 class _Shown(logging.Handler):
-    """Hands on the text of what is logged."""
+    """Hands on the text of what is logged; how long it takes stays in sight while kernels are counted."""
 
     def __init__(self, show: Callable[[str], Any]) -> None:
         super().__init__()
         self._show = show
+        self._time = ""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record."""
-        self._show(record.getMessage())
+        text = record.getMessage()
+        if record.levelno >= logging.WARNING:
+            self._time = f", {text.rpartition(': ')[2]}"
+            self._show(text)
+        else:
+            self._show(text + self._time)
 
 
 @contextmanager
@@ -182,6 +190,9 @@ def demo(
     remarks = []
     if shown.frozen:
         remarks.append(f"Held as they are, since they move no inertia: {', '.join(shown.frozen)}.")
+    if shown.turned:
+        x, y, z = (round(float(component), 3) + 0.0 for component in contact.plane.axes[2])
+        remarks.append(f"The table faces ({x:g}, {y:g}, {z:g}): from here it cannot be struck from above.")
     if shown.stopped is not None:
         remarks.append(f"The motion after the impact stops early: {shown.stopped}")
     title = (

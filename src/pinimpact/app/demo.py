@@ -83,6 +83,7 @@ class Demo:
         trajectory: The motion, with the impact.
         frozen: Joints that move no inertia, so that nothing can be said of their motion; they are held.
         stopped: Why the motion after the impact could not go on, or None.
+        turned: Whether the table faces another way than up, since what strikes cannot move down.
     """
 
     robot: pin.RobotWrapper
@@ -90,6 +91,7 @@ class Demo:
     trajectory: Trajectory
     frozen: tuple[str, ...] = ()
     stopped: str | None = None
+    turned: bool = False
 
     @property
     def contact(self) -> Contact:
@@ -181,7 +183,8 @@ def run_demo(
         contacts += [other for other in clear if other.gap(model, data, touch.q) > CLEAR]
     start, v, before = _take_back(model, contacts, touch)
     trajectory, stopped = _run(_scene(model, contacts), start, v, before + AFTER)
-    demo = Demo(robot, tuple(contacts), trajectory, frozen, stopped)
+    turned = normal is None and direction is None and not np.allclose(touch.normal, (0.0, 0.0, 1.0))
+    demo = Demo(robot, tuple(contacts), trajectory, frozen, stopped, turned)
     if stopped is not None and not any(i.source == demo.contact.label for i in trajectory.impacts):
         raise SimulationError(stopped, partial=trajectory)
     return demo

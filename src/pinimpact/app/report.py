@@ -21,6 +21,8 @@ CAUSES = ("compression", "restitution", "friction", "surface")
 WORKS = ("control", "joints", "friction", "surface", "impacts")
 LONGEST = 40
 """Rows that a table shows at most, unless all are asked for."""
+ROUNDING = 32.0 * 2.0**-52
+"""Part of the numbers that a sum was formed from, below which it is zero to rounding."""
 WIDE = 160
 """Columns that a page has which is not a terminal's."""
 
@@ -37,6 +39,8 @@ def impact_report(
     """Return an impact as tables: velocities before and after, segments, impulse, energy, effects."""
     solution = impact.solution
     before = np.asarray(impact.problem.velocity)
+    parts = np.abs(np.asarray(impact.problem.delassus)) @ np.abs(solution.impulse)
+    size = max(impact.problem.velocity_scale or 0.0, float(np.abs(before).max()))
     heading = (
         f"{contact.label}: friction {contact.friction:g}, restitution {impact.problem.restitution:g} "
         f"({contact.law}), at t = {impact.time:.4f} s"
@@ -46,19 +50,26 @@ def impact_report(
         _columns(
             "Contact velocity [m/s]",
             ("", "before", "after"),
-            zip(("t₁", "t₂", "n"), before, solution.velocity, strict=True),
+            zip(
+                ("t₁", "t₂", "n"),
+                rounded(before, size),
+                rounded(solution.velocity, size + float(parts.max())),
+                strict=True,
+            ),
         ),
         _columns(
             "Joint velocities [rad/s or m/s]",
             ("", "before", "after"),
-            zip(velocity_names(model), impact.v_before, impact.v_after, strict=True),
+            zip(velocity_names(model), rounded(impact.v_before), rounded(impact.v_after), strict=True),
         ),
         _columns(
             "Segments",
             ("mode", "phase", "P₃ from", "to [N s]"),
             [(s.mode, s.phase, f"{s.start:.6f}", f"{s.end:.6f}") for s in solution.segments],
         ),
-        _columns("Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(impact.impulse_world)]),
+        _columns(
+            "Impulse on the robot, world axes [N s]", ("x", "y", "z"), [tuple(rounded(impact.impulse_world))]
+        ),
         _energy(model, impact),
         Text("Effects computed: " + (", ".join(solution.effects) or "none")),
         *(Text(sentence) for sentence in (str(solution.status), *solution.flags.describe(), *remarks)),
@@ -175,13 +186,20 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
         facts["frames"][key]["name"] + f" (id {key})" if isinstance(key, int) else key
         for key in facts["contact_frames"]
     ]
+    at_joint = {frame["name"] for frame in facts["frames"] if not any(frame["place"])}
+    at_joint &= set(facts["contact_frames"])
     parts: list[RenderableType] = [
         Text(heading, style="bold"),
         _columns(
             "Joints, with their limits [rad or m]", ("joint", "kind", "velocities", "lower", "upper"), joints
         ),
         Text("Frames that may touch something: " + (", ".join(suggested) or "none, for no joint moves")),
+        Text("Collision shapes: " + (", ".join(facts["collision_shapes"]) or "none")),
     ]
+    if at_joint:
+        parts.append(
+            Text(f"At their joints: {', '.join(sorted(at_joint))}; offset= of a Contact moves the point.")
+        )
     if every:
         rows = [(str(f["id"]), f["name"], f["joint"], f["kind"]) for f in facts["frames"]]
         parts.append(_columns("Frames", ("id", "frame", "joint", "kind"), rows))
@@ -192,10 +210,12 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
+    """Return what changed the energy; what is not accounted for is told as small as it is."""
     energy = trajectory.energy
-    changes: list[tuple[Any, ...]] = [("kinetic and potential", energy.total[-1] - energy.total[0])]
-    changes += [(f"work of {name}", getattr(energy, name)[-1]) for name in WORKS]
-    return [*changes, ("not accounted for", energy.residual[-1])]
+    values = [energy.total[-1] - energy.total[0], *(getattr(energy, name)[-1] for name in WORKS)]
+    names = ["kinetic and potential", *(f"work of {name}" for name in WORKS)]
+    changes = rounded(values, float(np.abs(energy.total).max()))
+    return [*zip(names, changes, strict=True), ("not accounted for", energy.residual[-1])]
 
 
 def _cut(rows: Sequence[Any], shown: int | None) -> str:
@@ -231,10 +251,23 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
     mass = np.triu(mass) + np.triu(mass, 1).T
     kinetic = [0.5 * float(v @ mass @ v) for v in (impact.v_before, impact.v_after)]
     work = impact.solution.work
-    rows: list[tuple[Any, ...]] = [("kinetic energy before", kinetic[0])]
+    rows = [("kinetic energy before", kinetic[0])]
     rows += [(cause, getattr(work, cause)) for cause in CAUSES if cause != "surface" or work.surface != 0.0]
     rows += [("sum of the works", work.total), ("kinetic energy after", kinetic[1])]
-    return _columns("Energy [J]", ("", "J"), rows)
+    names, values = zip(*rows, strict=True)
+    return _columns("Energy [J]", ("", "J"), zip(names, rounded(values), strict=True))
+
+
+def rounded(values: Any, size: float = 0.0) -> list[float]:
+    """Return numbers (n,) with zeros for those that are nothing but rounding.
+
+    Args:
+        values: The numbers.
+        size: Of what they were formed from; at least that of the largest of them.
+    """
+    found = np.asarray(values, dtype=float)
+    least = ROUNDING * max(size, float(np.abs(found).max(initial=0.0)))
+    return [0.0 if abs(x) <= least else x for x in found.tolist()]
 
 
 def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:

@@ -15,7 +15,7 @@ TOOLS = r"tcp|tool|\bee\b|\beef\b|end.?effector|gripper|hand\b"
 FEET = r"foot|feet|sole|toe|contact|paw|ankle"
 TIPS = r"tip|finger|nub|jaw|palm|wrist|ball"
 SENSORS = (
-    r"imu|cam(era)?\b|laser|lidar|sonar|radar|optical|sensor|rgb|depth|\bcom\b|inertia|rotor|propeller|screen"
+    r"imu|fsr|cam(era)?\b|laser|lidar|sonar|radar|optical|sensor|rgb|depth|\bcom\b|inertia|rotor|propeller|screen"
     r"|display|velodyne|ultrasound|\bdh\b|battery|world"
 )
 
@@ -24,21 +24,28 @@ def suggested_frames(model: pin.Model) -> list[int]:
     """Return the ids of frames that may touch something, what most likely does first.
 
     They are the outermost ones: of each joint that carries no other the frame that is called a tool, a foot
-    or a tip, or else the one farthest from the joint, but no sensor; and tools further inside. A free base
-    has its feet first, a fixed one its tools.
+    or a tip, or else the one farthest from the joint, but no sensor; and tools further inside. A link that
+    ends a chain counts as what it is fixed to: the end of a hand is a tool. A free base has its feet first,
+    a fixed one its tools.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     names = Counter(frame.name for frame in model.frames)
     outer = {j for j in range(1, model.njoints) if not len(model.children[j])}
     order = (FEET, TOOLS, TIPS) if free_base(model) else (TOOLS, FEET, TIPS)
+    kinds = [_kind_of_frame(frame.name, order) for frame in model.frames]
+    for i in _chain_ends(model):
+        joint, parent, seen = model.frames[i].parentJoint, model.frames[i].parentFrame, {i}
+        while parent not in seen and model.frames[parent].parentJoint == joint:  # reduced models have circles
+            kinds[i] = min(kinds[i], kinds[parent])
+            seen.add(parent)
+            parent = model.frames[parent].parentFrame
     best: dict[Any, tuple[tuple[float, ...], int]] = {}
     for i, frame in enumerate(model.frames):
         joint = frame.parentJoint
-        name = re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", frame.name).lower())
-        if joint == 0 or re.search(SENSORS, name):
+        if joint == 0 or re.search(SENSORS, _words(frame.name)):
             continue
-        kind = next((k for k, words in enumerate(order) if re.search(words, name)), len(order))
+        kind = kinds[i]
         tool = kind == order.index(TOOLS)
         if joint not in outer and not tool:
             continue
@@ -50,6 +57,36 @@ def suggested_frames(model: pin.Model) -> list[int]:
         if place not in best or rank < best[place][0]:
             best[place] = rank, i
     return [i for _, i in sorted(best.values())]
+
+
+def end_frames(model: pin.Model) -> list[int]:
+    """Return the ids of frames that may touch something: those that suggest themselves, then other ends."""
+    suggested = suggested_frames(model)
+    ends = [i for i in _chain_ends(model) if np.any(model.frames[i].placement.translation)]
+    return [*suggested, *(i for i in ends if i not in suggested)]
+
+
+def _chain_ends(model: pin.Model) -> list[int]:
+    """Return the ids of links that move and to which nothing is fixed or jointed; sensors are left out."""
+    parents = {frame.parentFrame for frame in model.frames}
+    return [
+        i
+        for i, frame in enumerate(model.frames)
+        if frame.type == pin.FrameType.BODY
+        and frame.parentJoint != 0
+        and i not in parents
+        and not len(model.children[frame.parentJoint])
+        and not re.search(SENSORS, _words(frame.name))
+    ]
+
+
+def _words(name: str) -> str:
+    """Return a name in small letters with spaces between its words."""
+    return re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+
+
+def _kind_of_frame(name: str, order: tuple[str, ...]) -> int:
+    return next((k for k, words in enumerate(order) if re.search(words, _words(name))), len(order))
 
 
 def free_base(model: pin.Model) -> bool:
@@ -90,6 +127,7 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
             "name": frame.name,
             "joint": model.names[frame.parentJoint],
             "kind": str(frame.type).lower(),
+            "place": frame.placement.translation.tolist(),
         }
         for i, frame in enumerate(model.frames)
     ]
@@ -102,12 +140,17 @@ def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
         "q0": np.asarray(robot.q0).tolist(),
         "shapes": {
             "visual": robot.visual_model.ngeoms if robot.visual_model is not None else 0,
-            "collision": robot.collision_model.ngeoms if robot.collision_model is not None else 0,
+            "collision": len(_collision_shapes(robot)),
         },
-        "contact_frames": [frame_label(model, i) for i in suggested_frames(model)],
+        "collision_shapes": [shape.name for shape in _collision_shapes(robot)],
+        "contact_frames": [frame_label(model, i) for i in end_frames(model)],
         "joints": joints,
         "frames": frames,
     }
+
+
+def _collision_shapes(robot: pin.RobotWrapper) -> list[pin.GeometryObject]:
+    return [] if robot.collision_model is None else list(robot.collision_model.geometryObjects)
 
 
 _KINDS = (

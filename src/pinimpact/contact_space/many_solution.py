@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from ..html_tables import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
 from .inputs import Array
 from .solution import Path, Segment, Solution, Work
@@ -98,6 +100,37 @@ class ManySolution:
     def part(self, j: int) -> Solution:
         """Return what contact j has come to, by the names that the `Solution` of one contact has."""
         return PartSolution(self, j)
+
+    def as_html(self, names: Sequence[str]) -> str:
+        """Return tables for a notebook, with a name for each contact."""
+        axes = ("", "t₁", "t₂", "n")
+
+        def rows(of: Array) -> list[tuple[Any, ...]]:
+            return [(name, *row) for name, row in zip(names, of.tolist(), strict=True)]
+
+        causes = ("compression", "restitution", "friction", "surface", "total")
+        works = np.column_stack([np.broadcast_to(getattr(self.work, c), len(names)) for c in causes])
+        works = np.vstack([works, works.sum(axis=0)])
+        return (
+            html_table(f"Impact at {len(names)} contacts: velocity after [m/s]", axes, rows(self.velocity))
+            + html_table("Impulse, in the axes of each [N s]", axes, rows(self.impulse))
+            + html_table(
+                "Work [J]",
+                ("", *causes),
+                [(name, *row) for name, row in zip((*names, "all"), works.tolist(), strict=True)],
+            )
+            + html_lines(
+                [
+                    f"Policy {self.simultaneous!r}, {self.law} law.",
+                    *(f"{name}: {status}" for name, status in zip(names, self.statuses, strict=True)),
+                    *self.flags.describe(),
+                    *self.notes,
+                ]
+            )
+        )
+
+    def _repr_html_(self) -> str:
+        return self.as_html([f"contact {j}" for j in range(len(self.velocity))])
 
     def __repr__(self) -> str:
         return (

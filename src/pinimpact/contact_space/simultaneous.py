@@ -202,7 +202,7 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
     if counts[4] == 2:
         notes += (
             f"After {counts[1]} events in {counts[0]} steps what was left was resolved at once, and nothing "
-            "of it was restored.",
+            f"of it was restored. The last of them: {_last(rows[: counts[2]])}.",
         )
     recorded = path[: counts[3]]
     story = None
@@ -215,6 +215,18 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
     taken = int(counts[0]), int(counts[1])
     names = "propagate", "energetic"
     return _answer(inputs, names, after, impulses, works, taken, segments, notes, story)
+
+
+LAST = 5
+"""How many events are told where their number has come to its bound."""
+
+
+def _last(rows: Array) -> str:
+    """Return in words what the last rows of a path tell."""
+    modes, phases = ("slip", "stick"), ("compression", "restitution")
+    return ", ".join(
+        f"contact {int(row[0])} {modes[int(row[1])]} in {phases[int(row[2])]}" for row in rows[-LAST:]
+    )
 
 
 def _answer(

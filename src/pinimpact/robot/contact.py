@@ -132,12 +132,12 @@ class Contact:
                 what = "rim_points belongs to a geometry"
         elif self.frame != "":
             what = f"the frame {self.frame!r} and the geometry {self.geometry!r} given"
-        elif self.radius or self.rim or any(self.offset):
+        elif self.radius or self.rim or np.any(self.offset):
             what = "offset, radius and rim belong to a frame; the geometry has its own"
         else:
             what = "" if isinstance(self.geometry, str) else f"{self.geometry!r} is no name of a shape"
             points = self.rim_points
-            if points is not None and (not isinstance(points, int) or points < 3):
+            if points is not None and (not isinstance(points, (int, np.integer)) or points < 3):
                 what = f"rim_points: {points!r} given, a whole number of at least 3 expected"
         if what:
             raise InputError(

@@ -76,6 +76,11 @@ class DataCache:
         self.ignore_limits()
         warn_of_limits(self.model(), q, rows, stacklevel)
 
+    def check_limits(self, q: np.ndarray, stacklevel: int) -> None:
+        """Warn of a configuration (nq,) beyond joint limits."""
+        if ((q < self.bounds[0]) | (q > self.bounds[1])).any():
+            self.warn_of_limits(q, stacklevel=stacklevel + 1)
+
     def ignore_limits(self) -> None:
         """Warn of no configuration beyond joint limits."""
         self.bounds = np.outer([-np.inf, np.inf], np.ones(self.q_shape))

@@ -15,7 +15,9 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError
+from ..html_tables import html_table
 from .contact import Contact, check_contact, check_held
+from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
 from .matrices import ManyMatrices, many_matrices
 from .touching import check_rims
@@ -30,6 +32,8 @@ class ManyHit:
     Attributes:
         v: (nv,) post-impact generalized velocity.
         impulses_world: (n, 3) impulses on the robot at the contacts, in world axes [N s].
+        contacts: The n contacts.
+        points: (n, 3) where they are, in world axes [m].
         axes: (n, 3, 3) contact axes t₁, t₂, n as rows, in world axes.
         problem: The contact-space problem that was solved.
         solution: Its solution, in contact axes.
@@ -38,10 +42,18 @@ class ManyHit:
 
     v: Array
     impulses_world: Array
+    contacts: tuple[Contact, ...]
+    points: Array
     axes: Array
     problem: ImpactProblem
     solution: ManySolution
     held_impulses: Array
+
+    def _repr_html_(self) -> str:
+        names = [contact.label for contact in self.contacts]
+        rows = [(name, *row) for name, row in zip(names, self.impulses_world.tolist(), strict=True)]
+        title = "Impulses on the robot, world axes [N s]"
+        return html_table(title, ("", "x", "y", "z"), rows) + self.solution.as_html(names)
 
     def __repr__(self) -> str:
         return (
@@ -71,6 +83,7 @@ def impact_at_many(
     check_rims(model, data, q, contacts)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
+    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)
@@ -82,6 +95,8 @@ def impact_at_many(
     return ManyHit(
         v + matrices.response @ impulse,
         np.einsum("ni,nij->nj", solution.impulse, axes),
+        tuple(contacts),
+        np.array([geometry.point for geometry in matrices.contacts]),
         axes,
         problem,
         solution,

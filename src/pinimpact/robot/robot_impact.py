@@ -15,6 +15,7 @@ from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
+from ..html_tables import html_table
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
@@ -113,6 +114,11 @@ class Hit:
             surface = self._part(kernel.SURFACE, 3)
             self._solution = Solution(numbers, inputs, surface_velocity=surface)
         return self._solution
+
+    def _repr_html_(self) -> str:
+        title = f"{self._contact.label}: impulse on the robot, world axes [N s]"
+        table = html_table(title, ("x", "y", "z"), [self.impulse_world.tolist()])
+        return table + self.solution._repr_html_()
 
     def __repr__(self) -> str:
         return f"Hit(v={self.v}, impulse_world={self.impulse_world}, status={str(self.solution.status)!r})"
@@ -292,9 +298,7 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    q, cache = np.asarray(q, dtype=np.float64), data_cache(model, data)
-    if ((q < cache.bounds[0]) | (q > cache.bounds[1])).any():
-        cache.warn_of_limits(q, stacklevel=5)
+    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))

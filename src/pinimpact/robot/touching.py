@@ -56,15 +56,18 @@ def check_rims(model: pin.Model, data: pin.Data, q: ArrayLike, contacts: Iterabl
     cache = data_cache(model, data)
     cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
     for contact in rims:
-        if tilt_of_rim(model, data, contact) <= FLAT:
+        if float(np.linalg.norm(tilt_of_rim(model, data, contact))) <= FLAT:
             raise InputError(f"contact: {flat_rim(contact)}", field="contact", value=contact)
 
 
-def tilt_of_rim(model: pin.Model, data: pin.Data, contact: Contact) -> float:
-    """Return the sine of the angle between a rim and its plane, where ``data.oMi`` is up to date."""
+def tilt_of_rim(model: pin.Model, data: pin.Data, contact: Contact) -> Array:
+    """Return u × n (3,) in the axes of the plane's carrier, where ``data.oMi`` is up to date.
+
+    Its length is the sine of the angle between a rim and its plane; its lowest point is across it.
+    """
     frame, carrier = _placements(model, data, contact)
-    normal = carrier[:3, :3] @ contact.plane.axes[2]
-    return float(np.linalg.norm(np.cross(frame[:3, :3] @ contact.axis, normal)))
+    axis = carrier[:3, :3].T @ (frame[:3, :3] @ contact.axis)
+    return np.cross(axis, contact.plane.axes[2])
 
 
 def flat_rim(contact: Contact) -> str:

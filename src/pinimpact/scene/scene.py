@@ -93,6 +93,12 @@ class Scene:
         assign = object.__setattr__
         if self.geometry is None:
             assign(self, "geometry", getattr(self.model, "collision_model", None))
+        elif not isinstance(self.geometry, pin.GeometryModel):
+            raise InputError(
+                f"geometry: {self.geometry!r} is no pinocchio GeometryModel",
+                field="geometry",
+                value=self.geometry,
+            )
         assign(self, "model", model_of(self.model))
         assign(self, "contacts", self._tips(self.contacts))
         contacts, held = (

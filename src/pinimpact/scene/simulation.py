@@ -27,7 +27,7 @@ from .dynamics import SceneDynamics
 from .events import EventWatch, Interruption, as_events
 from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
-from .records import Energy, ModeInterval
+from .records import Energy, ImpactRecord, ModeInterval
 from .scene import STANDARD_GRAVITY, Scene
 from .shape_watch import Meeting
 from .simulation_state import Arriving, SimulationState
@@ -141,6 +141,14 @@ def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajecto
 def _dynamics_of(*made_of: Any) -> SceneDynamics:
     """Return the dynamics of a motion of its own."""
     return Motion(*made_of).dynamics
+
+
+LAST = 5
+"""How many of the last impacts are named where there are too many."""
+
+
+def _sources(impacts: list[ImpactRecord]) -> str:
+    return ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
 
 
 class Motion:
@@ -392,6 +400,7 @@ class Motion:
                 self.last_progress = self.steps, t
             else:
                 self._check_for_chatter()
+                state.refuse_flat_rims()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -406,6 +415,7 @@ class Motion:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
                 self._check_for_chatter()
+                state.refuse_flat_rims()
                 if self._stop_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
@@ -424,6 +434,10 @@ class Motion:
             if error > 1.0:
                 self.rejected += 1
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                continue
+            if state.rims_jump(work.q0, work.q1):
+                self.rejected += 1
+                h = 0.5 * trial
                 continue
             directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)
@@ -582,7 +596,7 @@ class Motion:
             self.last_progress = self.steps, self.state.t
         count = len(impacts) + self.jams - self._counted
         if count > self.max_impacts:
-            last = f", the last at {impacts[-1].source!r}" if impacts else ""
+            last = f", the last at {_sources(impacts)}" if impacts else ""
             raise SimulationError(
                 f"max_impacts: {count} impacts until t = {self.state.t:.6g} s{last}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "

@@ -15,7 +15,7 @@ from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, TOUCHING
-from ._kernels.contact_forces import SLIP
+from ._kernels.contact_forces import FREE, SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
@@ -52,6 +52,9 @@ LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 
 ROUNDING = 1e-9
 """Part of a speed that is none."""
+
+NEARLY_FLAT = 1e-4
+"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
 
 MAX_ROUNDS = 1000
 """Impacts at one instant, after which the approach left is taken away at once (and noted)."""
@@ -183,18 +186,46 @@ class SimulationState:
             resolved.append(self._take_over(jammed, impact))
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
+    def rims_jump(self, q: Array, later: Array) -> bool:
+        """Whether the lowest point of a closed rim goes round by a right angle or more from q to another.
+
+        It does where the rim has come to lie flat and goes on beyond, however short the step is.
+        """
+        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
+        if not closed:
+            return False
+        tilts = [self._tilts(closed, at) for at in (q, later)]
+        return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
+
+    def refuse_flat_rims(self) -> None:
+        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
+
+        Raises:
+            SimulationError: See above.
+        """
+        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
+        self._refuse_flat(closed, NEARLY_FLAT)
+
     def _check_rims(self, where: NDArray[np.int64]) -> None:
         """Stop where a rim touches all round, within the tolerance of touching."""
         touching = [k for k in self._rims if where[k] != APART]
-        if touching:
-            pin.forwardKinematics(self._model, self._data, self.q)
-        for k in touching:
-            contact = self.dynamics.contacts[k]
-            highest = 2.0 * contact.rim * tilt_of_rim(self._model, self._data, contact)
-            if highest <= self.dynamics.work.touching_gap:
+        self._refuse_flat(touching, 0.0)
+
+    def _refuse_flat(self, rims: list[int], least: float) -> None:
+        """Stop where a rim lies flat, or is tilted by less than this."""
+        for k, tilt in zip(rims, self._tilts(rims, self.q), strict=True):
+            contact, size = self.dynamics.contacts[k], float(np.linalg.norm(tilt))
+            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap or size < least:
                 raise SimulationError(
                     f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
                 )
+
+    def _tilts(self, rims: list[int], q: Array) -> list[Array]:
+        """Return u × n (3,) of rims, see `tilt_of_rim`."""
+        if not rims:
+            return []
+        pin.forwardKinematics(self._model, self._data, q)
+        return [tilt_of_rim(self._model, self._data, self.dynamics.contacts[k]) for k in rims]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""

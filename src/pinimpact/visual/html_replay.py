@@ -97,7 +97,7 @@ class Replay(os.PathLike[str]):
 
 
 def replay(
-    robot: pin.RobotWrapper | pin.Model | Hit,
+    robot: pin.RobotWrapper | pin.Model | Hit | ManyHit,
     motion: Trajectory | Hit | ManyHit | ImpactRecord | None = None,
     path: str | Path | None = "replay.html",
     *,
@@ -123,8 +123,8 @@ def replay(
         robot: The robot with its visual geometry; without any, or as a bare model, it is drawn in lines.
         motion: A `Trajectory`, a `Hit`, a `ManyHit`, or an impact of a trajectory.
         path: The file to write, in a folder that exists; None for none.
-        contacts: Contacts whose surfaces, ways, forces and impacts are drawn. By default those of the
-            trajectory, or the one of the hit; those of a `ManyHit` have to be given, in their order.
+        contacts: Contacts whose surfaces, ways, forces and impacts of a trajectory are drawn, by default its
+            own. An impact of a trajectory needs those of its scene; a hit knows its own.
         q: (nq,) the configuration of a hit.
         speed: Seconds of motion per second of film, > 0, away from impacts.
         slowdown: How much slower it is at an impact, ≥ 1; 1 also leaves out the standstill.
@@ -135,7 +135,7 @@ def replay(
             configuration.
         UnknownNameError: A contact at a frame that the robot does not have.
     """
-    if isinstance(robot, Hit):
+    if isinstance(robot, (Hit, ManyHit)):
         robot, motion = None, robot
     speed = above_zero("speed", speed)
     if not math.isfinite(slowdown) or slowdown < 1.0:
@@ -143,7 +143,7 @@ def replay(
             f"slowdown: {slowdown!r} given, a number of at least 1 expected", field="slowdown", value=slowdown
         )
     if isinstance(motion, ManyHit):
-        text = _many_page(robot, motion, contacts, q)
+        text = _many_page(robot, motion, q)
     elif isinstance(motion, (Hit, ImpactRecord)):
         text = _impact_page(robot, motion, contacts, q)
     elif isinstance(motion, Trajectory):
@@ -233,17 +233,12 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
     return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
 
 
-def _many_page(robot: Any, hit: ManyHit, contacts: Sequence[Contact] | None, q: Any) -> str:
+def _many_page(robot: Any, hit: ManyHit, q: Any) -> str:
+    mark = many_mark(hit)
+    if robot is None:
+        return _page(None, pin.Model(), np.zeros(2), [np.zeros(0)] * 2, [], [], [mark], WITHIN, [])
     model = model_of(robot)
-    if contacts is None or len(contacts) != len(hit.axes):
-        raise InputError(
-            f"contacts: give the {len(hit.axes)} contacts of the impact, in their order",
-            field="contacts",
-            value=contacts,
-        )
-    q, data, drawn = _configuration(model, q), model.createData(), _contacts(model, contacts)
-    points = [contact_geometry(model, data, q, contact).point for contact in drawn]
-    mark = many_mark(hit, drawn, points)
+    q, drawn = _configuration(model, q), _contacts(model, hit.contacts)
     return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
 
 

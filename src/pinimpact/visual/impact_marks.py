@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
-from ..contact_space.solve import solve_impact
-from ..robot.contact import Contact
 from ..robot.many_impact import ManyHit
 from ..scene.records import ImpactRecord
-from .smooth_path import invariant_directions, smooth_path
+from .smooth_path import invariant_directions, many_path, smooth_path
 
 Array = NDArray[np.float64]
 
@@ -205,28 +203,20 @@ def group_mark(
     )
 
 
-def many_mark(hit: ManyHit, contacts: Sequence[Contact], points: Sequence[Array]) -> ImpactMark:
-    """Return what a replay shows of an impact at many contacts, in their order.
-
-    Args:
-        hit: The impact.
-        contacts: Those that it was solved for.
-        points: (3,) where each of them is, in world axes [m].
-    """
-    problem, solution = hit.problem, hit.solution
-    path = solution.path
-    if path is None:
-        path = solve_impact(problem, record=True, simultaneous=solution.simultaneous).path
+def many_mark(hit: ManyHit) -> ImpactMark:
+    """Return what a replay shows of an impact at many contacts, in their order."""
+    contacts, problem, solution = hit.contacts, hit.problem, hit.solution
+    path = many_path(problem, solution)
     clock, velocity, impulse = np.array([0.0, 1.0]), problem.velocity, solution.impulse
     ways = np.array([velocity, solution.velocity]), np.array([np.zeros_like(impulse), impulse])
-    if path is not None and len(path.clock) > 1:
+    if path is not None:
         span = float(path.clock[-1] - path.clock[0])
         clock = (path.clock - path.clock[0]) / span if span > 0.0 else np.linspace(0.0, 1.0, len(path.clock))
         ways = path.velocity, path.impulse
     marks = [
         ContactMark(
             contact.label,
-            points[k],
+            hit.points[k],
             hit.axes[k],
             contact.friction,
             None,

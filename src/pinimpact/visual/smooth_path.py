@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact_space.many_solution import ManyPath, ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Path, Solution
 from ..contact_space.solve import solve_impact
@@ -52,6 +53,23 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
     moved: Array = start + dense @ w.T
     moved[np.cumsum([0, *map(len, pieces[:-1])])] = velocity  # zero where it is zero
     return Path(dense[:, 2], moved, dense)
+
+
+def many_path(problem: ImpactProblem, solution: ManySolution) -> ManyPath | None:
+    """Return the path of an impact at many contacts, None where its policy has none.
+
+    One that was solved without ``record=True`` is solved once more; what comes out then has to be the same,
+    for options of the policy are not known here.
+
+    Args:
+        problem: What was solved.
+        solution: Its answer.
+    """
+    path = solution.path
+    if path is None:
+        again = solve_impact(problem, record=True, simultaneous=solution.simultaneous)
+        path = again.path if np.array_equal(again.impulse, solution.impulse) else None
+    return path if path is not None and len(path.clock) > 1 else None
 
 
 def _slip(

@@ -37,6 +37,9 @@ def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
 def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Array) -> dict[str, Any]:
     """Return a surface as the player draws it.
 
+    Its material has the velocity "slide" in the middle of what is drawn and the angular velocity "spin", both
+    in the axes of what is drawn [m/s, rad/s].
+
     Args:
         model: The robot.
         surface: What is drawn.
@@ -51,7 +54,16 @@ def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Ar
     local = np.array([[at.act(p) for at, p in zip(seen, way, strict=True)] for way in points]).reshape(-1, 3)
     kind, size, inner = _SOLIDS[type(surface)](surface, local)
     matrix = place.homogeneous @ inner
-    return {"kind": kind, "size": size, "joint": joint, "matrix": short(matrix.T.ravel())}
+    spin = np.asarray(surface.angular_velocity)
+    slide = np.asarray(surface.velocity) + np.cross(spin, inner[:3, 3] - np.asarray(surface.origin))
+    return {
+        "kind": kind,
+        "size": size,
+        "joint": joint,
+        "matrix": short(matrix.T.ravel()),
+        "slide": short(slide @ inner[:3, :3]),
+        "spin": short(spin @ inner[:3, :3]),
+    }
 
 
 def _plate(plane: Plane, points: Array) -> tuple[str, list[float], Array]:

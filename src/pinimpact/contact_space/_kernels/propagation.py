@@ -56,6 +56,9 @@ STOPS = 1e-7
 REACH = 20.0
 """Steps within which a slip that runs straight at zero is there."""
 
+SEEN = 1e-3
+"""Part of the accuracy of velocities that impulses have where velocities do not feel them."""
+
 LONGEST = 1e3
 """The longest step, in units of the pace."""
 
@@ -154,14 +157,12 @@ def propagate(
             expand(system, state, unknown, inverse, FIRST, 1.0, series)
             pace = natural_pace(state, series)
             root = expand(system, state, unknown, inverse, ORDER, pace, series)
-            h = _step_length(series, n, accuracy, LONGEST)
+            h = _step_length(system, series, accuracy, pace, LONGEST)
             if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
                 _loaded_ends(state)
                 first = NEVER
                 break
-            first, degree = _find_events(
-                system, state, series, h, 0.0 if at_once <= 2 * n else TIE / pace, roots, guard, work
-            )
+            first, degree = _find_events(system, state, series, h, at_once > 2 * n, roots, guard, work)
             h = first if degree == SHORT else min(h, first)
             if h > 0.0:
                 at_once = 0 if h * pace > TIE else at_once
@@ -294,12 +295,18 @@ def _next_closing(state):
 
 
 @inner
-def _step_length(series, n, accuracy, h):
+def _step_length(system, series, accuracy, pace, h):
     """Return how far the series reaches."""
+    n = len(system.friction)
+    weight = 0.0
+    for i in range(3 * n):
+        weight = max(weight, system.w[i, i])
     for k in range(ORDER - 1, ORDER + 2):
         largest = 0.0
         for i in range(3 * n):
             largest = max(largest, abs(series.v[k, i]))
+            # forces that cancel each other in all velocities are not seen there
+            largest = max(largest, SEEN * weight * abs(series.force[k - 1, i]) * pace / k)
         for j in range(n):
             largest = max(largest, abs(series.indentation[k, j]))
         if largest > 0.0:
@@ -308,14 +315,14 @@ def _step_length(series, n, accuracy, h):
 
 
 @inner
-def _fall(c, h, zero, earliest, work):
-    """Return where a guard falls; before the earliest time it does not count."""
+def _fall(c, h, zero, crowded, work):
+    """Return where a guard falls; from zero at once does not count where that has been so too often."""
     time = first_fall(c, ORDER, h, zero, work)
-    return NEVER if time < earliest else time
+    return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
 
 
 @inner
-def _find_events(system, state, series, h, earliest, roots, guard, work):
+def _find_events(system, state, series, h, crowded, roots, guard, work):
     """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
     n = len(system.friction)
     first, degree = NEVER, ORDER
@@ -336,8 +343,7 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
-        from_then = earliest if mode == HELD else 0.0
-        roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, from_then, work)
+        roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, crowded, work)
         if mode in (RISING, SINKING, HELD):
             for k in range(ORDER + 1):
                 if mode == RISING:
@@ -348,7 +354,7 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, from_then, work)
+            roots[j, 1] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, crowded, work)
         if state.tangent[j] == STUCK:
             square = system.friction[j] * system.friction[j]
             for k in range(ORDER + 1):
@@ -358,7 +364,7 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                     total -= series.force[i, x] * series.force[k - i, x]
                     total -= series.force[i, y] * series.force[k - i, y]
                 guard[k] = total
-            roots[j, 2] = _fall(guard, h, 1e-2 * TIE * strongest * strongest, earliest, work)
+            roots[j, 2] = _fall(guard, h, 1e-2 * TIE * strongest * strongest, crowded, work)
         elif state.tangent[j] == SLIPPING:
             ux, uy = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
             speed = series.speed[0, j]
@@ -368,7 +374,7 @@ def _find_events(system, state, series, h, earliest, roots, guard, work):
                 guard[0] = 0.0
             if state.fresh[j] == TIED:
                 guard[1] = 0.0
-            time = _fall(guard, h, 0.0, 0.0, work)
+            time = _fall(guard, h, 0.0, False, work)
             if time < NEVER:
                 across = value(series.v[:, y], ORDER, time) * ux - value(series.v[:, x], ORDER, time) * uy
                 if abs(across) <= 10.0 * TINY:
@@ -463,11 +469,12 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
 def _apply(system, state, series, roots, first, tie):
     """Change the modes of contacts whose time has come."""
     now = first + tie
+    before = state.tangent.copy()
     for j in range(len(system.friction)):
         z = 3 * j + 2
         state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
         normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
-        if tangent and state.tangent[j] == SLIPPING:
+        if tangent and before[j] == SLIPPING:
             _stick(state, j)
             for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
                 speed = math.hypot(state.v[3 * other], state.v[3 * other + 1])

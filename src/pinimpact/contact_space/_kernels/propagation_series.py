@@ -326,6 +326,12 @@ def _turn(system, state, series, k, pace, ties, answers):
     count, m = len(ties), len(state.v)
     matrix, right, x = np.zeros((2 * count, 2 * count)), np.zeros(2 * count), np.zeros(2 * count)
     factor = (k + 1.0) / pace
+    sizes = np.empty(count)  # of what a turn does, so that equations of weak contacts count as well
+    for c in range(count):
+        sizes[c] = 0.0
+        for i in range(m):
+            sizes[c] = max(sizes[c], w[i, i] * abs(answers[c, i]))
+        sizes[c] = sizes[c] / factor if sizes[c] > 0.0 else 1.0
     for c in range(count):
         j = ties[c]
         dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
@@ -347,13 +353,14 @@ def _turn(system, state, series, k, pace, ties, answers):
                 total = 0.0
                 for i in range(m):
                     total += w[row, i] * answers[other, i]
-                matrix[2 * c + part, 2 * other + 1] = -total
+                matrix[2 * c + part, 2 * other + 1] = -total / sizes[other]
             if last == k:
-                matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d
-    if solve(matrix, right, x, 1e-14) == 0:  # as where nothing can move across
-        least_norm(matrix, right, 1e-14, x, np.empty((0, 2 * count)))
+                matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d / sizes[c]
+    if solve(matrix, right, x, RANK) == 0:  # as where nothing can move across, or forces are not unique
+        least_norm(matrix, right, RANK, x, np.empty((0, 2 * count)))
     for c in range(count):
         j = ties[c]
+        x[2 * c + 1] /= sizes[c]
         speed[k - 1 if state.fresh[j] == TIED else k, j] = x[2 * c]
         unit[k, 2 * j] -= x[2 * c + 1] * state.direction[2 * j + 1]
         unit[k, 2 * j + 1] += x[2 * c + 1] * state.direction[2 * j]

@@ -113,13 +113,37 @@ const Drawing = (() => {
     return group;
   }
 
+  // a plate or a ball; material that moves is checked, and `move` takes the checks to a time
   function surface(what) {
-    const material = new THREE.MeshLambertMaterial({ color: COLORS.surface, opacity: 0.75, transparent: true });
-    const [a, b, c] = what.size;
-    const shape = what.kind === "sphere" ? new THREE.SphereGeometry(a, 40, 24) : new THREE.BoxGeometry(a, b, c);
-    const mesh = new THREE.Mesh(shape, material);
+    const look = { color: COLORS.surface, opacity: 0.75, transparent: true };
+    const plain = new THREE.MeshLambertMaterial(look);
+    const [a, b, c] = what.size, ball = what.kind === "sphere";
+    const shape = ball ? new THREE.SphereGeometry(a, 40, 24) : new THREE.BoxGeometry(a, b, c);
+    const mesh = new THREE.Mesh(shape, plain), start = new THREE.Matrix4().fromArray(what.matrix);
     mesh.matrixAutoUpdate = false;
-    mesh.matrix.fromArray(what.matrix);
+    mesh.matrix.copy(start);
+    if (!moves(what)) return mesh;
+    const checks = checked(), spin = new THREE.Vector3(...what.spin), rate = spin.length();
+    const worn = new THREE.MeshLambertMaterial({ ...look, map: checks });
+    if (ball) {
+      mesh.material = worn;
+      checks.repeat.set(8, 4);
+      const axis = spin.normalize(), turn = new THREE.Matrix4();
+      mesh.move = t => mesh.matrix.multiplyMatrices(start, turn.makeRotationAxis(axis, rate * t));
+      return mesh;
+    }
+    mesh.material = [plain, plain, plain, plain, worn, plain];  // the fifth side is the upper one
+    checks.matrixAutoUpdate = false;
+    const [v1, v2] = what.slide, w = what.spin[2], period = Math.max(a, b) / 6;
+    mesh.move = t => {
+      // where the material at (x, y) was at t = 0: turned back about the point that stands still, or shifted back
+      const cos = Math.cos(w * t), sin = Math.sin(w * t), [x, y] = w ? [-v2 / w, v1 / w] : [0, 0];
+      const back = w ? [x - cos * x - sin * y, y + sin * x - cos * y] : [-v1 * t, -v2 * t];
+      checks.matrix.set(
+        cos * a / period, sin * b / period, (back[0] - 0.5 * (cos * a + sin * b)) / period,
+        -sin * a / period, cos * b / period, (back[1] + 0.5 * (sin * a - cos * b)) / period, 0, 0, 1);
+    };
+    mesh.move(0);
     return mesh;
   }
 
@@ -132,6 +156,25 @@ const Drawing = (() => {
     mesh.matrix.fromArray(what.matrix);
     mesh.visible = false;
     return mesh;
+  }
+
+  // whether one can see a surface's material move: a plate within its plane, a ball about its centre
+  function moves(what) {
+    const flat = what.kind === "sphere" ? what.spin : [what.slide[0], what.slide[1], what.spin[2]];
+    return flat.some(x => x !== 0);
+  }
+
+  function checked() {
+    const picture = document.createElement("canvas"), g = picture.getContext("2d");
+    picture.width = picture.height = 64;
+    g.fillStyle = "#ffffff";
+    g.fillRect(0, 0, 64, 64);
+    g.fillStyle = "#8f8f8f";
+    g.fillRect(0, 0, 32, 32);
+    g.fillRect(32, 32, 32, 32);
+    const texture = new THREE.CanvasTexture(picture);
+    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+    return texture;
   }
 
   // --- flat pictures of one contact's impact -------------------------------------------------------------
@@ -243,5 +286,5 @@ const Drawing = (() => {
     label(g, `velocity, ${low.toPrecision(2)} to ${high.toPrecision(2)} m/s`, x0, y0 - 5);
   }
 
-  return { arrow, cone, bar, trail, surface, lit, along, hodograph, history };
+  return { arrow, cone, bar, trail, surface, lit, moves, along, hodograph, history };
 })();

@@ -70,6 +70,12 @@
     at += 4 + length;
   }
 
+  // files of meshes may leave the normals at zero, which shows black
+  viewer.scene.traverse(({ geometry }) => {
+    const normal = geometry && geometry.attributes && geometry.attributes.normal;
+    if (normal && !normal.array.some(x => x !== 0)) geometry.computeVertexNormals();
+  });
+
   const times = numbers(data.times, Float64Array), frames = times.length;
   const joint = number => viewer.scene_tree.find(["meshcat", "robot", String(number)]).object;
   const moving = Object.entries(data.joints).map(([number, poses]) => {
@@ -88,7 +94,11 @@
     spot.set(new THREE.Vector3(), new THREE.Vector3(...end));
     joint(number).add(spot);
   }
-  for (const what of data.surfaces) joint(what.joint).add(Drawing.surface(what));
+  const surfaces = data.surfaces.map(what => {
+    const drawn = Drawing.surface(what);
+    joint(what.joint).add(drawn);
+    return drawn;
+  });
   const lit = data.lit.map(what => {
     const shape = Drawing.lit(what, numbers(what.triangles, Float32Array));
     joint(what.joint).add(shape);
@@ -110,7 +120,7 @@
   const { center, size } = data.view;
   function look() {
     const wide = Math.min(1, room.wide / room.tall);
-    const away = (data.within ? 1.35 : 1.2) * size / (2 * Math.tan(Math.PI / 8)) / wide;
+    const away = 1.35 * size / (2 * Math.tan(Math.PI / 8)) / wide;
     viewer.camera.fov = 45;
     viewer.camera.near = 0.005 * size;
     viewer.camera.far = 100 * size;
@@ -220,6 +230,7 @@
       object.position.copy(a.fromArray(poses, 7 * piece.frame)).lerp(b.fromArray(poses, 7 * next), part);
       object.quaternion.copy(p.fromArray(poses, 7 * piece.frame + 3)).slerp(q.fromArray(poses, 7 * next + 3), part);
     }
+    for (const drawn of surfaces) if (drawn.move) drawn.move(t);
     for (const [from, to, bar] of links) bar.set(from.position, to.position);
     contacts.forEach((contact, i) => {
       trails[i].show(piece.frame + (part > 0 ? 1 : 0));
@@ -353,7 +364,8 @@
     if (contacts.some(contact => contact.forces))
       rows.push(["force", `force of contact, the longest ${digits(longest.force)} N`]);
     if (contacts.length && !data.within) rows.push(["path", "way of a contact point"]);
-    if (data.surfaces.length) rows.push(["surface", "surface"]);
+    if (data.surfaces.length)
+      rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);
     if (lit.length) rows.push(["lit", "shape that touches"]);
     for (const [name, text] of rows) {
       const row = find("legend").appendChild(document.createElement("div"));

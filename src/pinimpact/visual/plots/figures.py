@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
 from ...contact_space.solution import Solution
 from ...scene.trajectory import Trajectory
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def impact_figure(problem: ImpactProblem, solution: Solution, title: str = "") -> Figure:
+def impact_figure(problem: ImpactProblem, solution: Solution | ManySolution, title: str = "") -> Figure:
     """Return a figure with the hodograph, the velocity over the normal impulse, and the energy by cause.
+
+    Of an impact at many contacts each has its hodograph and its velocity.
 
     Args:
         problem: What was solved.
@@ -26,13 +29,30 @@ def impact_figure(problem: ImpactProblem, solution: Solution, title: str = "") -
     """
     from matplotlib.figure import Figure
 
+    impact = Solved(problem, solution)
+    if isinstance(solution, ManySolution):
+        return _many_figure(impact, len(solution.velocity), title)
     figure = Figure(figsize=(11.5, 6.4), layout="constrained")
     figure.suptitle(title)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
-    impact = Solved(problem, solution)
     hodograph(impact, ax=figure.add_subplot(grid[:, 0]))
     velocities(impact, ax=figure.add_subplot(grid[:2, 1]))
     energy_ledger(impact, ax=figure.add_subplot(grid[2, 1]))
+    return figure
+
+
+def _many_figure(impact: Solved, count: int, title: str) -> Figure:
+    """Return the figure of an impact at many contacts, a row each."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.5, 4.6 * count + 2.2), layout="constrained")
+    figure.suptitle(title)
+    heights = (*[4.6] * count, 2.2)
+    grid = figure.add_gridspec(count + 1, 2, width_ratios=(1.0, 1.4), height_ratios=heights)
+    for row in range(count):
+        hodograph(impact, contact=row, ax=figure.add_subplot(grid[row, 0])).set_title(f"Contact {row}")
+        velocities(impact, contact=row, ax=figure.add_subplot(grid[row, 1]))
+    energy_ledger(impact, ax=figure.add_subplot(grid[count, :]))
     return figure
 
 

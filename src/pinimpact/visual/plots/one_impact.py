@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
-from ...contact_space.solution import Path, Segment, Solution
+from ...contact_space.solution import Path, Segment, Solution, Work
 from ...contact_space.solve import solve_impact
 from ...errors import InputError
+from ...robot.many_impact import ManyHit
 from ..impact_marks import OneImpact
-from ..smooth_path import invariant_directions, smooth_path
+from ..smooth_path import invariant_directions, many_path, smooth_path
 from .style import BLACK, COMPRESSION, FLOW, GREEN, RESTITUTION, RESUMED, STICK, axes_for, legend
 
 if TYPE_CHECKING:
@@ -23,50 +26,124 @@ Array = NDArray[np.float64]
 CAUSES = ("compression", "restitution", "friction", "surface")
 
 
+Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
+"""What is drawn: of one contact or of many."""
+
+
 class Solved(NamedTuple):
     """An impact problem with its solution: an `OneImpact` of no robot."""
 
     problem: ImpactProblem
-    solution: Solution
+    solution: Any
 
 
-def solved(impact: OneImpact | ImpactProblem) -> OneImpact:
+def solved(impact: Impact, contact: int | None = None) -> OneImpact:
     """Return what is drawn; a problem is solved first.
 
+    Args:
+        impact: The impact.
+        contact: Of an impact at many contacts the one that is drawn.
+
     Raises:
-        InputError: What is neither a problem nor an impact.
+        InputError: What is neither a problem nor an impact; no such contact; an impact at many contacts
+            whose policy has no path.
     """
     if isinstance(impact, ImpactProblem):
-        return Solved(impact, solve_impact(impact, record=True))
-    if not isinstance(getattr(impact, "solution", None), Solution):
+        impact = Solved(impact, solve_impact(impact, record=True))
+    solution = getattr(impact, "solution", None)
+    if isinstance(solution, ManySolution):
+        return _part(impact.problem, solution, contact)
+    if not isinstance(solution, Solution):
         raise InputError(
-            f"impact: {impact!r} given; a Hit, an impact of a trajectory or an ImpactProblem expected",
+            f"impact: {impact!r} given; a Hit, a ManyHit, an impact of a trajectory or an ImpactProblem "
+            "expected",
             field="impact",
             value=impact,
         )
-    return impact
+    if contact not in (None, 0):
+        raise InputError(
+            f"contact: {contact!r} given, but the impact is at one contact", field="contact", value=contact
+        )
+    if solution.part_of is not None and solution.path is None:
+        raise _pathless(solution.part_of)
+    return Solved(impact.problem, solution)
 
 
-def hodograph(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -> OneImpact:
+    """Return what an impact at many contacts was at one of them."""
+    count = len(solution.velocity)
+    if not isinstance(contact, (int, np.integer)) or not 0 <= contact < count:
+        raise InputError(
+            f"contact: {contact!r} given; the impact is at {count} contacts: say which one is drawn, 0 to "
+            f"{count - 1}",
+            field="contact",
+            value=contact,
+        )
+    path = many_path(problem, solution)
+    if path is None:
+        raise _pathless(solution)
+    own = slice(3 * contact, 3 * contact + 3)
+    surface = np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (count, 3))
+    friction, restitution = (np.broadcast_to(x, count) for x in (problem.friction, problem.restitution))
+    one = ImpactProblem(
+        np.asarray(problem.delassus, dtype=float)[own, own],
+        np.asarray(problem.velocity, dtype=float)[contact],
+        float(friction[contact]),
+        float(restitution[contact]),
+        solution.law,
+        surface[contact],
+    )
+    return Solved(one, replace(solution, path=path).part(int(contact)))
+
+
+def _pathless(solution: ManySolution) -> InputError:
+    return InputError(
+        f"impact: the policy {solution.simultaneous!r} has left no path to draw; "
+        '"propagate" does, with record=True where it is given options',
+        field="impact",
+        value=solution,
+    )
+
+
+def check_alone(impact: Impact, what: str) -> None:
+    """Refuse an impact at many contacts."""
+    solution = getattr(impact, "solution", None)
+    many = isinstance(impact, ImpactProblem) and np.ndim(impact.velocity) == 2
+    if many or isinstance(solution, ManySolution) or getattr(solution, "part_of", None) is not None:
+        raise InputError(
+            f"impact: {what} is of one contact alone; here other contacts push too. hodograph, velocities, "
+            "impulses and energy_ledger draw each contact of such an impact",
+            field="impact",
+            value=impact,
+        )
+
+
+def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw the path of the sliding velocity v_t in the tangential plane.
 
     Behind it stand the flow of slip dv_t/dP₃ = b − μ A v_t/|v_t|, the invariant directions, in which slip
     does not turn (solid where its neighbours turn towards it, dashed where away), and, shaded, the directions
-    in which slip drives the surface in, dv₃/dP₃ < 0 (jam).
+    in which slip drives the surface in, dv₃/dP₃ < 0 (jam). An impact at many contacts has none of them; there
+    a thin line shows where others push.
 
     Args:
-        impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved.
+        impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved; a `ManyHit` or a
+            problem of many contacts.
+        contact: Of many contacts the one to draw, from 0.
         ax: Axes to draw into.
 
     Raises:
-        InputError: No impact.
+        InputError: No impact; no such contact; many contacts resolved by a policy that has no path.
     """
-    impact = solved(impact)
+    impact = solved(impact, contact)
     ax = axes_for(ax, (5.6, 7.0))
     path = smooth_path(impact.problem, impact.solution)
     radius = 1.15 * max(float(np.abs(path.velocity[:, :2]).max()), 1e-12)
-    _draw_flow(ax, impact.problem, radius)
-    _draw_directions(ax, impact.problem, radius)
+    if impact.solution.part_of is None:
+        _draw_flow(ax, impact.problem, radius)
+        _draw_directions(ax, impact.problem, radius)
+    else:
+        ax.plot(*path.velocity[:, :2].T, color=FLOW, lw=1.0, label="others push")
     for segment, part in parts(path, impact.solution.segments):
         v = path.velocity[part]
         resumed = segment.mode == "slip" and not v[0, :2].any() and segment.start > 0.0
@@ -89,12 +166,12 @@ def hodograph(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> A
     return ax
 
 
-def velocities(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+def velocities(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw the contact velocity over the normal impulse (ZL, figs. 4 and 7).
 
     Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
     """
-    impact = solved(impact)
+    impact = solved(impact, contact)
     ax = axes_for(ax)
     path = smooth_path(impact.problem, impact.solution)
     rows = (("v₁", GREEN, "-"), ("v₂", RESUMED, "--"), ("v₃ (normal)", BLACK, "-"))
@@ -106,12 +183,12 @@ def velocities(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> 
     return ax
 
 
-def impulses(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw the tangential impulse over the normal impulse (ZL, fig. 4), within the cone |P_t| ≤ μP₃.
 
     Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
     """
-    impact = solved(impact)
+    impact = solved(impact, contact)
     ax = axes_for(ax)
     path = smooth_path(impact.problem, impact.solution)
     p3, mu = path.normal_impulse, float(impact.problem.friction)
@@ -127,14 +204,20 @@ def impulses(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Ax
     return ax
 
 
-def energy_ledger(impact: OneImpact | ImpactProblem, *, ax: Axes | None = None) -> Axes:
+def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw what each cause does to the kinetic energy, one after another, and the change they sum up to [J].
 
-    Arguments and errors as in `hodograph`.
+    Of an impact at many contacts that of all of them, or of the one that is given. Arguments and errors as in
+    `hodograph`.
     """
-    impact = solved(impact)
+    if isinstance(impact, ImpactProblem):
+        impact = Solved(impact, solve_impact(impact))
+    if isinstance(solution := getattr(impact, "solution", None), ManySolution) and contact is None:
+        parts_of = solution.work
+        work = Work(*(float(np.sum(getattr(parts_of, name))) for name in CAUSES))
+    else:
+        work = solved(impact, contact).solution.work
     ax = axes_for(ax, (6.4, 2.6))
-    work = impact.solution.work
     causes = [name for name in CAUSES if name != "surface" or work.surface != 0.0]
     bars = [(name, float(getattr(work, name))) for name in causes]
     colors = dict(zip(CAUSES, (COMPRESSION, RESTITUTION, RESUMED, GREEN), strict=True))

@@ -12,6 +12,7 @@ from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ...status import Flag, Status
 from ..impact_marks import OneImpact
+from .one_impact import check_alone
 from .style import BLACK, axes_for, legend
 
 if TYPE_CHECKING:
@@ -51,11 +52,13 @@ def regime_map(
         ax: Axes to draw into.
 
     Raises:
-        InputError: No impact, another `against`, an impact without slip drawn against its angle.
+        InputError: No impact, one at many contacts, another `against`, an impact without slip drawn against
+            its angle.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
+    check_alone(impact, "regime_map")
     problem = impact if isinstance(impact, ImpactProblem) else impact.problem
     w, v = np.asarray(problem.delassus, dtype=float), np.asarray(problem.velocity, dtype=float)
     speed = float(np.hypot(v[0], v[1]))

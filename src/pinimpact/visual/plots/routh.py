@@ -11,7 +11,7 @@ from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ..impact_marks import OneImpact
 from ..smooth_path import smooth_path
-from .one_impact import parts, solved
+from .one_impact import check_alone, parts, solved
 from .style import BLACK, COMPRESSION, GREEN, RESTITUTION, STICK, axes_for, legend
 
 Array = NDArray[np.float64]
@@ -29,8 +29,9 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
         ax: Axes to draw into; of three dimensions (``projection="3d"``) unless the impact is planar.
 
     Raises:
-        InputError: No impact, or flat axes for an impact that is not planar.
+        InputError: No impact, one at many contacts, or flat axes for an impact that is not planar.
     """
+    check_alone(impact, "impulse_space")
     impact = solved(impact)
     problem = impact.problem
     path = smooth_path(problem, impact.solution)
