@@ -275,29 +275,26 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
-        looked: list[_Watched] = []
-        span = step.h
         for number, watched in enumerate(self._pairs):
             if not watched.points:
-                if watched.room > 0.0:
-                    way = float(watched.levers @ peak[0]) * span
-                    watched.room -= way
-                    if watched.room > 0.0:
-                        continue
+                if self._far(watched, step, peak[0]):
+                    continue
                 found = self._touch(watched, step, end, peak)
                 meeting = Meeting(found.time, number, False) if found.touches else None
-                looked.append(watched)
             else:
                 meeting = self._change(watched, number, step, end, peak)
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
-        if best is not None:
-            for watched in looked:
-                watched.room = -math.inf
-        else:
-            for watched in looked:
-                self._measure(watched, step, end)
         return best
+
+    def _far(self, watched: _Watched, step: DenseStep, fastest: Array) -> bool:
+        """Return whether a pair cannot close its gap in a step of which these are the largest velocities (nv,)."""
+        if watched.room > 0.0:
+            watched.room -= float(watched.levers @ fastest) * step.h
+        if watched.room <= 0.0:
+            self._measure(watched, step.q)
+            watched.room -= float(watched.levers @ fastest) * step.h
+        return watched.room > 0.0
 
     def _at(self, watched: _Watched, step: DenseStep) -> Callable[[float], PairState]:
         model, data, pair = self._model, self._data, watched.pair
@@ -327,9 +324,8 @@ class ShapeWatch:
             )
         return found
 
-    def _measure(self, watched: _Watched, step: DenseStep, t: float) -> None:
+    def _measure(self, watched: _Watched, q: Array) -> None:
         """Keep how far a pair can move before it may touch."""
-        q, _ = step.at(t)
         pin.computeJointJacobians(self._model, self._data, q)
         value = gap(*watched.pair.placed(self._data)).value - 1e-8 * watched.size
         watched.room = value
@@ -348,7 +344,9 @@ class ShapeWatch:
         found = []
         for one in (watched.pair.a, watched.pair.b):
             center = (self._data.oMi[one.joint] * one.in_joint).act(one.shape.center)
-            at_center = jacobian[:3] - np.cross(center, jacobian[3:], axisb=0, axisc=0)
+            x, y, z = center.tolist()
+            arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            at_center = jacobian[:3] - arm @ jacobian[3:]
             found.append(np.linalg.norm(at_center, axis=0) + turn * (one.shape.reach + way))
         return found[0], found[1]
 
