@@ -288,7 +288,7 @@ class ShapeWatch:
         return best
 
     def _far(self, watched: _Watched, step: DenseStep, fastest: Array) -> bool:
-        """Return whether a pair cannot close its gap in a step of which these are the largest velocities (nv,)."""
+        """Return whether a pair cannot close its gap in a step, from the largest velocities (nv,) of it."""
         if watched.room > 0.0:
             watched.room -= float(watched.levers @ fastest) * step.h
         if watched.room <= 0.0:
