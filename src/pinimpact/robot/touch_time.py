@@ -27,7 +27,7 @@ from .convex_shape import PlacedShape
 
 Array = NDArray[np.float64]
 
-MAX_ADVANCES = 10_000
+MAX_ADVANCES = 2_000
 """Advances, after which a pair that neither touches nor parts is given up."""
 
 

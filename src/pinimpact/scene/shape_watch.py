@@ -454,7 +454,7 @@ class ShapeWatch:
         others_a, others_b = masks
         if not (others_a.any() or others_b.any()):
             return None
-        floor = 0.25 * self._work.touching_gap
+        floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # what is closed drifts by more
         bend = self._turning_bend(watched, step, peak)
 
         def front(t: float) -> list[Front]:
