@@ -63,6 +63,16 @@ def test_an_inclined_wall_is_struck_by_a_robot_of_ones_own(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
+def test_an_arm_falls_on_its_elbow_and_hand(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("arm_falls_on_elbow_and_hand", tmp_path, monkeypatch, capsys)
+    found = [line.split(" s  ")[1] for line in out.splitlines() if " s  " in line]
+    assert "upper_arm_link_0 on floor" in found
+    assert any(line.startswith("wrist") and line.endswith("on block") for line in found)
+    for name in ("png", "html"):
+        assert (tmp_path / f"arm_falls_on_elbow_and_hand.{name}").is_file()
+
+
+@pytest.mark.slow
 def test_a_landed_quadruped_bears_its_weight(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("quadruped_landing", tmp_path, monkeypatch, capsys)
     weight = 9.81 * pin.computeTotalMass(load_robot("solo12").model)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
     from .robot.plane import Plane
     from .robot.robot_impact import Hit, impact
+    from .robot.solids import Box, Shape
     from .robot.sphere import Sphere
     from .scene.controls import JointPD
     from .scene.events import Event
@@ -56,6 +57,7 @@ __all__ = [
     "METHODS",
     "POLICIES",
     "BatchSolution",
+    "Box",
     "Contact",
     "ContactMatrices",
     "Event",
@@ -79,6 +81,7 @@ __all__ = [
     "Plane",
     "Scene",
     "Segment",
+    "Shape",
     "SimulationError",
     "Solution",
     "Sphere",
@@ -126,6 +129,7 @@ _HOMES = {
     "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
     "robot.plane": ("Plane",),
+    "robot.solids": ("Box", "Shape"),
     "robot.sphere": ("Sphere",),
     "scene.controls": ("JointPD",),
     "scene.events": ("Event",),

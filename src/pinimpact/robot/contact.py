@@ -14,7 +14,7 @@ from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
-from ._kernels.constants import AXES, CONSTANTS, KIND, POINT, RADIUS, RIM_AXIS, TIP
+from ._kernels.constants import AXES, CONSTANTS, KIND, LINE_AXIS, POINT, RADIUS, RIM_AXIS, SOLID, TIP
 from .collision_shapes import collision_model, find_shape, shape_frame, shape_tips
 from .data_cache import checked_configuration, data_cache
 from .names import frame_id, model_of, motion_signs
@@ -41,7 +41,8 @@ class Contact:
 
     Attributes:
         frame: Frame that carries the point, by name or id; empty with `geometry`.
-        plane: The surface it meets: a `Plane` or a `Sphere`; it must be given.
+        plane: The surface it meets: a `Plane` or a `Sphere`, with `geometry` also a `Box` or a `Shape`; it
+            must be given.
         friction: Coulomb coefficient μ ≥ 0, of impacts and, without `sliding_friction`, of all.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
@@ -58,6 +59,7 @@ class Contact:
         rim: Radius of the circle about the offset that meets a plane [m], 0 for none.
         axis: Axis of that circle, in the frame's axes; any length but zero. Kept as a unit vector.
         shape: Name of the collision shape that the point is of; `tips` sets it.
+        pair: The contact of two shapes that the point is of; a scene sets it.
 
     Raises:
         InputError: A number out of its range or not finite, a frame and a geometry or neither, a rim that
@@ -80,6 +82,7 @@ class Contact:
     rim: float = 0.0
     axis: Vector = (0.0, 0.0, 1.0)
     shape: str | None = None
+    pair: Contact | None = None
     constants: Array = field(init=False, repr=False, compare=False)
     law_code: int = field(init=False, repr=False, compare=False)
 
@@ -103,7 +106,9 @@ class Contact:
                 field="rim",
                 value=self.rim,
             )
-        constants = np.array([*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis])
+        constants = np.array(
+            [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.direction]
+        )
         constants.setflags(write=False)
         keep(self, "constants", constants)
 
@@ -112,7 +117,14 @@ class Contact:
         check_frame_key("frame", self.frame)
         if not isinstance(self.plane, Surface):
             raise InputError(
-                f"plane: {self.plane!r} is not a Plane or a Sphere", field="plane", value=self.plane
+                f"plane: {self.plane!r} is not a Plane, Sphere, Box or Shape", field="plane", value=self.plane
+            )
+        if self.geometry is None and self.plane.code == SOLID:
+            raise InputError(
+                f"plane: only a collision shape meets a {self.plane.kind}; give geometry=, the name of one, "
+                "in place of a frame",
+                field="plane",
+                value=self.plane,
             )
         if self.geometry is None:
             what = "neither a frame nor a geometry given" if self.frame == "" else ""
@@ -212,7 +224,8 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
     k[POINT:AXES] = carrier.act(k[POINT:AXES])
     directions = k[AXES:KIND].reshape(-1, 3)
     directions[:] = directions @ carrier.rotation.T
-    k[RIM_AXIS:CONSTANTS] = frame.placement.rotation @ k[RIM_AXIS:CONSTANTS]
+    k[RIM_AXIS:LINE_AXIS] = frame.placement.rotation @ k[RIM_AXIS:LINE_AXIS]
+    k[LINE_AXIS:CONSTANTS] = carrier.rotation @ k[LINE_AXIS:CONSTANTS]
     return tip, base, k, motion_signs(model, tip, base)
 
 

@@ -24,6 +24,7 @@ from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices, kinematics
 from .names import model_of, singular_mass
+from .shape_pair import is_pair, touching_points
 from .touching import check_rims, touching_tips
 
 LOCKED = int(Status.LOCKED)
@@ -193,7 +194,8 @@ def impact(
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
         contact: The contact that collides, or a list of those that are closed at this instant. Of a collision
-            shape the tips that touch take part, those of the least gap; then `model` is the RobotWrapper.
+            shape the tips that touch take part, those of the least gap, of two shapes the points in which
+            they are nearest; then `model` is the RobotWrapper.
         held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
             surface. One that would have to pull gives a `HeldContactWarning`.
         locked: Joints, by name or id, whose velocity the impact does not change.
@@ -226,7 +228,8 @@ def impact(
         check_contact("contact", contact)
         raise AssertionError
     if contact.geometry is not None:
-        tips = touching_tips(robot, data, q, contact)
+        nearest = touching_points if is_pair(robot, contact) else touching_tips
+        tips = nearest(robot, data, q, contact)
         one_or_many: Any = tips[0] if len(tips) == 1 else tips
         return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
     if contact.rim > 0.0:

@@ -52,6 +52,11 @@ class Surface(ABC):
         """The number that a kind needs beyond its place and axes; 0 if none."""
         return 0.0
 
+    @property
+    def direction(self) -> Vector:
+        """The unit direction of a surface that is a line; zero of another one."""
+        return (0.0, 0.0, 0.0)
+
     @abstractmethod
     def distance(self, point: ArrayLike) -> float:
         """Return the signed distance of a point from the surface, negative inside [m]."""

@@ -85,7 +85,7 @@ class SceneDynamics:
     ) -> None:
         without = scene.without
         nv = model.nv
-        self.contacts = (*contacts, *held)
+        self.contacts = [*contacts, *held]
         self.limits = tuple(limits)
         layout = scene.layout()
         robot = _robot_for(self, layout, scene, model)
@@ -104,7 +104,7 @@ class SceneDynamics:
         dry = scene.joint_friction * ("joint friction" not in without)
         charts = layout.joint_charts
         count = len(self.contacts)
-        tables = layout.tables(self.contacts)
+        tables = layout.tables(tuple(self.contacts))
         closable = min(count, len(held) + CLOSABLE)
         self.work = SceneWorkspace(
             {
@@ -145,8 +145,8 @@ class SceneDynamics:
                 "dry_friction": dry,
                 "joint_charts": charts,
                 "contact_constants": tables.constants.copy(),
-                "contact_joints": tables.joints,
-                "velocity_signs": tables.signs,
+                "contact_joints": tables.joints.copy() if layout.pairs else tables.joints,
+                "velocity_signs": tables.signs.copy() if layout.pairs else tables.signs,
                 "velocity_joint": layout.velocity_joint,
                 "contact_blocks": tables.blocks,
                 "sphere_constants": tables.spheres,

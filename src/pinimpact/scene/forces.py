@@ -33,6 +33,9 @@ class ClosedSet(NamedTuple):
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
         known: Forces that the motion was begun with, of which the nearest act; empty for those of least norm.
+        joints: (k, 2) of the contacts that are closed: of the tip, of the surface.
+        signs: (k, nv) of them, see `SceneWorkspace.velocity_signs`.
+        swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
     """
 
     modes: NDArray[np.int64]
@@ -44,10 +47,18 @@ class ClosedSet(NamedTuple):
     slips: bool
     unique: bool
     known: Array
+    joints: NDArray[np.int64]
+    signs: Array
+    swapped: NDArray[np.int64]
 
     @classmethod
-    def of(cls, work: SceneWorkspace) -> ClosedSet | None:
-        """Return what is closed now, or None if nothing holds or rubs."""
+    def of(cls, work: SceneWorkspace, swapped: NDArray[np.int64]) -> ClosedSet | None:
+        """Return what is closed now, or None if nothing holds or rubs.
+
+        Args:
+            work: The workspace.
+            swapped: See above.
+        """
         if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
             return None
         slips = work.closed_mode == SLIP
@@ -62,6 +73,9 @@ class ClosedSet(NamedTuple):
             bool(slips.any()),
             work.forces_unique,
             work.inner_forces.copy() if rubs else np.empty(0),
+            work.contact_joints[work.closed_index],
+            work.velocity_signs[work.closed_index],
+            swapped,
         )
 
 
@@ -141,6 +155,7 @@ class EvaluatedForces:
         work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
         work.drive_side[:], work.control_force[:] = closed.sides, closed.control
         work.contact_constants[index] = closed.constants
+        work.contact_joints[index], work.velocity_signs[index] = closed.joints, closed.signs
         work.direction_speed = closed.direction_speed
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
@@ -153,6 +168,8 @@ class EvaluatedForces:
             work, t, *step.at(t), directions, closed.unique, closed.known, world, points, normals, joints
         )
         dynamics.check()
+        world[closed.swapped] *= -1.0
+        normals[closed.swapped] *= -1.0
         return Forces(world, points, normals, joints, bool(unique))
 
 

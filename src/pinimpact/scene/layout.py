@@ -15,6 +15,7 @@ from ..robot.contact import Contact, contact_constants
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import frame_id
 from ..robot.pinocchio_bridge import RobotDynamics
+from ..robot.shape_pair import ShapePair, shape_pair
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
@@ -28,18 +29,25 @@ class SceneLayout:
         contacts: The contacts that may be open.
         held: Those that hold throughout.
         limited: Whether the joint limits act.
+        geometry: The collision shapes.
 
     Attributes:
         spare_dynamics, spare_data: Dynamics of the robot and Data that earlier runs have left, for the next.
     """
 
     def __init__(
-        self, model: pin.Model, contacts: Sequence[Contact], held: Sequence[Contact], limited: bool
+        self,
+        model: pin.Model,
+        contacts: Sequence[Contact],
+        held: Sequence[Contact],
+        limited: bool,
+        geometry: pin.GeometryModel | None,
     ) -> None:
         self._model = model
         self._contacts = tuple(contacts)
         self._held = tuple(held)
         self._limited = limited
+        self._geometry = geometry
         self._sizes = _sizes(model)
         self._links = [pin.SE3(placement) for placement in model.jointPlacements]
         self._bounds = _bounds(model)
@@ -92,8 +100,22 @@ class SceneLayout:
         """The sphere that bounds each run, or its only contact."""
         every = (*self._contacts, *self._held)
         return {
-            (first, stop): bounding_sphere(every[first:stop]) or every[first] for first, stop in self._runs
+            (first, stop): bounding_sphere(every[first:stop]) or self._bounding_pair(every[first])
+            for first, stop in self._runs
         }
+
+    def _bounding_pair(self, contact: Contact) -> Contact:
+        """Return a contact, or spheres around the two shapes that it is of."""
+        return contact if contact.pair is None else self.pairs[contact.pair].bounding
+
+    @cached_property
+    def pairs(self) -> dict[Contact, ShapePair]:
+        """The two shapes of each contact of such."""
+        wanted = dict.fromkeys(c.pair for c in self._contacts if c.pair is not None)
+        if not wanted:
+            return {}
+        robot = pin.RobotWrapper(self._model, self._geometry)
+        return {contact: shape_pair(robot, contact) for contact in wanted}
 
     @cached_property
     def sources(self) -> tuple[str, ...]:

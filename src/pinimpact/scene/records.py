@@ -15,6 +15,7 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
+from ..robot.contact import Contact
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ class ImpactRecord:
         contact_space: Makes `problem` and `impulse_world`, which few ask for.
         group: Of an impact at several contacts at once that of all, and this one's place in it. Then v_before
             and v_after are those of all together, and `problem` is its own part.
+        contact: Of two shapes the point in which they touched, as a contact; else None.
     """
 
     time: float
@@ -76,6 +78,7 @@ class ImpactRecord:
     record: bool
     contact_space: Callable[[], tuple[ImpactProblem, Array]]
     group: tuple[ImpactGroup, int] | None = None
+    contact: Contact | None = None
 
     @cached_property
     def _contact_space(self) -> tuple[ImpactProblem, Array]:

@@ -20,6 +20,7 @@ from ..robot.collision_shapes import collision_model, shapes_of_links
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
 from ..robot.names import frame_id, free_velocities, model_of, motion_signs
+from ..robot.shape_pair import is_pair, places
 from ..robot.surfaces import Surface
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
@@ -140,7 +141,7 @@ class Scene:
         return [
             tip
             for contact in given
-            for tip in (contact.tips(robot) if isinstance(contact, Contact) else (contact,))
+            for tip in (_single(robot, contact) if isinstance(contact, Contact) else (contact,))
         ]
 
     def contacts_from_geometry(
@@ -222,7 +223,7 @@ class Scene:
         known: SceneLayout | None = vars(self).get("_layout")
         if known is None or not known.holds_for(self.model):
             limited = "joint limits" not in self.without
-            known = SceneLayout(self.model, self.contacts, self.held, limited)
+            known = SceneLayout(self.model, self.contacts, self.held, limited, self.geometry)
             object.__setattr__(self, "_layout", known)
         return known
 
@@ -292,6 +293,11 @@ class Scene:
     def sources(self) -> tuple[str, ...]:
         """Return the names of what impacts and modes can be of: contacts, joint limits and joints."""
         return self.layout().sources
+
+
+def _single(robot: Any, contact: Contact) -> tuple[Contact, ...]:
+    """Return the contacts of single points that a contact stands for."""
+    return places(robot, contact) if is_pair(robot, contact) else contact.tips(robot)
 
 
 def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:

@@ -119,7 +119,7 @@ class SceneImpacts:
         self._sustained = "sustained contact" not in without
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
-        self._plastic: dict[int, Contact] = {}
+        self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
         data_cache(model, data).ignore_limits()  # a start beyond them is refused, or the limits are left out
@@ -167,9 +167,10 @@ class SceneImpacts:
             if self._sustained and not plastic:
                 resting = bool(self._dynamics.gaps_at(q, hit.v)[i, 1] < self._resting_speed)
         if hit is None or resting:
-            if i not in self._plastic:
-                self._plastic[i] = replace(contact, restitution=0.0)
-            hit, more = self._impact(self._plastic[i], q, v)
+            known = self._plastic.get(i)
+            if known is None or known[0] is not contact:
+                known = self._plastic[i] = contact, replace(contact, restitution=0.0)
+            hit, more = self._impact(known[1], q, v)
             notes += more
         return Impact(hit.v, resting, partial(_of_hit, hit), notes)
 

@@ -29,7 +29,8 @@ from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
 from .records import Energy, ImpactRecord, ModeInterval
 from .scene import STANDARD_GRAVITY, Scene
-from .simulation_state import SimulationState
+from .shape_watch import Meeting
+from .simulation_state import Arriving, SimulationState
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -201,7 +202,7 @@ class Motion:
         self.work = self.dynamics.work
         self.work.rtol, self.work.atol = rtol, atol
         self.rtol, self.atol = rtol, atol
-        self.largest_drift = max(self.work.touching_gap, atol)
+        self.largest_drift = self.state.shapes.tolerance = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
         names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
         self.sources = (*layout.sources, *names)
@@ -383,6 +384,7 @@ class Motion:
     def _begin_motion(self) -> None:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
+        state.review_shapes()
         error = self.atol + self.rtol * max(map(abs, state.v.tolist()))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
@@ -398,7 +400,7 @@ class Motion:
         if self.forces_were_unique and not unique:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.forces_were_unique = unique
-        self._closed = ClosedSet.of(work)
+        self._closed = ClosedSet.of(work, state.shapes.swapped())
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next.
@@ -478,11 +480,20 @@ class Motion:
         if self.steps % LOOK_EVERY == 0:
             self._check_for_chatter()
         time, arriving = work.event_time, self._arriving()
+        meeting = None
+        if state.shapes:
+            meeting = state.shapes.within(step, min(time, step.end))
+            if meeting is not None:
+                time, arriving = meeting.time, None
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
             if interruption is not None:
+                state.shapes.forget()
                 self._interrupt(step, interruption, arriving if interruption.time == time else None)
                 return natural
+        if meeting is not None:
+            self._end_at_meeting(step, meeting)
+            return natural
         if time <= step.end:
             self._end_at_event(step, time, arriving)
             return natural
@@ -590,12 +601,25 @@ class Motion:
             self._begin_motion()
         self._sample()
 
-    def _settle(self, arriving: int | None = None) -> None:
+    def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
+        """End a step where two shapes touch, or touch elsewhere."""
+        state = self.state
+        step.end = state.t = meeting.time
+        state.q, state.v = step.at(state.t)
+        self.w = step.works(state.t)
+        self._sample()
+        if self.work.end_drift > self.largest_drift:
+            state.correct_drift()
+        self._settle(state.shapes_meet(meeting, step))
+        self._begin_motion()
+        self._sample()
+
+    def _settle(self, arriving: Arriving = None) -> None:
         """Let impacts, modes and the user's events of this instant settle."""
         self._settle_contacts(arriving)
         self._let_events_happen()
 
-    def _settle_contacts(self, arriving: int | None = None) -> None:
+    def _settle_contacts(self, arriving: Arriving = None) -> None:
         """Let impacts and modes of this instant settle, within the number of impacts allowed."""
         impacts = self.state.impacts
         before = len(impacts)

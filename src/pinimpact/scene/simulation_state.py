@@ -22,8 +22,12 @@ from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import Impact, SceneImpacts
+from .shape_watch import Meeting, ShapeWatch
 
 Array = NDArray[np.float64]
+
+Arriving = int | list[int] | None
+"""Numbers of contacts or of a limit whose gap closes now."""
 
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
@@ -64,6 +68,7 @@ class SimulationState:
 
     Attributes:
         t, q, v: Time [s] and state.
+        shapes: The pairs of shapes that may meet.
         dynamics: The motion between events, with the modes that hold now.
         names: Of the contacts that are watched, and of the joint limits.
         impact_energy: Change of kinetic energy in impacts so far [J].
@@ -99,6 +104,8 @@ class SimulationState:
         work.least_approach = LEAST_APPROACH_FRACTION * resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
+        self.shapes = ShapeWatch(model, layout, self.dynamics)
+        self.shapes.tolerance = work.touching_gap
         self._rims = [k for k, contact in enumerate(self.dynamics.contacts) if contact.rim > 0.0]
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
@@ -109,6 +116,8 @@ class SimulationState:
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
         self._check_start(len(held), extent)
+        if self.shapes:
+            self.shapes.start(q, START_ROUNDING)
         self._tell_modes()
 
     def _tell_modes(self) -> None:
@@ -120,6 +129,7 @@ class SimulationState:
         self.t, self.q, self.v = other.t, other.q, other.v
         self.impact_energy = other.impact_energy
         self.impacts, self.notes = other.impacts.copy(), other.notes.copy()
+        self.shapes.take_over(other.shapes)
         self.modes.ended, self.modes.present = other.modes.ended.copy(), other.modes.present.copy()
 
     def note(self, text: str) -> None:
@@ -128,20 +138,22 @@ class SimulationState:
 
     # ---- impacts
 
-    def settle(self, arriving: int | None = None, starting: bool = False) -> None:
+    def settle(self, arriving: Arriving = None, starting: bool = False) -> None:
         """Resolve the impacts of this instant, then let contacts rest, slip or open as their forces demand.
 
         All that touches and feels what collides takes part, by the scene's policy; until nothing approaches
         faster than the resting speed.
 
         Args:
-            arriving: A contact or limit whose gap is known to close now.
+            arriving: The contacts or limit whose gap is known to close now.
             starting: Whether the motion starts now, so that all that touches has just closed its gap.
         """
         where, slow = self._where, self._slow
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
+        if self.shapes:
+            self.shapes.refresh(self.q)
         resolved: list[dict[str, Any]] = []
         jams = [0] * len(self.dynamics.contacts)
         while True:
@@ -255,6 +267,7 @@ class SimulationState:
                     "resting": resting,
                     "record": self._record and source < contacts,
                     "group": (impact.group, place),
+                    "contact": self._of_pair(source),
                 }
             )
         return found
@@ -277,7 +290,13 @@ class SimulationState:
             "contact_space": impact.contact_space,
             "resting": impact.resting,
             "record": self._record and i < len(self.dynamics.contacts),
+            "contact": self._of_pair(i),
         }
+
+    def _of_pair(self, i: int) -> Contact | None:
+        """Return the contact of two shapes as it is now; None of what is no such contact."""
+        contacts = self.dynamics.contacts
+        return contacts[i] if i < len(contacts) and contacts[i].pair is not None else None
 
     def rest_below(self, speed: float) -> None:
         """Let contacts and limits rest that part no faster than this, since they would be back at once."""
@@ -350,6 +369,15 @@ class SimulationState:
                 return True
             ahead *= 4.0
         return False
+
+    def shapes_meet(self, meeting: Meeting, step: DenseStep) -> Arriving:
+        """Let a pair of shapes touch at present, or elsewhere; return what arrives."""
+        return self.shapes.meet(meeting, step) or None
+
+    def review_shapes(self) -> None:
+        """Let go of what has opened of the pairs of shapes."""
+        if self.shapes:
+            self.shapes.review()
 
     def correct_drift(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""

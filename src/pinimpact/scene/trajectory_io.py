@@ -17,6 +17,7 @@ from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
 from ..robot.contact import Contact
 from ..robot.plane import Plane
+from ..robot.solids import Box, Shape
 from ..robot.sphere import Sphere
 from ..robot.surfaces import Surface
 from .dense_step import WORKS, DenseStep
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 FORMAT = 1
 
-SURFACES: dict[str, type[Plane] | type[Sphere]] = {"plane": Plane, "sphere": Sphere}
+SURFACES: dict[str, type[Surface]] = {"plane": Plane, "sphere": Sphere, "box": Box, "shape": Shape}
 """What a surface's `kind` stands for."""
 
 GROUP = ("delassus", "velocity", "friction", "restitution", "law", "surface_velocity", "stiffness")
@@ -69,7 +70,8 @@ def write_trajectory(
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
         "forces": None if forces is None else forces.contacts,
-        "contacts": [_fields(contact) | {"plane": _surface_fields(contact.plane)} for contact in contacts],
+        "contacts": [_contact_fields(contact) for contact in contacts],
+        "points": [None if i.contact is None else _contact_fields(i.contact) for i in impacts],
         "events": [[event.time, event.name] for event in events],
         "impacts": [
             [
@@ -157,6 +159,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         segment.end = end
         segments.append(segment)
+    points = meta.get("points", [None] * len(meta["impacts"]))
     in_group = meta.get("in_group", [None] * len(meta["impacts"]))
     policies = {place[0]: place[2] for place in in_group if place is not None}
     groups = [
@@ -182,6 +185,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
                 None if np.isnan(scales[i]) else float(scales[i]),
             ),
             None if in_group[i] is None else (groups[in_group[i][0]], in_group[i][1]),
+            None if points[i] is None else _contact(points[i]),
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]
@@ -206,9 +210,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "forces": None
         if meta.get("forces") is None
         else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
-        "contacts": [
-            Contact(**fields | {"plane": _surface(**fields["plane"])}) for fields in meta.get("contacts", ())
-        ],
+        "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
     }
 
 
@@ -216,6 +218,23 @@ def _fields(value: Any) -> dict[str, Any]:
     """Return what a contact or a surface was made from, as JSON can have it."""
     made_from = {field.name: getattr(value, field.name) for field in dataclass_fields(value) if field.init}
     return {name: int(v) if isinstance(v, np.integer) else v for name, v in made_from.items()}
+
+
+def _contact_fields(contact: Contact) -> dict[str, Any]:
+    """Return what a contact was made from, without functions; of two shapes also that of the shapes."""
+    found = _fields(contact) | {"plane": _surface_fields(contact.plane)}
+    if callable(contact.restitution):
+        found["restitution"] = 0.0
+    if contact.pair is not None:
+        found["pair"] = _contact_fields(contact.pair)
+    return found
+
+
+def _contact(fields: dict[str, Any]) -> Contact:
+    pair = fields.get("pair")
+    return Contact(
+        **fields | {"plane": _surface(**fields["plane"]), "pair": None if pair is None else _contact(pair)}
+    )
 
 
 def _surface_fields(surface: Surface) -> dict[str, Any]:

@@ -22,6 +22,8 @@ from ..robot.many_impact import ManyHit
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id, model_of
 from ..robot.robot_impact import Hit
+from ..robot.solids import Shape
+from ..robot.surfaces import Surface
 from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
@@ -164,7 +166,8 @@ def _motion_page(
     model = model_of(robot)
     _check_robot(model, trajectory)
     every = _contacts(model, trajectory.contacts if given is None else given)
-    contacts = contacts_to_draw(trajectory, every)
+    paired = [contact for contact in every if contact.pair is not None]
+    contacts = contacts_to_draw(trajectory, [contact for contact in every if contact.pair is None])
     together = [
         list(records)
         for _, records in groupby(
@@ -185,8 +188,9 @@ def _motion_page(
     for records, on in zip(together, slow, strict=True):
         places = {}
         for impact in records:
-            if impact.source in by_name:
-                geometry = contact_geometry(model, data, impact.q, by_name[impact.source])
+            contact = impact.contact or by_name.get(impact.source)
+            if contact is not None:
+                geometry = contact_geometry(model, data, impact.q, contact)
                 places[impact.source] = (geometry.point, geometry.axes)
         first = records[0]
         marks.append(
@@ -197,8 +201,10 @@ def _motion_page(
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
     modes = [[mode.source, mode.mode, mode.start, mode.end] for mode in trajectory.modes]
-    lit = lit_shapes(robot, trajectory, contacts)
-    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes, lit)
+    lit = lit_shapes(robot, trajectory, [*contacts, *paired])
+    solids = dict.fromkeys(contact.pair.plane for contact in paired if contact.pair is not None)
+    shown = [solid for solid in solids if not isinstance(solid, Shape)]  # the robot has those itself
+    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes, lit, shown)
 
 
 def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact] | None, q: Any) -> str:
@@ -255,6 +261,7 @@ def _page(
     settings: dict[str, Any],
     modes: Sequence[Sequence[Any]],
     lit: Sequence[dict[str, Any]] = (),
+    solids: Sequence[Surface] = (),
 ) -> str:
     """Return the page of what happens at times (m,), in configurations of the same number."""
     poses = joint_poses(model, configurations)
@@ -264,6 +271,7 @@ def _page(
     for surface in dict.fromkeys(contact.plane for contact in contacts):
         met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]
         surfaces.append(surface_as_data(model, surface, poses, met))
+    surfaces += [surface_as_data(model, solid, poses, np.zeros((0, len(times), 3))) for solid in solids]
     shapes = getattr(robot, "visual_model", None)
     recorder = Recorder()
     links: list[tuple[int, int]] = []

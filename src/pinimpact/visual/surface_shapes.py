@@ -1,4 +1,4 @@
-"""Surfaces as plates and balls that stand in the world or move with the body that carries them."""
+"""Surfaces as plates, balls and blocks that stand in the world or move with the body that carries them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..robot.names import frame_id
 from ..robot.plane import Plane
+from ..robot.solids import Box
 from ..robot.sphere import Sphere
 from ..robot.surfaces import Surface, contact_axes
 from .impact_marks import short
@@ -86,8 +87,16 @@ def _ball(sphere: Sphere, _: Array) -> tuple[str, list[float], Array]:
     return "sphere", [sphere.radius, sphere.radius, sphere.radius], matrix
 
 
+def _block(box: Box, _: Array) -> tuple[str, list[float], Array]:
+    """Return a whole box, and its place."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pin.rpy.rpyToMatrix(*box.rpy), box.center
+    return "plane", list(box.size), matrix
+
+
 _SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[str, list[float], Array]]] = {
     Plane: _plate,
     Sphere: _ball,
+    Box: _block,
 }
 """What each kind of surface is drawn as: (surface, points in its axes) -> kind, size, place."""

@@ -2,18 +2,22 @@
 
 In the axes of what carries the tip: the tip's centre (3) and radius. In the axes of what carries the
 surface: its point (3), its axes (3, 3), and the velocity and angular velocity of its material (3 + 3). Then
-the code of its kind and the number that its kind adds. Last, in the tip's axes again, the radius of its rim
-(0 if it has none) and the unit axis of that (3).
+the code of its kind and the number that its kind adds. In the tip's axes again, the radius of its rim (0 if
+it has none) and the unit axis of that, or the unit direction of its edge (3). Last, in the axes of what
+carries the surface, the unit direction of a surface that is a line (3).
 
 What carries them are frames for an impact and joints for a scene.
 """
 
 from __future__ import annotations
 
-TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, CONSTANTS = (
+TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, LINE_AXIS, CONSTANTS = (
     *(0, 3, 4, 7, 16, 19, 22, 23),
-    *(24, 25, 28),
+    *(24, 25, 28, 31),
 )
 
-PLANE, SPHERE = range(2)
-"""The codes of kinds."""
+PLANE, SPHERE, LINE, EDGE = range(4)
+"""The codes of kinds: a line is met by points and spheres, an edge by an edge, both with a size around."""
+
+SOLID = -1
+"""That of surfaces that no kernel knows."""

@@ -3,6 +3,8 @@
 The tip is a sphere (or a point) about c, the surface is anything with a signed distance d. With n = ∇d at c
 the gap is d(c) − r and the contact point p = c − r n. A tip with a rim, a circle of radius ρ and axis u about
 c₀ that meets planes alone, has its lowest point in place of c: c = c₀ − ρ n_u/|n_u| with n_u = n − (n·u)u.
+A tip that is an edge, a line of direction u through c₀, meets an edge, a line of direction e on the surface:
+then n = u × e/|u × e|, and c is where the one is nearest to the other.
 Placements are twelve numbers, see `placement`; k are the constants of the contact, see `constants`.
 """
 
@@ -13,7 +15,7 @@ import math
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
 from ..._numeric.jit import inner, jit
 from . import surfaces
-from .constants import AXES, POINT, RADIUS, RIM, RIM_AXIS, SPIN, TIP, VELOCITY
+from .constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, SIZE, SPIN, TIP, VELOCITY
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
 
@@ -74,7 +76,7 @@ def follow(R, S, k):
     Components along the present axes stay what they are; those along axes at other places change a little.
     """
     _, _, _, x1, x2, x3 = relative(R, S, k)
-    _, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
+    _, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
     c = k[AXES + 6] * n1 + k[AXES + 7] * n2 + k[AXES + 8] * n3
     if c >= 0.5:
         return
@@ -101,22 +103,49 @@ def towards_plane(R, S, k):
 def relative(R, S, k):
     """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3).
 
-    Of a rim it is the lowest point, see `towards_plane`.
+    Of a rim it is the lowest point, see `towards_plane`; of an edge that nearest to the other one.
     """
     c1, c2, c3 = place(R, k, TIP)
     if k[RIM] > 0.0:
         e1, e2, e3, s = towards_plane(R, S, k)
         if s > 0.0:
             c1, c2, c3 = c1 - k[RIM] / s * e1, c2 - k[RIM] / s * e2, c3 - k[RIM] / s * e3
+    if k[KIND] == EDGE:
+        u1, u2, u3 = direction(R, k, RIM_AXIS)
+        e1, e2, e3 = direction(S, k, LINE_AXIS)
+        f1, f2, f3 = cross(u1, u2, u3, e1, e2, e3)
+        w1, w2, w3 = cross(f1, f2, f3, e1, e2, e3)
+        o1, o2, o3 = place(S, k, POINT)
+        s = (w1 * (o1 - c1) + w2 * (o2 - c2) + w3 * (o3 - c3)) / (w1 * u1 + w2 * u2 + w3 * u3)
+        c1, c2, c3 = c1 + s * u1, c2 + s * u2, c3 + s * u3
     x1, x2, x3 = rotate_back(S, c1 - S[9], c2 - S[10], c3 - S[11])
     return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
+
+
+@inner
+def edge_axis(R, S, k):
+    """Return the direction (3) of a tip that is an edge, in the axes of the surface's carrier."""
+    u1, u2, u3 = direction(R, k, RIM_AXIS)
+    return rotate_back(S, u1, u2, u3)
+
+
+@inner
+def distance(R, S, k, x1, x2, x3):
+    """Return the signed distance of the tip's centre at x from the surface, and n (3), in its carrier's."""
+    if k[KIND] == EDGE:
+        u1, u2, u3 = edge_axis(R, S, k)
+        n1, n2, n3 = cross(u1, u2, u3, k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2])
+        s = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
+        n1, n2, n3 = n1 / s, n2 / s, n3 / s
+        return n1 * x1 + n2 * x2 + n3 * x3 - k[SIZE], n1, n2, n3
+    return surfaces.distance(k, x1, x2, x3)
 
 
 @inner
 def at_contact(R, S, k):
     """Return the gap, n (3) and the contact point (3), in world axes."""
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
-    d, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
+    d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, n1, n2, n3)
     r = k[RADIUS]
     return d - r, n1, n2, n3, c1 - r * n1, c2 - r * n2, c3 - r * n3

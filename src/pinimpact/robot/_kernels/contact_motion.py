@@ -15,8 +15,17 @@ import math
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.jit import inner, separate
 from . import surfaces
-from .constants import AXES, POINT, RADIUS, RIM, RIM_AXIS, TIP
-from .contact_kinematics import carried_axes, carried_spin, column, fill_jacobian, material_velocity, relative
+from .constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, TIP
+from .contact_kinematics import (
+    carried_axes,
+    carried_spin,
+    column,
+    distance,
+    edge_axis,
+    fill_jacobian,
+    material_velocity,
+    relative,
+)
 from .placement import cross, direction, place, rotate, rotate_back
 
 
@@ -31,9 +40,9 @@ def gap_and_rate(R, V, S, U, k):
         k: Constants of the contact, in the axes of the two joints.
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
-    d, n1, n2, n3 = surfaces.distance(k, x1, x2, x3)
+    d, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
     t1, t2, t3 = k[TIP], k[TIP + 1], k[TIP + 2]
-    if k[RIM] > 0.0:
+    if k[RIM] > 0.0 or k[KIND] == EDGE:
         t1, t2, t3 = rotate_back(R, c1 - R[9], c2 - R[10], c3 - R[11])
     a1, a2, a3 = cross(V[3], V[4], V[5], t1, t2, t3)
     a1, a2, a3 = rotate(R, V[0] + a1, V[1] + a2, V[2] + a3)
@@ -189,14 +198,18 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
     r = k[RADIUS]
-    d, l1, l2, l3 = surfaces.distance(k, x1, x2, x3)
+    d, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, l1, l2, l3)
     p1, p2, p3 = c1 - r * n1, c2 - r * n2, c3 - r * n3
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
     # the normal and the axes turn with the carrier, and as the centre moves along the surface
     a1, a2, a3 = cross(w1, w2, w3, c1, c2, c3)
     a1, a2, a3 = rotate_back(S, V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3)
-    m1, m2, m3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
+    along = 0.0
+    if k[KIND] == EDGE:
+        m1, m2, m3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
+    else:
+        m1, m2, m3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
     s1, s2, s3 = carried_spin(k, l1, l2, l3, m1, m2, m3)
     s1, s2, s3 = rotate(S, s1, s2, s3)
     s1, s2, s3 = U[3] + s1, U[4] + s2, U[5] + s3
@@ -207,6 +220,9 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     if k[RIM] > 0.0:
         a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
         dp1, dp2, dp3 = dp1 + a1, dp2 + a2, dp3 + a3
+    if k[KIND] == EDGE:
+        a1, a2, a3 = direction(R, k, RIM_AXIS)
+        dp1, dp2, dp3 = dp1 + along * a1, dp2 + along * a2, dp3 + along * a3
     o1, o2, o3 = place(S, k, POINT)
     a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
     dy1, dy2, dy3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
@@ -237,6 +253,38 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
     return d - r
+
+
+@inner
+def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
+    """Return the rate (3) of the normal of two edges, and how fast the nearest point goes along the tip's.
+
+    With u and e the edges, N = u × e and n = N/|N|: ṅ = (Ṅ − n n·Ṅ)/|N|, Ṅ = u̇ × e. The nearest point x of
+    the tip's edge stays in the plane of e and n, (n × e)·x = 0, and so moves along u at −((ṅ × e)·x + (n ×
+    e)·v)/((n × e)·u). All but w in the axes of the surface's carrier.
+
+    Args:
+        R: Placement of the tip's joint.
+        S: That of the joint that carries the surface.
+        k: Constants of the contact.
+        w1, w2, w3: Angular velocity of the tip against the carrier, in world axes.
+        x1, x2, x3: The nearest point, from the surface's.
+        v1, v2, v3: Velocity of the tip's material there against the carrier.
+        n1, n2, n3: The normal.
+    """
+    u1, u2, u3 = edge_axis(R, S, k)
+    e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]
+    a1, a2, a3 = rotate_back(S, w1, w2, w3)
+    a1, a2, a3 = cross(a1, a2, a3, u1, u2, u3)
+    m1, m2, m3 = cross(a1, a2, a3, e1, e2, e3)
+    b1, b2, b3 = cross(u1, u2, u3, e1, e2, e3)
+    s = math.sqrt(b1 * b1 + b2 * b2 + b3 * b3)
+    f = n1 * m1 + n2 * m2 + n3 * m3
+    m1, m2, m3 = (m1 - f * n1) / s, (m2 - f * n2) / s, (m3 - f * n3) / s
+    a1, a2, a3 = cross(m1, m2, m3, e1, e2, e3)
+    b1, b2, b3 = cross(n1, n2, n3, e1, e2, e3)
+    f = a1 * x1 + a2 * x2 + a3 * x3 + b1 * v1 + b2 * v2 + b3 * v3
+    return m1, m2, m3, -f / (b1 * u1 + b2 * u2 + b3 * u3)
 
 
 @inner

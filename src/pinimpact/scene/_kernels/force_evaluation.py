@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._numeric.jit import jit
-from ...robot._kernels import contact_kinematics, surfaces
+from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
 from .closed_set import close
 from .contact_forces import apply_forces
@@ -55,7 +55,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
         points[i, 0], points[i, 1], points[i, 2] = p1, p2, p3
         normals[i, 0], normals[i, 1], normals[i, 2] = n1, n2, n3
         _, _, _, x1, x2, x3 = contact_kinematics.relative(tip, base, k)
-        _, l1, l2, l3 = surfaces.distance(k, x1, x2, x3)
+        _, l1, l2, l3 = contact_kinematics.distance(tip, base, k, x1, x2, x3)
         a1, a2, a3, b1, b2, b3 = contact_kinematics.carried_axes(k, l1, l2, l3)
         f1, f2, f3 = found[m, 0], found[m, 1], found[m, 2]
         forces[i, 0], forces[i, 1], forces[i, 2] = rotate(

@@ -1,0 +1,45 @@
+"""A line through the surface's point, round to its size; see `surface_plane` for what each function is."""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.jit import inner
+from .constants import LINE_AXIS, SIZE
+
+
+@inner
+def across(k, x1, x2, x3):
+    """Return the part (3) of a vector that is at right angles to the line."""
+    e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]
+    f = e1 * x1 + e2 * x2 + e3 * x3
+    return x1 - f * e1, x2 - f * e2, x3 - f * e3
+
+
+@inner
+def distance(k, x1, x2, x3):
+    """Return |y| − R and y/|y|, with y the part of x across the line; on the line itself n is z."""
+    y1, y2, y3 = across(k, x1, x2, x3)
+    away = math.sqrt(y1 * y1 + y2 * y2 + y3 * y3)
+    if away == 0.0:
+        return -k[SIZE], 0.0, 0.0, 1.0
+    return away - k[SIZE], y1 / away, y2 / away, y3 / away
+
+
+@inner
+def normal_rate(k, x1, x2, x3, v1, v2, v3):
+    """Return (w − n n·w)/|y|, with w the part of v across the line."""
+    y1, y2, y3 = across(k, x1, x2, x3)
+    away = math.sqrt(y1 * y1 + y2 * y2 + y3 * y3)
+    if away == 0.0:
+        return 0.0, 0.0, 0.0
+    n1, n2, n3 = y1 / away, y2 / away, y3 / away
+    w1, w2, w3 = across(k, v1, v2, v3)
+    rise = n1 * w1 + n2 * w2 + n3 * w3
+    return (w1 - rise * n1) / away, (w2 - rise * n2) / away, (w3 - rise * n3) / away
+
+
+@inner
+def least_radius(k):
+    """Return R."""
+    return k[SIZE]

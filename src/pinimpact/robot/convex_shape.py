@@ -1,0 +1,280 @@
+"""Convex shapes: a polytope, or a polytope with a ball rolled around it, made from what coal knows."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+COPLANAR = 1e-9
+"""Facets of a hull whose normals differ by less than this are one face."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexShape:
+    """A polytope, its core, and the radius by which a ball makes it round; all in the shape's own axes.
+
+    A sphere is a point and its radius, a capsule a segment and its radius, a box or a hull a polytope and
+    no radius.
+
+    Attributes:
+        vertices: (n, 3) of the core [m].
+        faces: The corners of each face of the core, numbers of vertices, counter-clockwise from outside.
+        edges: (m, 2) numbers of vertices.
+        normals: (f, 3) unit normals of the faces, out of the core.
+        radius: That is rolled around the core [m].
+        collision: The same shape in coal.
+    """
+
+    vertices: Array
+    faces: tuple[Integers, ...]
+    edges: Integers
+    normals: Array
+    radius: float
+    collision: Any = field(repr=False)
+
+    @cached_property
+    def center(self) -> Array:
+        """(3,) the centre of the core's bounding box."""
+        return 0.5 * (self.vertices.min(axis=0) + self.vertices.max(axis=0))
+
+    @cached_property
+    def reach(self) -> float:
+        """The largest distance of the shape's points from `center` [m]."""
+        return float(np.linalg.norm(self.vertices - self.center, axis=1).max()) + self.radius
+
+    @cached_property
+    def directions(self) -> Array:
+        """(k, 3) unit directions of the edges, parallel ones once."""
+        found = self.vertices[self.edges[:, 1]] - self.vertices[self.edges[:, 0]]
+        found /= np.linalg.norm(found, axis=1)[:, None]
+        kept: list[Array] = []
+        for direction in found:
+            if not any(abs(direction @ other) > 1.0 - 1e-15 for other in kept):
+                kept.append(direction)
+        return np.array(kept).reshape(-1, 3)
+
+    def at(self, rotation: Array, translation: Array) -> PlacedShape:
+        """Return the shape at a placement."""
+        return PlacedShape(self, rotation, translation)
+
+
+class PlacedShape:
+    """A convex shape somewhere.
+
+    Attributes:
+        shape: The shape.
+        rotation, translation: (3, 3) and (3,) its placement.
+        vertices: (n, 3) of the core, in world axes.
+    """
+
+    def __init__(self, shape: ConvexShape, rotation: Array, translation: Array) -> None:
+        self.shape = shape
+        self.rotation = np.asarray(rotation)
+        self.translation = np.asarray(translation)
+        self.vertices = shape.vertices @ self.rotation.T + self.translation
+
+    @cached_property
+    def normals(self) -> Array:
+        """(f, 3) of its faces, in world axes."""
+        return self.shape.normals @ self.rotation.T
+
+    @cached_property
+    def offsets(self) -> Array:
+        """(f,) of the faces' planes n·x = offset [m]."""
+        first = [face[0] for face in self.shape.faces]
+        return np.einsum("ij,ij->i", self.normals, self.vertices[first]) if first else np.zeros(0)
+
+    @cached_property
+    def directions(self) -> Array:
+        """(k, 3) directions of the edges, in world axes."""
+        return self.shape.directions @ self.rotation.T
+
+
+def box(size: ArrayLike) -> ConvexShape:
+    """Return a box about the origin with these (3,) lengths of its sides [m]."""
+    import coal
+
+    half = 0.5 * np.asarray(size, dtype=np.float64)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    faces, normals = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            normal = np.zeros(3)
+            normal[axis] = side
+            faces.append(_around(corners, np.flatnonzero(corners[:, axis] == side), normal))
+            normals.append(normal)
+    return ConvexShape(
+        corners * half, tuple(faces), _edges_of(faces), np.array(normals), 0.0, coal.Box(*(2.0 * half))
+    )
+
+
+def sphere(radius: float) -> ConvexShape:
+    """Return a sphere about the origin."""
+    import coal
+
+    return ConvexShape(
+        np.zeros((1, 3)),
+        (),
+        np.zeros((0, 2), dtype=np.int64),
+        np.zeros((0, 3)),
+        float(radius),
+        coal.Sphere(radius),
+    )
+
+
+def capsule(radius: float, half_length: float) -> ConvexShape:
+    """Return a capsule along z, with half the length of its straight part [m]."""
+    import coal
+
+    ends = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]])
+    return ConvexShape(
+        ends,
+        (),
+        np.array([[0, 1]]),
+        np.zeros((0, 3)),
+        float(radius),
+        coal.Capsule(radius, 2.0 * half_length),
+    )
+
+
+def hull(points: ArrayLike) -> ConvexShape:
+    """Return the convex hull of (n, 3) points.
+
+    Raises:
+        InputError: Points that span no volume, or that are not finite.
+    """
+    import coal
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = np.asarray(points, dtype=np.float64)
+    if not np.isfinite(points).all():
+        raise InputError("geometry: points that are not finite", field="geometry", value=points)
+    try:
+        found = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            f"geometry: {len(points)} points have no convex hull with a volume ({reason})",
+            field="geometry",
+            value=points,
+        ) from None
+    vertices = points[found.vertices]
+    number = {int(old): new for new, old in enumerate(found.vertices)}
+    groups = _coplanar(found.equations[:, :3], found.neighbors)
+    faces, normals = [], []
+    for group in groups:
+        corners = sorted({number[int(i)] for i in found.simplices[group].ravel()})
+        normal = found.equations[group, :3].mean(axis=0)
+        normal /= np.linalg.norm(normal)
+        faces.append(_around(vertices, np.array(corners), normal))
+        normals.append(_fitted(vertices[faces[-1]], normal))
+    pad = coal.StdVec_Vec3s()
+    for point in vertices:
+        pad.append(point)
+    triangles = coal.StdVec_Triangle()
+    for face in faces:
+        for k in range(1, len(face) - 1):
+            triangles.append(coal.Triangle(int(face[0]), int(face[k]), int(face[k + 1])))
+    return ConvexShape(
+        vertices, tuple(faces), _edges_of(faces), np.array(normals), 0.0, coal.Convex(pad, triangles)
+    )
+
+
+def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
+    """Return the convex shape of what coal calls a geometry; of a mesh its convex hull.
+
+    Raises:
+        InputError: A kind that is none of box, sphere, capsule, convex hull and mesh.
+
+    Warns:
+        UserWarning: A mesh that is not convex: its hull is taken.
+    """
+    kind = type(geometry).__name__
+    if kind == "Box":
+        return box(2.0 * np.asarray(geometry.halfSide))
+    if kind == "Sphere":
+        return sphere(float(geometry.radius))
+    if kind == "Capsule":
+        return capsule(float(geometry.radius), float(geometry.halfLength))
+    if kind == "Convex":
+        return hull(np.asarray(geometry.points()))
+    if kind.startswith("BVHModel"):
+        points = np.array(geometry.vertices(), dtype=np.float64)
+        found = hull(points)
+        depth = _deepest(found, points)
+        if depth > NOT_CONVEX * found.reach:
+            warnings.warn(
+                f"geometry: the mesh of {name!r} is not convex: its convex hull is taken, whose surface is "
+                f"up to {depth:.3g} m from a vertex of the mesh",
+                UserWarning,
+                stacklevel=4,
+            )
+        return found
+    raise InputError(
+        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, convex hulls and meshes (their hulls) "
+        "can meet another shape",
+        field="geometry",
+        value=name,
+    )
+
+
+NOT_CONVEX = 1e-3
+"""Part of its size by which a vertex of a mesh may lie inside its hull before it counts as not convex."""
+
+
+def _deepest(found: ConvexShape, points: Array) -> float:
+    """Return how far inside the hull the points lie at most [m]."""
+    offsets = np.array([found.normals[k] @ found.vertices[face[0]] for k, face in enumerate(found.faces)])
+    return float((offsets[:, None] - found.normals @ points.T).min(axis=0).max())
+
+
+def _coplanar(normals: Array, neighbors: Integers) -> list[list[int]]:
+    """Return groups of adjacent facets that lie in one plane."""
+    group = np.full(len(normals), -1)
+    groups: list[list[int]] = []
+    for seed in range(len(normals)):
+        if group[seed] >= 0:
+            continue
+        members, queue = [], [seed]
+        group[seed] = len(groups)
+        while queue:
+            i = queue.pop()
+            members.append(i)
+            for j in neighbors[i]:
+                if group[j] < 0 and np.linalg.norm(normals[j] - normals[seed]) < COPLANAR:
+                    group[j] = len(groups)
+                    queue.append(int(j))
+        groups.append(members)
+    return groups
+
+
+def _around(vertices: Array, corners: Integers, normal: Array) -> Integers:
+    """Return the corners of a face in their order around its normal."""
+    from_center = vertices[corners] - vertices[corners].mean(axis=0)
+    first = from_center[0] / np.linalg.norm(from_center[0])
+    second = np.cross(normal, first)
+    order = np.argsort(np.arctan2(from_center @ second, from_center @ first), kind="stable")
+    return np.asarray(corners)[order].astype(np.int64)
+
+
+def _fitted(corners: Array, normal: Array) -> Array:
+    """Return the unit normal of a face from its corners, in their order, by Newell's sum."""
+    following = np.roll(corners, -1, axis=0)
+    sum_of_areas = np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
+    found: Array = sum_of_areas / np.linalg.norm(sum_of_areas)
+    return found if found @ normal > 0.0 else -found
+
+
+def _edges_of(faces: list[Integers]) -> Integers:
+    pairs = {tuple(sorted(pair)) for face in faces for pair in zip(face, np.roll(face, -1), strict=True)}
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

@@ -1,0 +1,74 @@
+"""Lines that are surfaces: edges of convex shapes and axes of capsules, where other shapes touch them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._kernels.constants import EDGE, LINE
+from .surfaces import Surface, Vector, contact_axes
+
+
+@dataclass(frozen=True)
+class Line(Surface):
+    """A line, round to a radius, that a point or a sphere meets; n points away from it.
+
+    Attributes:
+        point: A point of it [m], in the axes of what carries it, as all vectors.
+        line: Its unit direction.
+        normal: A unit vector at right angles to it, along which the contact axes start.
+        radius: Of what is round about it [m].
+        body: Id of the frame that carries it; None for the world.
+        name: How reports call it.
+    """
+
+    code: ClassVar[int] = LINE
+    velocity: ClassVar[Vector] = (0.0, 0.0, 0.0)  # type: ignore[misc]
+    angular_velocity: ClassVar[Vector] = (0.0, 0.0, 0.0)  # type: ignore[misc]
+    point: Vector
+    line: Vector
+    normal: Vector
+    radius: float = 0.0
+    body: str | int | None = None
+    name: str | None = None
+
+    @property
+    def origin(self) -> Vector:
+        """The point."""
+        return self.point
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) contact axes of the normal."""
+        return contact_axes(self.normal)
+
+    @property
+    def size(self) -> float:
+        """The radius."""
+        return self.radius
+
+    @property
+    def direction(self) -> Vector:
+        """The direction of the line."""
+        return self.line
+
+    def distance(self, point: ArrayLike) -> float:
+        """Return the distance of a point from what is round about the line, negative inside [m]."""
+        return float(np.linalg.norm(np.cross(np.subtract(point, self.point), self.line))) - self.radius
+
+    def departure(self) -> str | None:
+        """It keeps to its place."""
+        return None
+
+    def at_rest(self) -> Surface:
+        """Return itself."""
+        return self
+
+
+class Edge(Line):
+    """A line that another line meets: the tip's `axis` is its direction u, and u × line points along n."""
+
+    code: ClassVar[int] = EDGE

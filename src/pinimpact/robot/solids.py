@@ -1,0 +1,223 @@
+"""Surfaces that only collision shapes meet: a box, and a collision shape of the robot itself."""
+
+from __future__ import annotations
+
+import weakref
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import above_zero
+from ..errors import InputError
+from ._kernels.constants import SOLID
+from .collision_shapes import collision_model, find_shape, shape_frame
+from .convex_shape import ConvexShape, box, of_collision_geometry, sphere
+from .names import frame_id, model_of
+from .sphere import Sphere
+from .surfaces import Surface, Vector, check_frame_key, vector
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedShape:
+    """A convex shape that a frame carries.
+
+    Attributes:
+        shape: The shape.
+        frame: Id of the frame; 0 is the world.
+        joint: The joint that moves the frame.
+        in_frame: Placement of the shape in the frame's axes.
+        in_joint: Placement of the shape in the joint's axes.
+        name: What it is called.
+    """
+
+    shape: ConvexShape
+    frame: int
+    joint: int
+    in_frame: pin.SE3
+    in_joint: pin.SE3
+    name: str
+
+
+def carried(model: pin.Model, shape: ConvexShape, frame: int, placement: pin.SE3, name: str) -> CarriedShape:
+    """Return a shape that a frame carries at a placement in its axes."""
+    body = model.frames[frame]
+    return CarriedShape(shape, frame, int(body.parentJoint), placement, body.placement * placement, name)
+
+
+def collision_shape(robot: Any, name: str) -> CarriedShape:
+    """Return a collision shape of a robot as a convex shape; of a mesh its hull.
+
+    Args:
+        robot: The RobotWrapper.
+        name: Of the shape.
+
+    Raises:
+        InputError: A robot without collision shapes, a shape that cannot be made convex.
+        UnknownNameError: No shape bears the name; near matches are offered.
+    """
+    model, shapes = model_of(robot), collision_model(robot)
+    found = find_shape(shapes, name)
+    frame = shape_frame(model, found)
+    placement = model.frames[frame].placement.actInv(found.placement)
+    return carried(model, _known_shape(shapes, found), frame, placement, name)
+
+
+_known: dict[int, tuple[Any, dict[str, tuple[Any, ConvexShape]]]] = {}
+
+
+def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject) -> ConvexShape:
+    """Return the convex shape of a collision shape, remembered as long as its model lives."""
+    key, solid = id(shapes), found.geometry
+    known = _known.get(key)
+    if known is None or known[0]() is not shapes:
+        forget = _known.pop
+        known = _known[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
+    if not hasattr(solid, "vertices"):
+        return of_collision_geometry(solid, found.name)
+    points = np.array(solid.vertices(), dtype=np.float64)
+    before = known[1].get(found.name)
+    if before is None or not np.array_equal(before[0], points):
+        before = known[1][found.name] = points, of_collision_geometry(solid, found.name)
+    return before[1]
+
+
+class Solid(Surface):
+    """A surface that is a whole convex body, and that only a contact with `geometry` meets."""
+
+    code: ClassVar[int] = SOLID
+    velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def carried_by(self, robot: Any) -> CarriedShape:
+        """Return the convex shape, and what carries it.
+
+        Args:
+            robot: The RobotWrapper.
+        """
+
+    @property
+    def origin(self) -> Vector:
+        """A point of it."""
+        return (0.0, 0.0, 0.0)
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) x, y, z."""
+        return np.eye(3)
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """What stands in for them, for no kernel knows it."""
+        return *self.origin, *self.axes.ravel().tolist(), *self.velocity, *self.angular_velocity, SOLID, 0.0
+
+    def distance(self, point: ArrayLike) -> float:
+        """Not known by itself.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError(
+            f"plane: the distance of a point from {self.label!r} is not known", field="plane", value=self
+        )
+
+    def departure(self) -> str | None:
+        """It keeps to its place."""
+        return None
+
+    def at_rest(self) -> Surface:
+        """Return itself."""
+        return self
+
+
+@dataclass(frozen=True)
+class Box(Solid):
+    """A box fixed in the world or carried by a body, for collision shapes to meet.
+
+    Attributes:
+        size: Lengths of its sides [m].
+        center: Its centre [m], in the axes of what carries it.
+        rpy: Roll, pitch and yaw of its sides about the fixed axes x, y, z, as in a URDF [rad].
+        body: Frame that carries it, by name or id; None for the world.
+        name: How reports call it; None for "box", or for what carries it.
+
+    Raises:
+        InputError: A vector that is not three finite numbers, or a side that is not positive.
+    """
+
+    size: Vector = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    center: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+    body: str | int | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("size", "center", "rpy"):
+            object.__setattr__(self, field, vector(field, getattr(self, field)))
+        for side in self.size:
+            above_zero("size", side)
+        check_frame_key("body", self.body, optional=True)
+
+    def carried_by(self, robot: Any) -> CarriedShape:
+        """See `Solid`."""
+        model = model_of(robot)
+        frame = 0 if self.body is None else frame_id(model, self.body, "body")
+        placement = pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.center))
+        return carried(model, box(self.size), frame, placement, self.label)
+
+
+@dataclass(frozen=True)
+class Shape(Solid):
+    """A collision shape of the robot, for another one of its shapes to meet.
+
+    Attributes:
+        geometry: Name of the collision shape.
+        name: How reports call it; None for the same.
+
+    Raises:
+        InputError: A name that is none.
+    """
+
+    geometry: str = ""
+    name: str | None = None
+    body: None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.geometry, str) or not self.geometry:
+            raise InputError(
+                f"geometry: {self.geometry!r} is no name of a collision shape",
+                field="geometry",
+                value=self.geometry,
+            )
+
+    @property
+    def label(self) -> str:
+        """The name, or that of the shape."""
+        return self.name or self.geometry
+
+    def carried_by(self, robot: Any) -> CarriedShape:
+        """See `Solid`."""
+        return collision_shape(robot, self.geometry)
+
+
+def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
+    """Return a sphere as a convex shape.
+
+    Raises:
+        InputError: One whose surface moves by itself.
+    """
+    if any(surface.velocity) or any(surface.angular_velocity):
+        raise InputError(
+            f"plane: {surface.label!r} moves by itself, which a shape that is no sphere cannot meet; let a "
+            "body carry it instead",
+            field="plane",
+            value=surface,
+        )
+    model = model_of(robot)
+    frame = 0 if surface.body is None else frame_id(model, surface.body, "body")
+    placement = pin.SE3(np.eye(3), np.array(surface.center))
+    return carried(model, sphere(surface.radius), frame, placement, surface.label)

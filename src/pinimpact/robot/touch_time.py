@@ -1,0 +1,284 @@
+"""When two convex shapes that move first touch: conservative advancement.
+
+With n the normal of their gap at a time t, turned from then on at a constant rate Ω, the gap at t + h is at
+least
+
+    min_a (n·a + h (n·a)˙) − max_b (n·b + h (n·b)˙) − r − ½ h² β
+
+over the vertices a and b of the cores, with r the radius around both. This is concave in h, so its root is a
+time until which nothing touches; there n is taken anew. Ω is such that all vertices that are foremost, those
+of a face or an edge, rise alike: the normal goes with what is about to touch. So as the gap closes each step
+leaves its square, and the last one comes to touch to rounding, from the one side: no touch is missed, however
+short. With α the largest acceleration of a point of the one shape against a point of the other, and v and l
+the largest velocity and distance between such, β = α + 2 |Ω| (v + α h) + Ω² l.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .convex_pair import TOUCHING, Followed, Touch, Turning, follow, gap, ties, touches
+from .convex_shape import PlacedShape
+
+Array = NDArray[np.float64]
+
+MAX_ADVANCES = 2_000
+"""Advances, after which a pair that neither touches nor parts is given up."""
+
+
+class PairState(NamedTuple):
+    """Two shapes at a time.
+
+    Attributes:
+        a, b: The shapes where they are.
+        velocity_a, velocity_b: (6,) of their bodies' points at the world's origin, linear over angular, in
+            world axes.
+    """
+
+    a: PlacedShape
+    b: PlacedShape
+    velocity_a: Array
+    velocity_b: Array
+
+
+class Advance(NamedTuple):
+    """How far two shapes have been followed.
+
+    Attributes:
+        time: Until when [s].
+        gap: The gap there [m].
+        touches: Whether they touch there, closing.
+    """
+
+    time: float
+    gap: float
+    touches: bool
+
+
+class Front(NamedTuple):
+    """What faces each other along a normal, at a time.
+
+    Attributes:
+        heights_a, rates_a: (n,) of the points of the one, and how fast they change.
+        heights_b, rates_b: (m,) of the points of the other.
+        apart: By how much the lowest of the one is above the highest of the other where they touch [m].
+        value: The gap [m].
+        bend: What the second rates do not exceed, for as long as `until` [m/s²].
+        until: For how long [s].
+    """
+
+    heights_a: Array
+    rates_a: Array
+    heights_b: Array
+    rates_b: Array
+    apart: float
+    value: float
+    bend: float
+    until: float = math.inf
+
+
+def first_touch(
+    at: Callable[[float], PairState], start: float, end: float, bend: float, floor: float
+) -> Advance | None:
+    """Return where two shapes that are apart first touch until a time; where they do not, `end`.
+
+    Args:
+        at: Returns the shapes at a time.
+        start: From when to look [s].
+        end: Until when [s].
+        bend: What the acceleration of a point of the one shape against one of the other does not exceed
+            from `start` to `end` [m/s²].
+        floor: A gap below this is none [m].
+
+    Returns:
+        None where they neither touch nor part within `MAX_ADVANCES`.
+    """
+    near: Array | None = None
+
+    def fronts(t: float) -> list[Front]:
+        nonlocal near
+        state = at(t)
+        value, near = gap(state.a, state.b, near)
+        size = state.a.shape.reach + state.b.shape.reach
+        turns = [_goes_with(state, value, near)]
+        if state.a.shape.radius + state.b.shape.radius > 0.0:
+            if value <= TOUCHING * size:
+                found = touches(state.a, state.b, near, TOUCHING * size)
+                turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in found]
+            return [_front(state, value, near, bend, turn) for turn in turns]
+        if value > TOUCHING * size:
+            return [_front(state, value, near, bend, turns[0])]
+        return [
+            _front(state, value, one.normal, bend, _turn(state, one)) for one in ties(state.a, state.b, near)
+        ]
+
+    return advance(fronts, start, end, floor)
+
+
+NEARLY = 1e-9
+"""Part of the shapes' size by which vertices that are as good as foremost may be behind."""
+
+
+FAR = 0.1
+"""Part of the shapes' size beyond which the normal need not turn with what is foremost."""
+
+
+def _goes_with(state: PairState, value: float, normal: Array) -> Array:
+    """Return the rate (3,) of a normal for which all vertices that are foremost rise alike."""
+    a, b = state.a, state.b
+    size = a.shape.reach + b.shape.reach
+    if value >= FAR * size:
+        return np.zeros(3)
+    behind = max(value, NEARLY * size)
+    arms, uneven = [], []
+    for placed, velocity, sign in ((a, state.velocity_a, 1.0), (b, state.velocity_b, -1.0)):
+        heights = sign * (placed.vertices @ normal)
+        foremost = placed.vertices[heights <= heights.min() + behind]
+        foremost = foremost - foremost.mean(axis=0)
+        arms.append(foremost - np.outer(foremost @ normal, normal))
+        uneven.append(foremost @ np.cross(normal, velocity[3:]))
+    turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=1e-9)[0]
+    return np.asarray(turn - (turn @ normal) * normal)
+
+
+def _turn(state: PairState, one: Turning) -> Array:
+    """Return the rate (3,) of the normal of a face or of two edges."""
+    spin_a, spin_b = state.velocity_a[3:], state.velocity_b[3:]
+    if one.edges is None:
+        return np.cross(spin_a if one.of_a else spin_b, one.normal)
+    return _edges_turn(one.edges[0], one.edges[1], one.normal, spin_a, spin_b)
+
+
+def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array) -> Array:
+    """Return the rate (3,) of the normal of two edges: ṅ = (Ṅ − n n·Ṅ)/|N| with N = ± u × w."""
+    across = np.cross(u, w)
+    rate = np.cross(np.cross(spin_a, u), w) + np.cross(u, np.cross(spin_b, w))
+    rate = rate / math.copysign(float(np.linalg.norm(across)), float(across @ normal))
+    return np.asarray(rate - (rate @ normal) * normal)
+
+
+def _front(state: PairState, value: float, normal: Array, bend: float, turn: Array) -> Front:
+    """Return what faces each other along a normal that turns at a rate (3,)."""
+    a, b = state.a, state.b
+    size = a.shape.reach + b.shape.reach
+    heights_a, heights_b = a.vertices @ normal, b.vertices @ normal
+    center = a.vertices[heights_a.argmin()]
+    moving_a = state.velocity_a[:3] + np.cross(state.velocity_a[3:], a.vertices)
+    moving_b = state.velocity_b[:3] + np.cross(state.velocity_b[3:], b.vertices)
+    spin = float(np.linalg.norm(turn))
+    mean = 0.5 * (moving_a.mean(axis=0) + moving_b.mean(axis=0))
+    speed = sum(float(np.linalg.norm(one - mean, axis=1).max()) for one in (moving_a, moving_b))
+    until = math.sqrt(size / bend) if bend > 0.0 else math.inf
+    curving = bend
+    if spin > 0.0:
+        curving += 2.0 * spin * (speed + bend * until) + 2.0 * spin * spin * (size + max(value, 0.0))
+    return Front(
+        heights_a,
+        moving_a @ normal + (a.vertices - center) @ turn,
+        heights_b,
+        moving_b @ normal + (b.vertices - center) @ turn,
+        a.shape.radius + b.shape.radius,
+        value,
+        curving,
+        until,
+    )
+
+
+def advance(fronts: Callable[[float], list[Front]], start: float, end: float, floor: float) -> Advance | None:
+    """Return where what faces each other first touches until a time; see `first_touch`.
+
+    A gap below zero at the start is where all gaps are counted from: what has just parted is off by rounding.
+
+    Args:
+        fronts: Returns what faces each other, along one normal or several that are as good at the time.
+        start: From when to look [s].
+        end: Until when [s].
+        floor: A gap below this is none [m].
+    """
+    t, base = start, math.inf
+    for _ in range(MAX_ADVANCES):
+        found = fronts(t)
+        value = found[0].value
+        base = min(value, 0.0) if base == math.inf else base
+        steps = [_step(one._replace(value=value - base), end - t, floor) for one in found]
+        step = max(steps)
+        if step <= 0.0 or t + step <= t:
+            return Advance(t, value, True)
+        if t + step >= end or step == end - t:
+            return Advance(end, value, False)
+        t += step
+    return None
+
+
+def _step(now: Front, left: float, floor: float) -> float:
+    """Return for how long nothing touches along a normal; zero where it touches, closing."""
+    if now.value <= floor:
+        lowest = now.heights_a <= now.heights_a.min() + floor
+        highest = now.heights_b >= now.heights_b.max() - floor
+        closing = float(now.rates_b[highest].max() - now.rates_a[lowest].min())
+        if closing > (math.sqrt(2.0 * now.bend * floor) if now.value >= -floor else 0.0):
+            return 0.0
+    raised = max(now.value, floor) - float(now.heights_a.min() - now.heights_b.max() - now.apart)
+
+    def bound(h: float) -> float:
+        lower = (now.heights_a + h * now.rates_a).min() - (now.heights_b + h * now.rates_b).max()
+        return float(lower) + raised - now.apart - 0.5 * now.bend * h * h
+
+    return _clear(bound, min(left, now.until))
+
+
+def _clear(bound: Callable[[float], float], longest: float) -> float:
+    """Return the root of a concave function that is above zero at 0, or slightly less; at most `longest`."""
+    high, at_high = longest, bound(longest)
+    if at_high >= 0.0:
+        return longest
+    low, at_low = 0.0, bound(0.0)
+    for _ in range(60):
+        low_next = low + (high - low) * at_low / (at_low - at_high)  # a chord of what is concave is below it
+        at_next = bound(low_next)
+        if not at_next > 0.0:
+            return low_next
+        if low_next - low <= 1e-3 * low_next:
+            return low_next
+        low, at_low = low_next, at_next
+        middle = 0.5 * (low + high)
+        at_middle = bound(middle)
+        if at_middle >= 0.0:
+            low, at_low = middle, at_middle
+        else:
+            high, at_high = middle, at_middle
+    return low
+
+
+def normal_rate(touch: Touch, now: Followed, state: PairState) -> Array:
+    """Return the rate (3,) of the normal of a pair of features, in world axes [1/s]."""
+    n, spin_a, spin_b = now.normal, state.velocity_a[3:], state.velocity_b[3:]
+    if touch.kind == "vertex-face":
+        return np.cross(spin_b, n)
+    if touch.kind == "face-vertex":
+        return np.cross(spin_a, n)
+    if touch.kind == "edge-edge":
+        u, w = (
+            np.subtract(*placed.vertices[placed.shape.edges[k]][::-1])
+            for placed, k in zip((state.a, state.b), touch.features, strict=True)
+        )
+        return _edges_turn(u, w, n, spin_a, spin_b)
+    between = now.touch.point - now.touch.other
+    length = float(np.linalg.norm(between))
+    moving = state.velocity_a[:3] + np.cross(spin_a, now.touch.point)
+    moving = moving - state.velocity_b[:3] - np.cross(spin_b, now.touch.other)
+    line = np.zeros(3)
+    if touch.kind == "vertex-edge":  # as the line turns, the point on it that is nearest moves along
+        line = state.b.vertices[state.b.shape.edges[touch.features[1]]]
+        line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+        moving = moving - line * (line @ moving + np.cross(spin_b, line) @ between)
+    elif touch.kind == "edge-vertex":
+        line = state.a.vertices[state.a.shape.edges[touch.features[0]]]
+        line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+        moving = moving - line * (line @ moving + np.cross(spin_a, line) @ between)
+    return np.asarray((moving - (moving @ n) * n) / length)

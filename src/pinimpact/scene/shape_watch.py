@@ -1,0 +1,572 @@
+"""Pairs of convex shapes in a run: when they touch, in which points, and when these become others.
+
+A pair that is apart is followed by conservative advancement on the dense output of each step, unless what it
+can move in the step is less than its gap. One that touches has contacts of single points, in places that the
+scene keeps for it; they end where a point leaves its face or edge, and others join them where the plane that
+holds the shapes apart meets another corner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError, SimulationError
+from ..robot.contact import Contact, contact_constants
+from ..robot.convex_pair import Touch, corners_of, follow, gap, touches
+from ..robot.convex_shape import PlacedShape
+from ..robot.names import motion_signs
+from ..robot.shape_pair import PointContact, ShapePair, point_contact
+from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
+from ._kernels.contact_forces import FREE
+from ._kernels.events.gap import SAFETY
+from .dense_step import DenseStep
+from .dynamics import SceneDynamics
+from .layout import SceneLayout
+
+Array = NDArray[np.float64]
+
+Placed = tuple[PlacedShape, PlacedShape]
+
+SAMPLES = (0.5, 1.0)
+"""Parts of a step at which it is seen whether a point has left its face or edge."""
+
+ROUNDING = 1e-12
+"""Part of the shapes' size by which a point may be beyond its face or edge through rounding."""
+
+AHEAD = 1e-6
+"""Part of the shapes' size by which they go on before it is seen what touches after a point has left."""
+
+SUNK = 1e-6
+"""Part of the shapes' size by which they never overlap, but for a fault."""
+
+MEMBERS_PREFERRED = ("vertex-face", "face-vertex", "edge-edge", "vertex-edge", "edge-vertex", "vertex-vertex")
+
+
+class Meeting(NamedTuple):
+    """Where a pair of shapes ends a smooth motion.
+
+    Attributes:
+        time: When [s].
+        pair: Its number.
+        leaving: Whether a point leaves its face or edge; else something touches.
+    """
+
+    time: float
+    pair: int
+    leaving: bool
+
+
+@dataclass(eq=False)
+class _Watched:
+    """A pair in a run.
+
+    Attributes:
+        pair: The shapes.
+        places: Numbers of the contacts that are kept for it.
+        blanks: What stands there where nothing touches.
+        size: Of both shapes together [m].
+        relative: (nv,) True for velocities that move one against the other.
+        supports: (2, nv) True for velocities that move A, and those that move B.
+        points: What touches, by place.
+        normals: (3,) normal of each, from B to A.
+        room: Way [m] that the pair can move before it may touch; below zero if unknown.
+        levers: (nv,) way of any point of the one against the other per unit of each velocity.
+        flush: Corners that have come to the plane of contact where nothing is to touch, of A and of B.
+    """
+
+    pair: ShapePair
+    places: list[int]
+    blanks: list[Contact]
+    size: float
+    relative: NDArray[np.bool_]
+    supports: NDArray[np.bool_]
+    points: dict[int, PointContact] = field(default_factory=dict)
+    normals: dict[int, Array] = field(default_factory=dict)
+    room: float = -math.inf
+    levers: Array = field(default_factory=lambda: np.zeros(0))
+    flush: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+
+    @property
+    def label(self) -> str:
+        return self.pair.contact.label
+
+
+class ShapeWatch:
+    """The pairs of shapes of one run.
+
+    Args:
+        model: The robot.
+        layout: Of the scene.
+        dynamics: Its contacts, whose places for pairs are filled here.
+    """
+
+    def __init__(self, model: pin.Model, layout: SceneLayout, dynamics: SceneDynamics) -> None:
+        self._model = model
+        self._dynamics, self._work = dynamics, dynamics.work
+        self.tolerance = 0.0
+        groups: dict[Contact, list[int]] = {}
+        for i, contact in enumerate(dynamics.contacts):
+            if contact.pair is not None:
+                groups.setdefault(contact.pair, []).append(i)
+        if groups:
+            self._data = model.createData()
+        self._pairs = [self._watched(layout.pairs[contact], places) for contact, places in groups.items()]
+
+    def _watched(self, pair: ShapePair, places: list[int]) -> _Watched:
+        model = self._model
+        return _Watched(
+            pair,
+            places,
+            [self._dynamics.contacts[i] for i in places],
+            pair.a.shape.reach + pair.b.shape.reach,
+            motion_signs(model, pair.a.joint, pair.b.joint) != 0.0,
+            np.array([motion_signs(model, joint, 0) != 0.0 for joint in (pair.a.joint, pair.b.joint)]),
+        )
+
+    def __bool__(self) -> bool:
+        return bool(self._pairs)
+
+    def take_over(self, other: ShapeWatch) -> None:
+        """Become what another watch of the same scene is."""
+        for own, its in zip(self._pairs, other._pairs, strict=True):
+            own.points, own.normals = dict(its.points), dict(its.normals)
+            own.room, own.levers, own.flush = its.room, its.levers, its.flush
+            for i in own.places:
+                self._dynamics.contacts[i] = other._dynamics.contacts[i]
+
+    # ---- states
+
+    def _set(self, q: Array) -> None:
+        pin.forwardKinematics(self._model, self._data, q)
+
+    def start(self, q: Array, rounding: float) -> None:
+        """Let the pairs touch that do at the start.
+
+        Args:
+            q: (nq,) configuration.
+            rounding: Overlap that is none [m].
+
+        Raises:
+            InputError: A pair that overlaps.
+        """
+        self._set(q)
+        for watched in self._pairs:
+            placed = watched.pair.placed(self._data)
+            found = gap(*placed)
+            if found.value < -rounding:
+                a, b = watched.pair.a.name, watched.pair.b.name
+                raise InputError(
+                    f"q0: {a!r} starts {-found.value:.6g} m inside {b!r}; start with the shapes apart, or "
+                    f"leave out the contact {watched.label!r}",
+                    field="q0",
+                    value=found.value,
+                )
+            if found.value <= rounding:
+                self._fill(watched, touches(*placed, found.normal, rounding), placed, found.normal)
+
+    def refresh(self, q: Array) -> None:
+        """Bring the contacts of what touches, as impacts take them, to a configuration."""
+        if any(watched.points for watched in self._pairs):
+            self._set(q)
+        for watched in self._pairs:
+            if watched.points:
+                placed = watched.pair.placed(self._data)
+                for i, point in watched.points.items():
+                    now = follow(point.touch, *placed, watched.normals[i])
+                    watched.normals[i] = now.normal
+                    made = self._made(watched, i, placed, now.touch, now.normal)
+                    self._dynamics.contacts[i] = made.instant
+
+    def _made(self, watched: _Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
+        blank = watched.blanks[watched.places.index(i)]
+        return point_contact(watched.pair, self._data, placed, normal, touch, blank)
+
+    # ---- what touches
+
+    def _fill(self, watched: _Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
+        """Give places to what touches and has none; return them."""
+        present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
+        near = 1e-9 * watched.size
+        fresh = [
+            touch
+            for touch in found
+            if all(float(np.linalg.norm(touch.point - other)) > near for other in present)
+        ]
+        free = [i for i in watched.places if i not in watched.points]
+        if len(fresh) > len(free):
+            raise SimulationError(
+                f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more than the "
+                f"{len(watched.places)} that two such faces can share; corners that differ by rounding "
+                "may be why",
+                field="contacts",
+                value=watched.label,
+            )
+        for i, touch in zip(free, fresh, strict=False):
+            self._take(watched, i, self._made(watched, i, placed, touch, normal), normal)
+        if fresh:
+            watched.flush = frozenset(), frozenset()
+        return free[: len(fresh)]
+
+    def _take(self, watched: _Watched, i: int, point: PointContact, normal: Array) -> None:
+        watched.points[i], watched.normals[i] = point, normal
+        self._put(i, point.lasting or point.instant)
+        self._dynamics.contacts[i] = point.instant
+
+    def _put(self, i: int, contact: Contact) -> None:
+        """Let a place of the workspace be that of a contact."""
+        tip, base, constants, signs = contact_constants(self._model, contact)
+        work = self._work
+        work.contact_constants[i], work.velocity_signs[i] = constants, signs
+        work.contact_joints[i] = tip, base
+
+    def _leave(self, watched: _Watched, i: int) -> None:
+        """Let nothing touch in a place any more."""
+        blank = watched.blanks[watched.places.index(i)]
+        del watched.points[i], watched.normals[i]
+        self._put(i, blank)
+        self._dynamics.contacts[i] = blank
+        self._work.modes[i] = FREE
+
+    def _lift(self, watched: _Watched) -> float:
+        """Return the height over the plane of contact below which corners lie in it [m]."""
+        return max(4.0 * self.tolerance, 1e-9 * watched.size)
+
+    def review(self) -> None:
+        """Leave the places of what has opened.
+
+        Raises:
+            SimulationError: Corners of polytopes that stay on corners or edges, where no plane is common.
+        """
+        modes = self._work.modes
+        for watched in self._pairs:
+            for i in list(watched.points):
+                if modes[i] == FREE:
+                    self._leave(watched, i)
+                    watched.room = -math.inf
+                elif watched.points[i].lasting is None:
+                    kind = watched.points[i].touch.kind.replace("-", " on ")
+                    raise SimulationError(
+                        f"contacts: {watched.label!r} rests {kind}, where its normal is not determined; "
+                        "start a little beside it, or give one of the shapes a radius",
+                        field="contacts",
+                        value=watched.label,
+                    )
+
+    def forget(self) -> None:
+        """Take nothing for granted of how far pairs are apart."""
+        for watched in self._pairs:
+            watched.room = -math.inf
+
+    def swapped(self) -> NDArray[np.int64]:
+        """Return the contacts whose forces act on the second shape of their pair."""
+        found = [i for w in self._pairs for i, point in w.points.items() if point.swapped and point.lasting]
+        return np.array(found, dtype=np.int64)
+
+    # ---- within a step
+
+    def within(self, step: DenseStep, end: float) -> Meeting | None:
+        """Return where the first pair ends a step until a time, or None."""
+        peak = SAFETY * self._work.rate_bounds[:2]
+        best: Meeting | None = None
+        for number, watched in enumerate(self._pairs):
+            if not watched.points:
+                if self._far(watched, step, peak[0]):
+                    continue
+                found = self._touch(watched, step, end, peak)
+                meeting = Meeting(found.time, number, False) if found.touches else None
+            else:
+                meeting = self._change(watched, number, step, end, peak)
+            if meeting is not None and (best is None or meeting.time < best.time):
+                best, end = meeting, meeting.time
+        return best
+
+    def _far(self, watched: _Watched, step: DenseStep, fastest: Array) -> bool:
+        """Return whether a pair cannot close its gap in a step, from the largest velocities (nv,) of it."""
+        if watched.room > 0.0:
+            watched.room -= float(watched.levers @ fastest) * step.h
+        if watched.room <= 0.0:
+            self._measure(watched, step.q)
+            watched.room -= float(watched.levers @ fastest) * step.h
+        return watched.room > 0.0
+
+    def _at(self, watched: _Watched, step: DenseStep) -> Callable[[float], PairState]:
+        model, data, pair = self._model, self._data, watched.pair
+
+        def at(t: float) -> PairState:
+            q, v = step.at(t)
+            pin.forwardKinematics(model, data, q, v)
+            ends = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
+            return PairState(*pair.placed(data), *ends)
+
+        return at
+
+    def _touch(self, watched: _Watched, step: DenseStep, end: float, peak: Array) -> Advance:
+        """Return where a pair that is apart touches."""
+        at = self._at(watched, step)
+        bend = self._bend(watched, step, peak)
+        found = first_touch(at, step.start, end, bend, 0.25 * self._work.touching_gap)
+        return self._settled(watched, found, step)
+
+    def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
+        if found is None:
+            raise SimulationError(
+                f"contacts: {watched.label!r} neither touches nor parts near t = {step.start:.6g} s; they "
+                "stay within rounding of each other",
+                field="contacts",
+                value=watched.label,
+            )
+        return found
+
+    def _measure(self, watched: _Watched, q: Array) -> None:
+        """Keep how far a pair can move before it may touch."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        value = gap(*watched.pair.placed(self._data)).value - 1e-8 * watched.size
+        watched.room = value
+        a, b = self._levers(watched, max(value, 0.0))
+        watched.levers = np.where(watched.supports[0], a, b) * watched.relative
+
+    def _levers(self, watched: _Watched, way: float) -> tuple[Array, Array]:
+        """Return (nv,) how far a point of A, and of B, moves at the most per unit of each velocity.
+
+        Args:
+            watched: The pair, with joint Jacobians up to date.
+            way: How far the points may have moved meanwhile [m].
+        """
+        jacobian = self._data.J
+        turn = np.linalg.norm(jacobian[3:], axis=0)
+        found = []
+        for one in (watched.pair.a, watched.pair.b):
+            center = (self._data.oMi[one.joint] * one.in_joint).act(one.shape.center)
+            x, y, z = center.tolist()
+            arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            at_center = jacobian[:3] - arm @ jacobian[3:]
+            found.append(np.linalg.norm(at_center, axis=0) + turn * (one.shape.reach + way))
+        return found[0], found[1]
+
+    def _bend(self, watched: _Watched, step: DenseStep, peak: Array) -> float:
+        """Return what the acceleration of a point of A against one of B does not exceed over a step [m/s²].
+
+        d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k with |H_jk| ≤ |ω_inner||J_outer|; in world axes for each body.
+        """
+        pin.computeJointJacobians(self._model, self._data, step.q)
+        turn = np.linalg.norm(self._data.J[3:], axis=0)
+        total = 0.0
+        way = [0.0, 0.0]
+        for _ in range(2):
+            total = 0.0
+            for k, supports in enumerate(watched.supports):
+                lever = self._levers(watched, way[k])[k] * supports
+                spin = float((turn * supports) @ peak[0])
+                total += float(lever @ peak[1]) + 2.0 * spin * float(lever @ peak[0])
+                way[k] = step.h * float(lever @ peak[0])
+        return total
+
+    def _turning_bend(self, watched: _Watched, step: DenseStep, peak: Array) -> float:
+        """Return what the second derivative of a corner's height over the plane of contact does not exceed.
+
+        That is for two corners of one shape, along a normal that the other one carries; for that of two edges
+        it is a guess. [m/s²]
+        """
+        pin.computeJointJacobians(self._model, self._data, step.q)
+        turn = np.linalg.norm(self._data.J[3:], axis=0)
+        spins = [float((turn * supports) @ peak[0]) for supports in watched.supports]
+        faster = sum(float((turn * supports) @ peak[1]) for supports in watched.supports)
+        return 2.0 * watched.size * (faster + sum(s * s for s in spins) + sum(spins) ** 2)
+
+    # ---- pairs that touch
+
+    def _change(
+        self, watched: _Watched, number: int, step: DenseStep, end: float, peak: Array
+    ) -> Meeting | None:
+        """Return where what touches becomes something else."""
+        at = self._at(watched, step)
+        slack = ROUNDING * watched.size
+        best: Meeting | None = None
+
+        def beyond(t: float) -> float:
+            state = at(t)
+            return max(
+                follow(point.touch, state.a, state.b, watched.normals[i]).beyond
+                for i, point in watched.points.items()
+            )
+
+        before = step.start
+        for part in SAMPLES:
+            time = end if part == 1.0 else step.start + part * (end - step.start)
+            if beyond(time) > slack:
+                found = _crossing(lambda t: slack - beyond(t), before, time)
+                best, end = Meeting(found, number, True), found
+                break
+            before = time
+        advanced = self._next_corner(watched, at, step, end, peak)
+        if advanced is not None and advanced.touches:
+            best = Meeting(advanced.time, number, False)
+        if best is None:
+            last = at(end)
+            depth = -gap(last.a, last.b).value
+            if depth > SUNK * watched.size:
+                raise SimulationError(
+                    f"contacts: {watched.label!r} sinks {depth:.3g} m in at t = {end:.6g} s, past the points "
+                    "that touch: corners may have met corners or edges just so; start a little beside it",
+                    field="contacts",
+                    value=watched.label,
+                )
+        return best
+
+    def _guarding(self, watched: _Watched) -> int:
+        """Return the place whose plane holds the shapes apart."""
+        return min(watched.points, key=lambda i: MEMBERS_PREFERRED.index(watched.points[i].touch.kind))
+
+    def _next_corner(
+        self,
+        watched: _Watched,
+        at: Callable[[float], PairState],
+        step: DenseStep,
+        end: float,
+        peak: Array,
+    ) -> Advance | None:
+        """Return where another corner comes to the plane of contact, or None if there is none."""
+        i = self._guarding(watched)
+        touch, normal = watched.points[i].touch, watched.normals[i]
+        times = (step.start, 0.5 * (step.start + end), end)
+        states = [at(t) for t in times]
+        samples = [_heights(touch, normal, state) for state in states]
+        masks = []
+        lift = max(self._lift(watched), *(4.0 * self._slack(watched, (one.a, one.b)) for one in states))
+        for k, side in enumerate(("vertex-face", "face-vertex")):
+            heights = np.array([sample[k] for sample in samples])
+            mask = np.abs(heights).max(axis=0) > lift  # others are held where they are
+            mask[corners_of(touch, states[0].a, states[0].b)[k]] = False
+            tips = [p.touch.features[k] for p in watched.points.values() if p.touch.kind == side]
+            mask[tips] = False
+            held = [m for m in watched.flush[k] if heights[0, m] <= lift]
+            mask[held] = False
+            if touch.kind in ("vertex-face", "face-vertex") and touch.kind != side:
+                mask[:] = False  # the normal is that of its own face
+            masks.append(mask)
+        others_a, others_b = masks
+        if not (others_a.any() or others_b.any()):
+            return None
+        floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # what is closed drifts by more
+        bend = self._turning_bend(watched, step, peak)
+
+        def front(t: float) -> list[Front]:
+            here = at(t)
+            there = follow(touch, here.a, here.b, normal)
+            rate_of_normal = normal_rate(touch, there, here)
+            heights, rates = [], []
+            for vertices, origin, mask, velocity, sign in (
+                (here.a.vertices, there.touch.point, others_a, here.velocity_a, 1.0),
+                (here.b.vertices, there.touch.other, others_b, here.velocity_b, -1.0),
+            ):
+                arm = vertices[mask] - origin
+                heights.append(sign * (arm @ there.normal))
+                rates.append(sign * (arm @ (rate_of_normal + np.cross(there.normal, velocity[3:]))))
+            height, rate = np.concatenate(heights), np.concatenate(rates)
+            return [Front(height, rate, np.zeros(1), np.zeros(1), 0.0, float(height.min()), bend)]
+
+        found = advance(front, step.start, end, floor)
+        return self._settled(watched, found, step)
+
+    def meet(self, meeting: Meeting, step: DenseStep) -> list[int]:
+        """Let a pair touch, or touch elsewhere; return the places of what arrives."""
+        watched = self._pairs[meeting.pair]
+        q, v = step.at(meeting.time)
+        self._set(q)
+        placed = watched.pair.placed(self._data)
+        if not watched.points:
+            apart = gap(*placed)
+            touching = touches(*placed, apart.normal, max(self.tolerance, abs(apart.value)))
+            return self._fill(watched, touching, placed, apart.normal)
+        if not meeting.leaving:
+            i = self._guarding(watched)
+            normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
+            now = self._at(watched, step)(meeting.time)
+            low_a, low_b = _heights(watched.points[i].touch, normal, now)
+            sunk = min(-min(low_a.min(), low_b.min(), 0.0), SUNK * watched.size)
+            slack = max(self._slack(watched, placed), sunk)
+            found = touches(*placed, normal, slack)
+            arriving = self._fill(watched, found, placed, normal)
+            if arriving:
+                return arriving
+            if watched.pair.a.shape.radius + watched.pair.b.shape.radius == 0.0:
+                watched.flush = (
+                    frozenset(np.flatnonzero(low_a <= slack).tolist()),
+                    frozenset(np.flatnonzero(low_b <= slack).tolist()),
+                )
+                return []
+        return self._change_features(watched, step, meeting.time, q, v)
+
+    def _slack(self, watched: _Watched, placed: Placed) -> float:
+        """Return by how much what touches may seem apart, for what is closed drifts within a step [m]."""
+        radius = watched.pair.a.shape.radius + watched.pair.b.shape.radius
+        worst = 0.0
+        for i, point in watched.points.items():
+            now = follow(point.touch, *placed, watched.normals[i])
+            worst = max(worst, abs(float((now.touch.point - now.touch.other) @ now.normal) - radius))
+        return max(self.tolerance, worst)
+
+    def _change_features(self, watched: _Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
+        """Let go of points that leave their faces and edges; let touch what touches a little later."""
+        speed = float(np.abs(v).max()) * (1.0 + watched.size)
+        ahead = AHEAD * watched.size / speed if speed > 0.0 else 0.0
+        later, _ = step.at(t + min(ahead, 0.1 * step.h))
+        self._set(later)
+        placed = watched.pair.placed(self._data)
+        slack = self._slack(watched, placed)
+        round_ = watched.pair.a.shape.radius + watched.pair.b.shape.radius > 0.0
+        apart = gap(*placed)
+        found = touches(*placed, apart.normal, slack) if round_ else []
+        known = {(touch.kind, touch.features) for touch in found}
+        for i, point in list(watched.points.items()):
+            beyond = follow(point.touch, *placed, watched.normals[i]).beyond > ROUNDING * watched.size
+            other = bool(known) and (point.touch.kind, point.touch.features) not in known
+            if beyond or other:
+                self._leave(watched, i)
+        normal = apart.normal
+        if not round_ and watched.points:
+            i = self._guarding(watched)
+            normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
+        if not round_:
+            found = touches(*placed, normal, slack)
+        arriving = self._fill(watched, found, placed, normal)
+        self._set(q)
+        return arriving
+
+
+def _heights(touch: Touch, normal: Array, state: PairState) -> tuple[Array, Array]:
+    """Return the heights of A's corners over the plane of a touch, and of B's below it [m]."""
+    now = follow(touch, state.a, state.b, normal)
+    return (state.a.vertices - now.touch.point) @ now.normal, (
+        now.touch.other - state.b.vertices
+    ) @ now.normal
+
+
+def _crossing(value: Callable[[float], float], a: float, b: float) -> float:
+    """Return where a function that is above zero at a and below at b vanishes, to rounding and not before."""
+    fa, fb = value(a), value(b)
+    if not fa > 0.0:
+        return a
+    for _ in range(100):
+        middle = 0.5 * (a + b)
+        if not a < middle < b or fb == 0.0:
+            break
+        fm = value(middle)
+        guess = middle + (middle - a) * fm / math.sqrt(fm * fm - fa * fb)
+        for t, f in ((middle, fm), (guess, None)):
+            if a < t < b:
+                found = value(t) if f is None else f
+                if found > 0.0:
+                    a, fa = t, found
+                else:
+                    b, fb = t, found
+        if b - a <= 4e-16 * abs(b):
+            break
+    return b

@@ -1,0 +1,231 @@
+"""Two convex shapes: how far apart, where they touch, and when."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact.errors import InputError
+from pinimpact.robot.convex_pair import gap, touches
+from pinimpact.robot.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
+from pinimpact.robot.touch_time import PairState, first_touch
+
+FALL = np.array([0.0, 0.0, -9.81])
+STRAIGHT = np.eye(3)
+
+
+class Flight:
+    """A body in free flight: thrown with a velocity of its origin and a constant spin."""
+
+    def __init__(
+        self,
+        shape: ConvexShape,
+        origin: Any,
+        velocity: Any = (0.0, 0.0, 0.0),
+        spin: Any = (0.0, 0.0, 0.0),
+        rotation: Any = STRAIGHT,
+        gravity: Any = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.shape, self.rotation = shape, np.array(rotation)
+        self.origin, self.velocity, self.spin, self.gravity = map(np.array, (origin, velocity, spin, gravity))
+
+    def at(self, t: float) -> tuple[Any, np.ndarray]:
+        rotation = pin.exp3(self.spin * t) @ self.rotation
+        origin = self.origin + self.velocity * t + 0.5 * self.gravity * t * t
+        velocity = self.velocity + self.gravity * t - np.cross(self.spin, origin)
+        return self.shape.at(rotation, origin), np.concatenate([velocity, self.spin])
+
+    @property
+    def bend(self) -> float:
+        return float(self.spin @ self.spin) * (float(np.linalg.norm(self.shape.center)) + self.shape.reach)
+
+
+def touch_time(a: Flight, b: Flight, end: float = 2.0) -> float:
+    """When the two first touch; infinite where they do not."""
+
+    def at(t: float) -> PairState:
+        (placed_a, velocity_a), (placed_b, velocity_b) = a.at(t), b.at(t)
+        return PairState(placed_a, placed_b, velocity_a, velocity_b)
+
+    bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend
+    found = first_touch(at, 0.0, end, bend, 1e-13)
+    assert found is not None
+    return found.time if found.touches else math.inf
+
+
+def coal_distance(a: Flight, b: Flight, t: float) -> float:
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = 1e-12
+    placed = [body.at(t)[0] for body in (a, b)]
+    ends: list[Any] = []
+    for one in placed:
+        ends += [one.shape.collision, coal.Transform3s(one.rotation, one.translation)]
+    return float(coal.distance(*ends, request, coal.DistanceResult()))
+
+
+def shape_of(rng: np.random.Generator, kind: int) -> ConvexShape:
+    makers = (
+        lambda: hull(rng.normal(size=(30, 3)) * 0.3),
+        lambda: box(rng.uniform(0.2, 1.0, 3)),
+        lambda: sphere(rng.uniform(0.1, 0.4)),
+        lambda: capsule(rng.uniform(0.1, 0.3), rng.uniform(0.1, 0.5)),
+    )
+    return makers[kind]()
+
+
+@pytest.mark.parametrize("kinds", [(i, j) for i in range(4) for j in range(i, 4)])
+def test_first_touch_of_random_bodies_is_the_root_of_coals_distance(kinds: tuple[int, int]) -> None:
+    rng = np.random.default_rng([7, *kinds])
+    hits = 0
+    for _ in range(3):
+        a = Flight(
+            shape_of(rng, kinds[0]),
+            np.array([2.0, 0.0, 0.0]) + 0.2 * rng.normal(size=3),
+            np.array([-3.0, 0.0, 0.0]) + 0.3 * rng.normal(size=3),
+            3.0 * rng.normal(size=3),
+            pin.exp3(rng.normal(size=3)),
+            FALL,
+        )
+        b = Flight(
+            shape_of(rng, kinds[1]),
+            0.1 * rng.normal(size=3),
+            0.2 * rng.normal(size=3),
+            3.0 * rng.normal(size=3),
+            pin.exp3(rng.normal(size=3)),
+            0.9 * FALL,
+        )
+        found = touch_time(a, b, 1.0)
+        distances = [coal_distance(a, b, t) for t in np.linspace(0.0, 1.0, 201)]
+        overlap = next((k for k, d in enumerate(distances) if d <= 0.0), None)
+        if overlap is None:
+            assert found == math.inf or coal_distance(a, b, found) < 1e-9
+            continue
+        hits += 1
+        low, high = (overlap - 1) / 200, overlap / 200
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if coal_distance(a, b, middle) > 0.0 else (low, middle)
+        assert found == pytest.approx(high, abs=2e-9)  # coal's boxes are larger by 1e-10
+    assert hits > 0
+
+
+def test_touch_of_balls_and_capsules_in_closed_form() -> None:
+    small, large = (
+        Flight(sphere(0.1), (3.0, 0.1, 0.0), (-2.0, 0.0, 0.0)),
+        Flight(sphere(0.2), (0.0, 0.0, 0.0)),
+    )
+    assert touch_time(small, large) == pytest.approx((3.0 - math.sqrt(0.09 - 0.01)) / 2.0, rel=1e-14)
+    crossed = Flight(capsule(0.05, 1.0), (0.3, 0.2, 2.0), rotation=pin.utils.rotate("x", 1.2), gravity=FALL)
+    lying = Flight(capsule(0.1, 1.0), (0.0, 0.0, 0.0), rotation=pin.utils.rotate("y", math.pi / 2))
+    # the axes are apart by z, from z = 2 + 0.2 tan(π/2 − 1.2) where they pass, at right angles to both
+    axis = np.array([0.0, -math.sin(1.2), math.cos(1.2)])
+    normal = np.cross(np.array([1.0, 0.0, 0.0]), axis)
+    height = abs(normal @ (0.3, 0.2, 2.0))
+    fall = (height - 0.15) / abs(normal[2])
+    assert touch_time(crossed, lying) == pytest.approx(math.sqrt(2.0 * fall / 9.81), rel=1e-13)
+
+
+@pytest.mark.parametrize("turned", [0, 1, 2])
+def test_box_falls_on_a_box_with_face_edge_or_corner(turned: int) -> None:
+    tilt = STRAIGHT
+    if turned > 0:
+        tilt = pin.utils.rotate("x", math.pi / 4)
+    if turned > 1:
+        tilt = pin.utils.rotate("y", math.atan(math.sqrt(0.5))) @ tilt
+    low = 0.5 * math.sqrt(turned + 1.0)
+    a = Flight(box((1.0, 1.0, 1.0)), (0.1, 0.2, 3.0), (0.3, 0.0, 0.0), rotation=tilt, gravity=FALL)
+    b = Flight(box((4.0, 4.0, 1.0)), (0.0, 0.0, 0.0))
+    time = touch_time(a, b)
+    assert time == pytest.approx(math.sqrt(2.0 * (2.5 - low) / 9.81), rel=1e-13)
+    found = touches(a.at(time)[0], b.at(time)[0], np.array([0.0, 0.0, 1.0]), 1e-12)
+    assert [touch.kind for touch in found] == ["vertex-face"] * (4, 2, 1)[turned]
+    assert all(touch.other[2] == pytest.approx(0.5, abs=1e-15) for touch in found)
+
+
+def test_edges_that_cross_touch_where_they_cross() -> None:
+    a = Flight(
+        box((2.0, 0.2, 0.2)), (0.1, 0.0, 1.0), (0.0, 0.0, -1.0), rotation=pin.utils.rotate("x", math.pi / 4)
+    )
+    b = Flight(box((0.2, 2.0, 0.2)), (0.0, 0.3, 0.0), rotation=pin.utils.rotate("y", math.pi / 4))
+    time = touch_time(a, b)
+    assert time == pytest.approx(1.0 - 0.2 * math.sqrt(2.0), rel=1e-13)
+    placed = a.at(time)[0], b.at(time)[0]
+    normal = gap(*placed).normal
+    np.testing.assert_allclose(normal, (0.0, 0.0, 1.0), atol=1e-14)
+    (touch,) = touches(*placed, normal, 1e-12)
+    assert touch.kind == "edge-edge"
+    np.testing.assert_allclose(touch.point, (0.0, 0.0, 0.1 * math.sqrt(2.0)), atol=1e-13)
+
+
+def test_a_face_over_a_corner_touches_in_the_corners_of_what_is_shared() -> None:
+    a, b = (
+        box((1.0, 1.0, 1.0)).at(STRAIGHT, np.array([0.3, 0.2, 1.0])),
+        box((1.0, 1.0, 1.0)).at(STRAIGHT, np.zeros(3)),
+    )
+    found = {touch.kind: touch.point for touch in touches(a, b, np.array([0.0, 0.0, 1.0]), 1e-12)}
+    corners = sorted(
+        tuple(np.round(t.point, 12).tolist()) for t in touches(a, b, np.array([0.0, 0.0, 1.0]), 1e-12)
+    )
+    assert corners == [(-0.2, -0.3, 0.5), (-0.2, 0.5, 0.5), (0.5, -0.3, 0.5), (0.5, 0.5, 0.5)]
+    assert sorted(found) == ["edge-edge", "face-vertex", "vertex-face"]
+
+
+@pytest.mark.parametrize(("offset", "hits"), [(-1e-9, True), (1e-9, False), (-1e-7, True)])
+def test_passes_that_graze_or_miss(offset: float, hits: bool) -> None:
+    miss = 0.3 + offset
+    a = Flight(sphere(0.1), (2.0, miss, 0.0), (-2.0, 0.0, 0.0))
+    expected = (2.0 - math.sqrt(max(0.09 - miss**2, 0.0))) / 2.0 if hits else math.inf
+    assert touch_time(a, Flight(sphere(0.2), (0.0, 0.0, 0.0))) == pytest.approx(expected, abs=1e-10)
+    # a corner of a cube that turns past a face
+    spin = 1.0
+    reach = math.sqrt(0.5)
+    b = Flight(box((0.2, 4.0, 4.0)), (reach + 0.1 + offset, 0.0, 0.0))
+    turning = Flight(box((1.0, 1.0, 1.0)), (0.0, 0.0, 0.0), spin=(0.0, 0.0, spin))
+    expected = math.pi / 4 - math.acos((reach + offset) / reach) if hits else math.inf
+    # the corner is slow as it grazes, so that the rounding of its place counts
+    assert touch_time(turning, b, 1.5) == pytest.approx(expected, abs=1e-8)
+
+
+def test_gap_is_exact_when_small_and_never_more_than_the_distance() -> None:
+    rng = np.random.default_rng(3)
+    for kind in range(4):
+        shape, block = shape_of(rng, kind), box((1.0, 1.0, 1.0)).at(STRAIGHT, np.zeros(3))
+        rotation = pin.exp3(rng.normal(size=3))
+        lowest = (shape.vertices @ rotation.T)[:, 2].min() - shape.radius
+        for height in (1e-12, 1e-9, 1e-6, 1e-3, 1.0):
+            inside = shape.vertices @ rotation.T
+            foremost = inside[inside[:, 2].argmin()]
+            place = np.array([-foremost[0], -foremost[1], 0.5 - lowest + height])
+            found = gap(shape.at(rotation, place), block)
+            assert found.value == pytest.approx(height, abs=1e-15 if height < 1e-7 else 1e-9)
+            assert found.value <= height + 4e-16
+    deep = gap(box((1.0, 1.0, 1.0)).at(STRAIGHT, np.array([0.9, 0.1, 0.0])), block)
+    assert deep.value == pytest.approx(-0.1, rel=1e-14)
+
+
+def test_shapes_are_made_of_what_coal_has() -> None:
+    made = of_collision_geometry(coal.Box(1.0, 2.0, 3.0), "b")
+    assert made.reach == pytest.approx(math.sqrt(14.0) / 2.0)
+    assert (len(made.vertices), len(made.faces), len(made.edges)) == (8, 6, 12)
+    cube = hull([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)] + [[0.5, 0.5, 1.0]])
+    assert (len(cube.vertices), len(cube.faces), len(cube.edges)) == (8, 6, 12)
+    with pytest.raises(InputError, match="'c' is a Cone"):
+        of_collision_geometry(coal.Cone(1.0, 2.0), "c")
+    with pytest.raises(InputError, match="no convex hull with a volume"):
+        hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+
+
+def test_a_mesh_that_is_not_convex_takes_its_hull_and_says_so() -> None:
+    mesh = coal.BVHModelOBBRSS()
+    corners = [[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]
+    mesh.beginModel(2, 9)
+    mesh.addVertices(np.array([*corners, [0.5, 0.5, 0.7]]))
+    mesh.addTriangles(np.array([[0, 1, 2], [6, 7, 8]]))
+    mesh.endModel()
+    with pytest.warns(UserWarning, match=r"mesh of 'm' is not convex: its convex hull is taken.*0\.3 m"):
+        assert len(of_collision_geometry(mesh, "m").vertices) == 8

@@ -1,0 +1,309 @@
+"""Shapes against boxes, spheres and each other: closed forms, invariants, contacts written by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import brentq
+
+import pinimpact
+from pinimpact import Box, Contact, InputError, Plane, Scene, Shape, SimulationError, Sphere, UnknownNameError
+from pinimpact.robot.convex_pair import gap
+from pinimpact.robot.convex_shape import hull
+from pinimpact.robot.shape_pair import shape_pair
+
+from .scene_models import G, run, shaped_body
+
+BLOCK = Box(size=(1.0, 1.0, 1.0), name="block")
+
+
+def pose(x, y, z, roll=0.0, pitch=0.0, yaw=0.0):
+    rotation = pin.rpy.rpyToMatrix(roll, pitch, yaw)
+    return np.array([x, y, z, *pin.Quaternion(rotation).coeffs()])
+
+
+def two_bodies(first, second, gravity=False):
+    """Two free bodies, frames ``link0`` and ``link1``, with the shapes ``a`` and ``b``."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    for k, (name, shape) in enumerate((("a", first), ("b", second))):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body{k}")
+        inertia = pin.Inertia(1.0 + k, np.array([0.02, 0.0, -0.01]), np.diag([0.03, 0.04, 0.05]))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addBodyFrame(f"link{k}", joint, pin.SE3.Identity(), 0)
+        frame = model.getFrameId(f"link{k}")
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, frame, pin.SE3.Identity(), shape))
+    if not gravity:
+        model.gravity = pin.Motion.Zero()
+    return pin.RobotWrapper(model, shapes)
+
+
+def momentum(robot, q, v):
+    """(6,) linear and angular momentum about the world's origin."""
+    data = robot.model.createData()
+    pin.computeCentroidalMomentum(robot.model, data, q, v)
+    linear = data.hg.linear
+    return np.concatenate(
+        [linear, data.hg.angular + np.cross(pin.centerOfMass(robot.model, data, q), linear)]
+    )
+
+
+def deepest(robot, contacts, trajectory, count=200):
+    """How deep the shapes overlap at the most, as measured on the trajectory."""
+    data = robot.model.createData()
+    pairs = [shape_pair(robot, contact) for contact in contacts]
+    worst = 0.0
+    for t in np.linspace(0.0, trajectory.t[-1], count):
+        pin.forwardKinematics(robot.model, data, trajectory.at(t)[0])
+        worst = max(worst, *(-gap(*pair.placed(data)).value for pair in pairs))
+    return worst
+
+
+def test_a_box_on_a_box_is_a_box_on_a_plane():
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.1]))
+    robot = shaped_body(coal.Box(0.3, 0.4, 0.5), inertia, name="crate")
+    rubber = {"friction": 0.4, "restitution": 0.4}
+    q, v = pose(0.0, 0.0, 0.9, 0.3, 0.2, 0.1), np.array([0.4, 0.0, 0.0, 0.0, 0.5, 0.0])
+    found = []
+    for surface in (Box(size=(4.0, 4.0, 1.0)), Plane((0.0, 0.0, 0.5))):
+        scene = Scene(robot, contacts=Contact(geometry="crate", plane=surface, **rubber))
+        found.append(run(scene, q, v, 0.5))
+    times = [[impact.time for impact in trajectory.impacts] for trajectory in found]
+    assert len(times[0]) > 5
+    np.testing.assert_allclose(times[0], times[1], atol=1e-9)
+    np.testing.assert_allclose(found[0].q[-1], found[1].q[-1], atol=1e-8)
+
+
+def test_two_bodies_keep_their_momentum_and_part_by_the_coefficient():
+    rng = np.random.default_rng(5)
+    robot = two_bodies(hull(0.3 * rng.normal(size=(20, 3))).collision, coal.Box(0.4, 0.6, 0.3))
+    contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.6, law="newton")
+    q = np.concatenate([pose(0.0, 0.0, 2.0, 0.2, 1.2, 0.1), pose(0.05, 0.1, 0.0, 1.3)])
+    falling = pin.rpy.rpyToMatrix(0.2, 1.2, 0.1).T @ (0.0, 0.0, -1.5)
+    v = np.array([*falling, 1.0, 0.3, 0.0, 0.0, 0.0, 0.2, 0.0, 0.5, 1.0])
+    trajectory = run(Scene(robot, contacts=contact), q, v, 1.5)
+    (first, *_) = trajectory.impacts
+    assert first.source == "a on b"
+    np.testing.assert_allclose(
+        momentum(robot, first.q, first.v_after), momentum(robot, first.q, first.v_before), atol=1e-13
+    )
+    assert np.linalg.norm(first.v_after - first.v_before) > 0.1
+    assert deepest(robot, [contact], trajectory) < 1e-9
+    # at the instant it is a point of the one on a plane that the other carries
+    hit = pinimpact.impact(robot, robot.data, first.q, first.v_before, contact)
+    np.testing.assert_allclose(hit.v, first.v_after, atol=1e-12)
+    assert hit.solution.velocity[2] == pytest.approx(-0.6 * hit.problem.velocity[2], rel=1e-12)
+    # and does not depend on the axes of the world
+    turn = pin.SE3.Random()
+    moved = first.q.copy()
+    for k in (0, 7):
+        placed = turn * pin.XYZQUATToSE3(first.q[k : k + 7])
+        moved[k : k + 7] = pin.SE3ToXYZQUAT(placed)
+    again = pinimpact.impact(robot, robot.data, moved, first.v_before, contact)
+    np.testing.assert_allclose(again.v, hit.v, atol=1e-9)  # the shapes touch to rounding of places
+
+
+def test_an_impact_is_that_of_a_contact_by_hand():
+    robot = two_bodies(coal.Box(0.4, 0.4, 0.4), coal.Box(1.0, 1.0, 0.2))
+    tilted = pin.rpy.rpyToMatrix(0.3, 0.4, 0.0)
+    corner = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    low = corner[(corner @ tilted.T)[:, 2].argmin()]
+    height = 0.1 - (tilted @ low)[2]
+    q = np.concatenate([pose(0.1, 0.0, height, 0.3, 0.4), pose(0.0, 0.0, 0.0)])
+    v = np.array([0.2, 0.1, -1.0, 0.5, 0.1, 0.3, 0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
+    material = {"friction": 0.4, "restitution": 0.5}
+    pair = Contact(geometry="a", plane=Shape("b"), **material)
+    top = Plane((0.0, 0.0, 0.1), (0.0, 0.0, 1.0), body="link1")
+    hand = Contact("link0", top, offset=tuple(low), **material)
+    hit, same = (pinimpact.impact(robot, robot.data, q, v, contact) for contact in (pair, hand))
+    np.testing.assert_allclose(hit.v, same.v, atol=1e-13)
+    np.testing.assert_allclose(hit.impulse_world, same.impulse_world, atol=1e-13)
+    # flat, all four corners take part; the block that is hit by its face gets the opposite impulse
+    flat = np.concatenate([pose(0.1, 0.0, 0.3), pose(0.0, 0.0, 0.0)])
+    assert len(pinimpact.impact(robot, robot.data, flat, v, pair).impulses_world) == 4
+    swapped = replace(pair, geometry="b", plane=Shape("a"))
+    turned = pinimpact.impact(robot, robot.data, q, v, swapped)
+    np.testing.assert_allclose(turned.v, hit.v, atol=1e-13)
+    np.testing.assert_allclose(turned.impulse_world, -hit.impulse_world, atol=1e-13)
+
+
+def test_a_ball_rolls_over_an_edge_until_it_slips():
+    mass, radius, mu, speed = 1.0, 0.1, 0.8, 0.5
+    robot = shaped_body(coal.Sphere(radius), pin.Inertia.FromSphere(mass, radius), name="ball")
+    contact = Contact(geometry="ball", plane=BLOCK, friction=mu)
+    trajectory = run(
+        Scene(robot, contacts=contact),
+        pose(0.2, 0.0, 0.5 + radius),
+        np.array([speed, 0.0, 0.0, 0.0, speed / radius, 0.0]),
+        1.0,
+    )
+
+    # about the edge: I ω²/2 + m g r cos θ is kept, with I = 7/5 m r²
+    def slips(theta):
+        omega_squared = (speed / radius) ** 2 + 10.0 / 7.0 * G / radius * (1.0 - math.cos(theta))
+        normal = G * math.cos(theta) - radius * omega_squared
+        return 2.0 / 7.0 * G * math.sin(theta) - mu * normal
+
+    theta = brentq(slips, 0.01, 1.0, xtol=1e-15)
+    (sticking,) = (mode for mode in trajectory.modes if mode.mode == "stick")
+    q, _ = trajectory.at(sticking.end)
+    assert q[0] == pytest.approx(0.5 + radius * math.sin(theta), abs=1e-8)
+    assert q[2] == pytest.approx(0.5 + radius * math.cos(theta), abs=1e-8)
+    assert not trajectory.impacts
+    assert deepest(robot, [contact], trajectory) < 1e-8
+
+
+def test_a_plank_slides_on_an_edge_without_friction():
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.2, 0.2]))
+    robot = shaped_body(coal.Box(2.0, 0.2, 0.2), inertia, name="plank")
+    ridge = Box(size=(0.2, 2.0, 0.2), rpy=(0.0, math.pi / 4, 0.0), name="ridge")
+    contact = Contact(geometry="plank", plane=ridge)
+    height = 0.2 * math.sqrt(2.0)
+    q = pose(0.1, 0.0, height, math.pi / 4)
+    v = np.array([0.3, 0.0, 0.0, 0.0, 0.2, 0.2])  # it turns about the vertical
+    trajectory = run(Scene(robot, contacts=contact), q, v, 0.25)
+    assert [mode.mode for mode in trajectory.modes] == ["slip"]
+    energy = trajectory.energy.kinetic + trajectory.energy.potential
+    np.testing.assert_allclose(energy, energy[0], atol=1e-8)
+    assert deepest(robot, [contact], trajectory) < 1e-8
+    assert trajectory.forces("plank on ridge", 0.1)[2] > 0.0
+    data = robot.model.createData()
+    (pair,) = (shape_pair(robot, contact),)
+    for t in (0.1, 0.2):
+        pin.forwardKinematics(robot.model, data, trajectory.at(t)[0])
+        assert abs(gap(*pair.placed(data)).value) < 1e-8
+
+
+def test_a_box_slides_off_a_table():
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.1), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), name="brick")
+    contact = Contact(geometry="brick", plane=BLOCK)
+    trajectory = run(
+        Scene(robot, contacts=contact), pose(0.25, 0.0, 0.55), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.35
+    )
+    # it begins to tip as its centre passes the edge, and not before: then the trailing corners open
+    ends = sorted(mode.end for mode in trajectory.modes)
+    np.testing.assert_allclose(ends[:2], 0.25, atol=1e-7)
+    before, after = trajectory.at(0.25 - 1e-6), trajectory.at(0.26)
+    assert abs(before[1][4]) < 1e-9
+    assert after[1][4] > 1e-3
+    assert before[0][2] == pytest.approx(0.55, abs=1e-9)
+    assert deepest(robot, [contact], trajectory) < 1e-8
+
+
+def test_a_slab_rests_on_a_smaller_block(tmp_path):
+    robot = shaped_body(coal.Box(1.0, 1.0, 0.2), pin.Inertia.FromBox(2.0, 1.0, 1.0, 0.2), name="slab")
+    contact = Contact(geometry="slab", plane=Box(size=(0.5, 0.4, 1.0), name="post"), friction=0.5)
+    scene = Scene(robot, contacts=contact)
+    trajectory = run(scene, pose(0.05, 0.02, 0.6, yaw=0.2), np.zeros(6), 0.1)
+    force = sum(trajectory.forces_world(c.label, 0.05) for c in scene.contacts)
+    np.testing.assert_allclose(force, (0.0, 0.0, 2.0 * G), atol=1e-9)
+    np.testing.assert_allclose(trajectory.v[-1], 0.0, atol=1e-12)
+    assert sum(mode.mode == "stick" for mode in trajectory.modes) == 4
+    trajectory.save(tmp_path / "slab.npz")
+    kept = pinimpact.Trajectory.load(tmp_path / "slab.npz")
+    assert kept.contacts == trajectory.contacts
+    np.testing.assert_allclose(
+        sum(kept.forces_world(c.label, 0.05) for c in scene.contacts), force, atol=1e-9
+    )
+    pinimpact.replay(robot, kept, path=tmp_path / "slab.html")
+    page = (tmp_path / "slab.html").read_text(encoding="utf-8")
+    (surfaces,) = re.findall(r'"surfaces": ?(\[.*?\]), ?"lit"', page)
+    (shown,) = json.loads(surfaces)
+    assert shown["size"] == [0.5, 0.4, 1.0]
+
+
+def test_a_capsule_meets_a_sphere_that_is_carried():
+    robot = two_bodies(coal.Capsule(0.1, 0.6), coal.Sphere(0.2))
+    by_surface = Contact(geometry="a", plane=Sphere((0.0, 0.0, 0.0), 0.2, body="link1"), restitution=1.0)
+    by_shape = Contact(geometry="a", plane=Shape("b"), restitution=1.0)
+    q = np.concatenate([pose(0.0, 0.05, 1.0, 0.0, 1.4), pose(0.0, 0.0, 0.0)])
+    v = np.concatenate([pin.rpy.rpyToMatrix(0.0, 1.4, 0.0).T @ (0.0, 0.0, -1.0), np.zeros(9)])
+    ends = [run(Scene(robot, contacts=contact), q, v, 1.2).v[-1] for contact in (by_surface, by_shape)]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+    assert np.abs(ends[0] - v).max() > 0.1
+
+
+def test_a_stepper_goes_on_from_a_copy():
+    robot = shaped_body(coal.Box(0.3, 0.4, 0.5), pin.Inertia.FromBox(1.0, 0.3, 0.4, 0.5), name="crate")
+    scene = Scene(robot, contacts=Contact(geometry="crate", plane=BLOCK, friction=0.4))
+    stepper = pinimpact.Stepper(scene, pose(0.1, 0.0, 0.85, 0.3, 0.2), np.zeros(6))
+    stepper.step(np.zeros(6), 0.25)
+    twin = stepper.copy()
+    for one in (stepper, twin):
+        one.step(np.zeros(6), 0.2)
+    np.testing.assert_array_equal(stepper.q, twin.q)
+
+
+def test_wrong_pairs_are_refused():
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    on_block = Contact(geometry="crate", plane=BLOCK)
+    with pytest.raises(InputError, match=r"'crate' starts 0\.15 m inside 'block'"):
+        pinimpact.simulate(Scene(robot, contacts=on_block), pose(0.0, 0.0, 0.45), np.zeros(6), 0.1)
+    with pytest.raises(UnknownNameError, match="did you mean 'crate'"):
+        Scene(robot, contacts=replace(on_block, plane=Shape("crates")))
+    with pytest.raises(InputError, match="cannot move against each other"):
+        Scene(robot, contacts=replace(on_block, plane=Box(size=(1, 1, 1), body="thing")))
+    with pytest.raises(InputError, match="only a collision shape meets a box"):
+        Contact("thing", BLOCK)
+    with pytest.raises(InputError, match=r"size: .*above 0"):
+        Box(size=(1.0, 0.0, 1.0))
+    cone = shaped_body(coal.Cone(0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cone")
+    with pytest.raises(InputError, match="'cone' is a Cone"):
+        Scene(cone, contacts=replace(on_block, geometry="cone"))
+    with pytest.raises(InputError, match="a pinocchio Model has no collision shapes"):
+        Scene(robot.model, contacts=on_block)
+
+
+def test_pairs_out_of_reach_are_left_out():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 1.0), pin.SE3.Identity())
+    model.addBodyFrame("arm", joint, pin.SE3.Identity(), 0)
+    shapes = pin.GeometryModel()
+    shape = pin.GeometryObject(
+        "arm", joint, model.getFrameId("arm"), pin.SE3.Identity(), coal.Capsule(0.1, 1.0)
+    )
+    shapes.addGeometryObject(shape)
+    robot = pin.RobotWrapper(model, shapes)
+    far = Box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, -3.0))
+    scene = Scene(robot, contacts=Contact(geometry="arm", plane=far))
+    assert "out of reach of their surfaces: arm on box" in str(scene.plan()["contact guards"].reason)
+    near = replace(scene, contacts=Contact(geometry="arm", plane=replace(far, center=(0.0, 0.0, -1.0))))
+    assert near.plan()["contact guards"].on
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8, 19, 24, 28, 30])
+def test_random_drops_never_sink_in_nor_gain_energy(seed):
+    rng = np.random.default_rng(seed)
+    kinds = (
+        lambda: coal.Box(*rng.uniform(0.1, 0.6, 3)),
+        lambda: coal.Capsule(rng.uniform(0.05, 0.2), rng.uniform(0.1, 0.6)),
+        lambda: hull(0.2 * rng.normal(size=(12, 3))).collision,
+    )
+    robot = two_bodies(kinds[rng.integers(3)](), kinds[rng.integers(3)](), gravity=True)
+    table = Box(size=(*rng.uniform(0.4, 1.2, 2), 0.4), rpy=tuple(0.1 * rng.normal(size=3)))
+    material = {"friction": 0.4, "restitution": 0.3, "law": "energetic"}
+    contacts = [Contact(geometry=name, plane=table, **material) for name in ("a", "b")]
+    contacts.append(Contact(geometry="a", plane=Shape("b"), **material))
+    q = np.concatenate([pose(*rng.uniform(-0.2, 0.2, 2), z, *rng.uniform(-3.0, 3.0, 3)) for z in (0.9, 1.8)])
+    trajectory = run(Scene(robot, contacts=contacts), q, rng.normal(size=12), 0.8)
+    assert deepest(robot, contacts, trajectory) < 1e-7
+    energy = trajectory.energy.kinetic + trajectory.energy.potential
+    assert np.diff(energy).max() < 1e-6 * energy[0]
+
+
+def test_a_corner_that_stays_on_a_corner_is_refused():
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    tilted = Box(size=(1.0, 1.0, 1.0), rpy=(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0), name="tip")
+    scene = Scene(robot, contacts=Contact(geometry="crate", plane=tilted))
+    top = 0.5 * math.sqrt(3.0)
+    q = pose(0.0, 0.0, top + 0.1 * math.sqrt(3.0) + 0.1, math.pi / 4, math.atan(math.sqrt(0.5)))
+    with pytest.raises(SimulationError, match="crate on tip"):
+        pinimpact.simulate(scene, q, np.zeros(6), 0.5)
