@@ -11,7 +11,7 @@ from ...._numeric.jit import inner, jit, separate
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
-from ..widest_margin import widest_margin
+from ..widest_margin import SAME_MOTION, widest_margin
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
@@ -33,7 +33,7 @@ def margin_of_forces(work):
     """
     margin = work.force_margin
     if margin < 0.0 and not work.forces_unique:
-        margin = widest_margin(work, False, work.inner_forces) + work.force_tolerance
+        margin = widest_margin(work, SAME_MOTION, work.inner_forces) + work.force_tolerance
     return margin
 
 
