@@ -23,9 +23,7 @@ def scene() -> pinimpact.Scene:
     block = pinimpact.Box(size=(0.2, 0.4, 0.1), center=(0.83, 0.12, 0.05), name="block")
     rubber = {"friction": 0.5, "restitution": 0.2, "law": "energetic"}
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # the links' meshes are not convex: their hulls are taken
+        warnings.simplefilter("ignore", UserWarning)  # not all meshes are convex: their hulls are taken
         bare = pinimpact.Scene(robot)
         return bare.contacts_from_geometry(floor, **rubber).contacts_from_geometry(
             block, links=HAND, **rubber
