@@ -117,7 +117,7 @@ def main() -> None:
     lines = [f"{options.count} random problems, {wrong} with a violation", ""]
     lines += [f"{number:8d} {what}" for what, number in ends.most_common()]
     lines += ["", f"most events per contact: {most[0]} (seed {most[1]})"]
-    lines += [f"time: median {1e3 * np.median(times):.2g} ms, longest {max(times):.2g} s"]
+    lines += [f"time: median {1e3 * np.median(times):.2g} ms, longest {max(times):.2g} s", ""]
     keep("fuzz_many", "\n".join(lines), ends)
     raise SystemExit(bool(wrong))
 
