@@ -96,6 +96,18 @@ def test_hertzian_rows_of_balls():
     assert ten == pytest.approx(expected, abs=1e-7)
 
 
+def test_ten_balls_as_another_program_has_them():
+    # Siconos, Examples/Mechanics/ChainOfBalls/resultMonodisperseChain_LZBModel.ref, after the impact:
+    # the same model by Euler's method with steps of 1e-6 N s, which is that far from its own limit
+    theirs = (-0.07105929287758861, -0.030186240457886, -0.01574960308766378, -0.008808055289868551)
+    theirs += (-0.005062343781337067, -0.00293663194584919, -0.001701856524055756, 0.002624517363818925)
+    theirs += (0.1469233855937676, 0.9859561210066624)
+    start = np.eye(10)[0]
+    _, ours = collide(*row_of_balls(10), start, restitution=1.0, exponent=1.5, simultaneous="propagate")
+    assert ours == pytest.approx(theirs, abs=5e-4)
+    assert abs(ours[8] - theirs[8]) > 4e-4  # it is not ours that is off: see the test before
+
+
 def test_limits_of_stiffness_ratios():
     soft, hard = (
         collide(*row_of_balls(3), np.array([1.0, 0, 0]), restitution=1.0, stiffness=(1.0, ratio))[1]
