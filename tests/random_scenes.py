@@ -21,7 +21,7 @@ def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     rng = np.random.default_rng(seed)
     name = str(rng.choice(list(TIPS)))
     model = MODELS[name]
-    q = pin.integrate(model, pin.neutral(model), 0.5 * rng.normal(size=model.nv))
+    q = pin.normalize(model, pin.integrate(model, pin.neutral(model), 0.5 * rng.normal(size=model.nv)))
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     bounded = (np.abs(lower) < 1e3) & (np.abs(upper) < 1e3) & (upper > lower)
     q[bounded] = np.clip(q[bounded], lower[bounded] + 1e-3, upper[bounded] - 1e-3)
