@@ -16,6 +16,10 @@ from .solution import Path, Segment, Solution, Work
 
 Segments = tuple[tuple[Segment, ...], ...]
 
+MODES: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
+PHASES: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
+"""By the codes that the rows of a path have for them."""
+
 RESTS = 1e-9
 """Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
 
@@ -215,11 +219,9 @@ class PartSolution(Solution):
 
 def segments_of(rows: Array, count: int) -> Segments:
     """Return the segments of each contact from rows contact, mode, phase, P₃ at start and end."""
-    modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
-    phases: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
     found: list[list[Segment]] = [[] for _ in range(count)]
     for contact, mode, phase, start, end in rows.tolist():
-        found[int(contact)].append(Segment(modes[int(mode)], phases[int(phase)], start, end))
+        found[int(contact)].append(Segment(MODES[int(mode)], PHASES[int(phase)], start, end))
     return tuple(map(tuple, found))
 
 

@@ -14,7 +14,7 @@ from ..checks import finite_array
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
 from .inputs import Array, Inputs
 from .laws import find_law
-from .many_solution import ManyPath, ManySolution, ManyStory, Segments, segments_of
+from .many_solution import MODES, PHASES, ManyPath, ManySolution, ManyStory, Segments, segments_of
 from .one_contact import solve_inputs
 from .problem import ZERO, ImpactProblem
 from .solution import Segment
@@ -236,9 +236,8 @@ LAST = 5
 
 def _last(rows: Array) -> str:
     """Return in words what the last rows of a path tell."""
-    modes, phases = ("slip", "stick"), ("compression", "restitution")
     return ", ".join(
-        f"contact {int(row[0])} {modes[int(row[1])]} in {phases[int(row[2])]}" for row in rows[-LAST:]
+        f"contact {int(row[0])} {MODES[int(row[1])]} in {PHASES[int(row[2])]}" for row in rows[-LAST:]
     )
 
 

@@ -108,10 +108,10 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
     kind = type(solid).__name__
     make = _MAKERS.get(kind)
     if make is None and hasattr(solid, "vertices"):  # a mesh, whatever its tree of volumes
-        points = _known_hull(shapes, shape, lambda: np.array(solid.vertices(), dtype=np.float64))
+        points = _known_hull(shapes, shape, solid.vertices())
         tips = _points("mesh", points, "vertex")
     elif make is None and hasattr(solid, "points"):
-        points = _known_hull(shapes, shape, lambda: np.array(solid.points(), dtype=np.float64))
+        points = _known_hull(shapes, shape, solid.points())
         tips = _points("convex shape", points, "vertex")
     elif make is None:
         raise InputError(
@@ -185,21 +185,40 @@ def _with_points(tips: ShapeTips, count: int) -> ShapeTips:
 # ---- hulls
 
 
-_hulls: dict[int, tuple[Any, dict[str, tuple[Any, Array]]]] = {}
+Remembered = dict[int, tuple[Any, dict[str, tuple[Array, Any]]]]
+"""By collision model: what was made of the vertices of its shapes."""
+
+_hulls: Remembered = {}
 
 
-def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: Callable[[], Array]) -> Array:
-    """Return the extreme points of the vertices of a shape, remembered as long as its model lives."""
-    key, name = id(shapes), shape.name
-    known = _hulls.get(key)
+def remembered(
+    memory: Remembered, shapes: pin.GeometryModel, name: str, points: Array, make: Callable[[], Any]
+) -> Any:
+    """Return what is made of the vertices of a shape, remembered as long as its model lives.
+
+    Args:
+        memory: Where.
+        shapes: The collision shapes.
+        name: Of one of them.
+        points: (m, 3) its vertices now; where they have changed it is made anew.
+        make: Makes it.
+    """
+    key = id(shapes)
+    known = memory.get(key)
     if known is None or known[0]() is not shapes:
-        forget = _hulls.pop
-        known = _hulls[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
-    points = vertices()
+        forget = memory.pop
+        known = memory[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
     found = known[1].get(name)
     if found is None or not np.array_equal(found[0], points):
-        found = known[1][name] = points, extreme_points(points, name)
+        found = known[1][name] = points, make()
     return found[1]
+
+
+def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: Any) -> Array:
+    """Return the extreme points of the vertices of a shape."""
+    name, points = shape.name, np.array(vertices, dtype=np.float64)
+    found: Array = remembered(_hulls, shapes, name, points, lambda: extreme_points(points, name))
+    return found
 
 
 def extreme_points(points: Array, name: str) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import above_zero
 from ..errors import InputError
 from ._kernels.constants import SOLID
-from .collision_shapes import collision_model, find_shape, shape_frame
+from .collision_shapes import Remembered, collision_model, find_shape, remembered, shape_frame
 from .convex_shape import ConvexShape, box, of_collision_geometry, sphere
 from .names import frame_id, model_of
 from .sphere import Sphere
@@ -66,23 +65,17 @@ def collision_shape(robot: Any, name: str) -> CarriedShape:
     return carried(model, _known_shape(shapes, found), frame, placement, name)
 
 
-_known: dict[int, tuple[Any, dict[str, tuple[Any, ConvexShape]]]] = {}
+_known: Remembered = {}
 
 
 def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject) -> ConvexShape:
-    """Return the convex shape of a collision shape, remembered as long as its model lives."""
-    key, solid = id(shapes), found.geometry
-    known = _known.get(key)
-    if known is None or known[0]() is not shapes:
-        forget = _known.pop
-        known = _known[key] = weakref.ref(shapes, lambda _: forget(key, None)), {}
+    """Return the convex shape of a collision shape; those of meshes are remembered."""
+    solid, name = found.geometry, found.name
     if not hasattr(solid, "vertices"):
-        return of_collision_geometry(solid, found.name)
+        return of_collision_geometry(solid, name)
     points = np.array(solid.vertices(), dtype=np.float64)
-    before = known[1].get(found.name)
-    if before is None or not np.array_equal(before[0], points):
-        before = known[1][found.name] = points, of_collision_geometry(solid, found.name)
-    return before[1]
+    shape: ConvexShape = remembered(_known, shapes, name, points, lambda: of_collision_geometry(solid, name))
+    return shape
 
 
 class Solid(Surface):
