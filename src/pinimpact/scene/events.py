@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, SimulationError
+from .crossing import crossing
 from .dense_step import DenseStep
 from .records import EventRecord
 
@@ -23,8 +24,6 @@ Callback = Callable[[float, Array, Array], ArrayLike | None]
 
 SAMPLES = (0.5, 1.0)
 """Parts of a step at which guards are evaluated."""
-
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,22 +217,7 @@ class EventWatch:
         def value(t: float) -> float:
             return sign * self._value(i, t, *step.at(t))
 
-        fa, fb = value(a), value(b)
-        if not fa > 0.0:
-            return a
-        while True:
-            middle = 0.5 * (a + b)
-            if b - a <= EPS * (abs(b) + step.h) or not a < middle < b or fb == 0.0:
-                return b
-            fm = value(middle)
-            guess = middle + (middle - a) * fm / math.sqrt(fm * fm - fa * fb)
-            for t, f in ((middle, fm), (guess, None)):
-                if a < t < b:
-                    f = value(t) if f is None else f
-                    if f > 0.0:
-                        a, fa = t, f
-                    else:
-                        b, fb = t, f
+        return crossing(value, a, b, step.h)
 
     def _value(self, i: int, t: float, q: Array, v: Array) -> float:
         event = self._events[i]

@@ -26,6 +26,7 @@ from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ._kernels.contact_forces import FREE
 from ._kernels.events.gap import SAFETY
+from .crossing import crossing
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
@@ -401,7 +402,7 @@ class ShapeWatch:
         for part in SAMPLES:
             time = end if part == 1.0 else step.start + part * (end - step.start)
             if beyond(time) > slack:
-                found = _crossing(lambda t: slack - beyond(t), before, time)
+                found = crossing(lambda t: slack - beyond(t), before, time, step.h)
                 best, end = Meeting(found, number, True), found
                 break
             before = time
@@ -547,26 +548,3 @@ def _heights(touch: Touch, normal: Array, state: PairState) -> tuple[Array, Arra
     return (state.a.vertices - now.touch.point) @ now.normal, (
         now.touch.other - state.b.vertices
     ) @ now.normal
-
-
-def _crossing(value: Callable[[float], float], a: float, b: float) -> float:
-    """Return where a function that is above zero at a and below at b vanishes, to rounding and not before."""
-    fa, fb = value(a), value(b)
-    if not fa > 0.0:
-        return a
-    for _ in range(100):
-        middle = 0.5 * (a + b)
-        if not a < middle < b or fb == 0.0:
-            break
-        fm = value(middle)
-        guess = middle + (middle - a) * fm / math.sqrt(fm * fm - fa * fb)
-        for t, f in ((middle, fm), (guess, None)):
-            if a < t < b:
-                found = value(t) if f is None else f
-                if found > 0.0:
-                    a, fa = t, found
-                else:
-                    b, fb = t, found
-        if b - a <= 4e-16 * abs(b):
-            break
-    return b
