@@ -195,7 +195,8 @@ def test_a_kernel_does_what_python_does(function, arguments):
 
 
 def test_what_a_kernel_returns_outlives_it():
-    rows = [compiled(owned)(n) for n in range(2, 50)]
+    kernel = compiled(owned)
+    rows = [kernel(n) for n in range(2, 50)]
     gc.collect()
     rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
     assert all(np.array_equal(row, [1.0, 2.0, 3.0]) for row in rows)
@@ -218,7 +219,8 @@ def test_references_to_arguments_are_left_as_they_were():
 
 
 def test_what_comes_out_of_a_tuple_outlives_it():
-    found = [compiled(made_here)(n) for n in range(2, 50)]
+    kernel = compiled(made_here)
+    found = [kernel(n) for n in range(2, 50)]
     gc.collect()
     rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
     assert all(np.array_equal(row, [6.0, 7.0, 8.0]) for row, _ in found)
