@@ -12,10 +12,11 @@ import numpy as np
 from benchmarks.panda_scene import START, STILL, panda
 from benchmarks.timing import best_of, publish, row
 
-from pinimpact import Contact, Plane, Scene, load_robot, simulate
+from pinimpact import Box, Contact, Plane, Scene, load_robot, simulate
 
 ROUNDS = 60
 LOW = Plane(point=(0.0, 0.0, -0.6), name="low floor")
+BLOCK = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
 FLOOR = Plane(name="floor")
 FALL = np.array([0.0, 0.7, 0.0, -1.75, 0.0, 1.57, 0.785, 0.0, 0.0])
 
@@ -34,6 +35,13 @@ def main() -> None:
         (
             "swings, 1 s",
             swinging.contacts_from_geometry(LOW),
+            swinging,
+            FALL * [1, -1, 1, 1, 1, 1, 1, 1, 1],
+            1.0,
+        ),
+        (
+            "swings beside a block, 1 s",
+            replace(swinging, geometry=robot.collision_model).contacts_from_geometry(BLOCK),
             swinging,
             FALL * [1, -1, 1, 1, 1, 1, 1, 1, 1],
             1.0,

@@ -48,6 +48,28 @@ def test_a_sphere_is_what_the_file_says(tmp_path: Path) -> None:
         scene_of(tmp_path, BALL.replace("[[contact]]", "[sphere.belt]\nradius = 1\n[[contact]]"))
 
 
+def test_boxes_and_shapes_are_what_the_file_says(tmp_path: Path) -> None:
+    text = (SCENES / "falling_arm.toml").read_text(encoding="utf-8")
+    text += """
+[box.block]
+size = [0.2, 0.2, "10 cm"]
+center = [2.0, 0, 0.05]
+rpy = [0, 0, "90 deg"]
+[shape.base]
+geometry = "panda_link0_0"
+[[contact]]
+geometry = "panda_hand_0"
+plane = "block"
+[[contact]]
+geometry = "panda_hand_0"
+plane = "base"
+"""
+    contacts = scene_of(tmp_path, text).scene.contacts
+    surfaces = {contact.pair.plane for contact in contacts if contact.pair is not None}
+    block = pinimpact.Box((0.2, 0.2, 0.1), (2.0, 0.0, 0.05), (0.0, 0.0, math.pi / 2), name="block")
+    assert surfaces == {block, pinimpact.Shape("panda_link0_0", name="base")}
+
+
 def test_an_arm_falls_by_its_shapes_alone() -> None:
     loaded = load_scene(SCENES / "falling_arm.toml")
     shapes = {contact.shape for contact in loaded.scene.contacts}
@@ -82,7 +104,7 @@ def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
         ("", r"contact\[0\]: none given"),
         ('links = "all"\nradius = 0.1', r"contact\[0\].radius: goes with a frame"),
         ('geometry = "can_0"\nheld = true', r"contact\[0\].held: goes with a frame"),
-        ('links = "all"\nrim_points = 2', r"contact\[0\]: geometry: rim_points: 2 given"),
+        ('links = "all"\nrim_points = 2', r"contact\[0\]: rim_points: 2 given"),
     ):
         with pytest.raises(pinimpact.InputError, match=message):
             names(what)

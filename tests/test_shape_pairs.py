@@ -80,6 +80,25 @@ def test_a_box_on_a_box_is_a_box_on_a_plane():
     np.testing.assert_allclose(found[0].q[-1], found[1].q[-1], atol=1e-8)
 
 
+@pytest.mark.parametrize("solid", [coal.Cylinder(0.2, 0.3), coal.Cone(0.2, 0.3)])
+def test_rim_points_on_a_box_are_those_on_a_plane(solid):
+    robot = shaped_body(solid, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.03])), name="can")
+    can = {"geometry": "can", "rim_points": 7, "friction": 0.3, "restitution": 0.4}
+    q, v = pose(0.0, 0.0, 0.8, 0.5, 0.2, 0.1), np.array([0.2, 0.0, 0.0, 0.0, 0.5, 0.0])
+    table, floor = Box(size=(4.0, 4.0, 1.0)), Plane((0.0, 0.0, 0.5))
+    found = [run(Scene(robot, contacts=Contact(plane=s, **can)), q, v, 0.4) for s in (table, floor)]
+    times = [[impact.time for impact in trajectory.impacts] for trajectory in found]
+    assert len(times[0]) > 3
+    np.testing.assert_allclose(times[0], times[1], atol=1e-9)
+    np.testing.assert_allclose(found[0].q[-1], found[1].q[-1], atol=1e-8)
+
+
+def test_all_links_but_itself_meet_a_shape():
+    scene = Scene(two_bodies(coal.Cylinder(0.1, 0.6), coal.Sphere(0.2)))
+    scene = scene.contacts_from_geometry(Shape("a", rim_points=6), friction=0.3)
+    assert {contact.shape for contact in scene.contacts} == {"b"}
+
+
 def test_two_bodies_keep_their_momentum_and_part_by_the_coefficient():
     rng = np.random.default_rng(5)
     robot = two_bodies(hull(0.3 * rng.normal(size=(20, 3))).collision, coal.Box(0.4, 0.6, 0.3))
@@ -240,6 +259,25 @@ def test_a_stepper_goes_on_from_a_copy():
     np.testing.assert_array_equal(stepper.q, twin.q)
 
 
+@pytest.mark.parametrize("over", [1e-2, 1e-5, -1e-5])
+def test_the_tip_of_a_spinning_rod_grazes_a_wall_within_a_step(over):
+    spin, reach = 10.0, 0.6
+    round_ = pin.Inertia(1.0, np.zeros(3), 0.02 * np.eye(3))
+    robot = shaped_body(coal.Capsule(0.1, 1.0), round_, name="rod")
+    robot.model.gravity = pin.Motion.Zero()
+    wall = Box(size=(1.0, 4.0, 4.0), center=(0.5 + reach - over, 0.0, 0.0), name="wall")
+    scene = Scene(robot, contacts=Contact(geometry="rod", plane=wall, restitution=1.0))
+    found = pinimpact.simulate(
+        scene, pose(0.0, 0.0, 0.0), [0.0, 0.0, 0.0, 0.0, spin, 0.0], 0.3, rtol=1e-2, atol=1e-2
+    )
+    if over < 0.0:
+        assert not found.impacts
+    else:  # 0.5 sin(ω t) + 0.1 is the wall's place
+        time = math.asin((reach - over - 0.1) / 0.5) / spin
+        assert found.impacts[0].time == pytest.approx(time, abs=1e-4)
+        assert np.diff(found.t).max() > 2.0 * (0.5 * math.pi / spin - time)
+
+
 def test_wrong_pairs_are_refused():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     on_block = Contact(geometry="crate", plane=BLOCK)
@@ -254,8 +292,10 @@ def test_wrong_pairs_are_refused():
     with pytest.raises(InputError, match=r"size: .*above 0"):
         Box(size=(1.0, 0.0, 1.0))
     cone = shaped_body(coal.Cone(0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="cone")
-    with pytest.raises(InputError, match="'cone' is a Cone"):
+    with pytest.raises(InputError, match=r"'cone' is a cone, .* give rim_points="):
         Scene(cone, contacts=replace(on_block, geometry="cone"))
+    with pytest.raises(InputError, match="rim_points: 2 given"):
+        Shape("cone", rim_points=2)
     with pytest.raises(InputError, match="a pinocchio Model has no collision shapes"):
         Scene(robot.model, contacts=on_block)
 

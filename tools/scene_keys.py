@@ -24,6 +24,8 @@ TABLES = {
     "robot": (scene_file.RobotTable, "`[[robot]]`"),
     "plane": (scene_file.PlaneTable, "`[plane.NAME]`"),
     "sphere": (scene_file.SphereTable, "`[sphere.NAME]`"),
+    "box": (scene_file.BoxTable, "`[box.NAME]`"),
+    "shape": (scene_file.ShapeTable, "`[shape.NAME]`"),
     "contact": (scene_file.ContactTable, "`[[contact]]`"),
     "start": (scene_file.StartTable, "`[start]`"),
     "control": (scene_file.ControlTable, "`[control]`"),

@@ -14,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..robot.names import near_matches
 from ..robot.plane import Plane
+from ..robot.solids import Box, Shape
 from ..robot.sphere import Sphere
 from ..robot.surfaces import Surface
 from .units import quantity
@@ -75,6 +76,11 @@ class SurfaceTable(_Table):
     """What every surface has; see `Surface`."""
 
     kind: ClassVar[type[Surface]]
+
+
+class MovingTable(SurfaceTable):
+    """What a surface has whose material can move."""
+
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
     """Of the surface's material at its point or centre, within the surface: a belt."""
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
@@ -83,7 +89,7 @@ class SurfaceTable(_Table):
     """Frame that carries the surface, by name or number. Left out: the world."""
 
 
-class PlaneTable(SurfaceTable):
+class PlaneTable(MovingTable):
     """``[plane.NAME]``: a plane; see `Plane`."""
 
     kind = Plane
@@ -93,7 +99,7 @@ class PlaneTable(SurfaceTable):
     """Points from the surface into free space; any length but zero."""
 
 
-class SphereTable(SurfaceTable):
+class SphereTable(MovingTable):
     """``[sphere.NAME]``: a ball or the head of a post; see `Sphere`."""
 
     kind = Sphere
@@ -101,6 +107,30 @@ class SphereTable(SurfaceTable):
     """Its centre, in world axes or those of ``body``."""
     radius: Length
     """Above zero."""
+
+
+class BoxTable(SurfaceTable):
+    """``[box.NAME]``: a box, which contacts with ``geometry`` or ``links`` meet; see `Box`."""
+
+    kind = Box
+    size: tuple[Length, Length, Length]
+    """Lengths of its sides, above zero."""
+    center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    """Its centre, in world axes or those of ``body``."""
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of its sides, about the same axes."""
+    body: FrameKey | None = None
+    """Frame that carries the box, by name or number. Left out: the world."""
+
+
+class ShapeTable(SurfaceTable):
+    """``[shape.NAME]``: a collision shape that contacts with ``geometry`` or ``links`` meet; see `Shape`."""
+
+    kind = Shape
+    geometry: str
+    """Its name among the collision shapes of the robots."""
+    rim_points: int | None = None
+    """Points that stand for each rim of a cylinder or cone, at least 3; must be given for these."""
 
 
 class ContactTable(_Table):
@@ -117,9 +147,10 @@ class ContactTable(_Table):
     links: str | list[str] | None = None
     """``"all"``, or names of the links all of whose collision shapes may meet the surface."""
     rim_points: int | None = None
-    """Points that stand for each rim of a cylinder or cone, at least 3. Left out: smooth rims, which roll."""
+    """Points that stand for each rim of a cylinder or cone, at least 3. Left out: smooth rims that roll and
+    meet planes alone."""
     plane: str
-    """Name of the surface, a plane or a sphere."""
+    """Name of the surface, a plane, sphere, box or shape."""
     friction: float = 0.0
     """Coulomb coefficient of impacts, at least 0; of sustained contact too, without the next key."""
     sliding_friction: float | None = None
@@ -198,6 +229,8 @@ class SceneFile(_Table):
     robot: list[RobotTable]
     plane: dict[str, PlaneTable] = {}
     sphere: dict[str, SphereTable] = {}
+    box: dict[str, BoxTable] = {}
+    shape: dict[str, ShapeTable] = {}
     contact: list[ContactTable] = []
     start: StartTable = StartTable()
     locked: list[str] = []
@@ -223,7 +256,7 @@ class SceneFile(_Table):
     @property
     def surfaces(self) -> dict[str, Mapping[str, SurfaceTable]]:
         """The surfaces by kind and name."""
-        return {"plane": self.plane, "sphere": self.sphere}
+        return {"plane": self.plane, "sphere": self.sphere, "box": self.box, "shape": self.shape}
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -279,6 +312,8 @@ _TABLES: dict[tuple[str, ...], type[_Table]] = {
     ("robot",): RobotTable,
     ("plane",): PlaneTable,
     ("sphere",): SphereTable,
+    ("box",): BoxTable,
+    ("shape",): ShapeTable,
     ("contact",): ContactTable,
     ("start",): StartTable,
     ("control",): ControlTable,

@@ -127,6 +127,20 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
     return tips if rim_points is None else _with_points(tips, rim_points)
 
 
+def check_rim_points(value: Any) -> None:
+    """Refuse what is no number of points for a rim.
+
+    Raises:
+        InputError: Neither None nor a whole number of at least 3.
+    """
+    if value is not None and (not isinstance(value, (int, np.integer)) or value < 3):
+        raise InputError(
+            f"rim_points: {value!r} given, a whole number of at least 3 expected",
+            field="rim_points",
+            value=value,
+        )
+
+
 def _points(kind: str, points: Array, part: str) -> ShapeTips:
     parts = tuple(f"{part} {k + 1}" for k in range(len(points)))
     return ShapeTips(kind, points, 0.0, np.zeros(len(points)), parts)

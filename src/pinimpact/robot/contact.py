@@ -15,7 +15,7 @@ from ..contact_space.laws import law_code
 from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.constants import AXES, CONSTANTS, KIND, LINE_AXIS, POINT, RADIUS, RIM_AXIS, SOLID, TIP
-from .collision_shapes import collision_model, find_shape, shape_frame, shape_tips
+from .collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
 from .data_cache import checked_configuration, data_cache
 from .names import frame_id, model_of, motion_signs
 from .plane import Plane
@@ -55,7 +55,7 @@ class Contact:
         stiffness: Relative normal stiffness > 0, which counts where several contacts collide at one instant.
         geometry: Name of a collision shape of the robot, in place of a frame.
         rim_points: Points that stand for each rim of a cylinder or cone, ≥ 3, so that it can stand on its
-            face; None for smooth rims, on which it rolls. With `geometry` alone.
+            face, and meet what is no plane; None for smooth rims, on which it rolls. With `geometry` alone.
         rim: Radius of the circle about the offset that meets a plane [m], 0 for none.
         axis: Axis of that circle, in the frame's axes; any length but zero. Kept as a unit vector.
         shape: Name of the collision shape that the point is of; `tips` sets it.
@@ -136,9 +136,7 @@ class Contact:
             what = "offset, radius and rim belong to a frame; the geometry has its own"
         else:
             what = "" if isinstance(self.geometry, str) else f"{self.geometry!r} is no name of a shape"
-            points = self.rim_points
-            if points is not None and (not isinstance(points, (int, np.integer)) or points < 3):
-                what = f"rim_points: {points!r} given, a whole number of at least 3 expected"
+            check_rim_points(self.rim_points)
         if what:
             raise InputError(
                 f"geometry: {what}; give frame, or geometry, the name of a collision shape",

@@ -221,8 +221,8 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
             )
         return found
     raise InputError(
-        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, convex hulls and meshes (their hulls) "
-        "can meet another shape",
+        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, cylinders, cones, convex hulls and "
+        "meshes (their hulls) can meet another shape",
         field="geometry",
         value=name,
     )

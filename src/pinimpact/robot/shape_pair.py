@@ -56,6 +56,7 @@ class ShapePair:
         return replace(
             self.contact,
             geometry=None,
+            rim_points=None,
             shape=self.a.name,
             frame=self.a.frame,
             offset=tuple(point.tolist()),
@@ -99,7 +100,9 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     pair = shape_pair(robot, contact)
     count = pair.most_points
     far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
-    basis = replace(contact, geometry=None, frame=0, plane=far, shape=pair.a.name, pair=contact)
+    basis = replace(
+        contact, geometry=None, rim_points=None, frame=0, plane=far, shape=pair.a.name, pair=contact
+    )
     label = contact.label
     return tuple(replace(basis, name=f"{label} {k + 1}" if k else label) for k in range(count))
 
@@ -120,7 +123,7 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
             cannot move against each other.
         UnknownNameError: No shape bears a name; near matches are offered.
     """
-    a = collision_shape(robot, contact.geometry or "")
+    a = collision_shape(robot, contact.geometry or "", contact.rim_points)
     surface = contact.plane
     b = solid_sphere(robot, surface) if isinstance(surface, Sphere) else surface.carried_by(robot)  # type: ignore[attr-defined]
     if not motion_signs(model_of(robot), a.joint, b.joint).any():
@@ -255,6 +258,6 @@ def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) 
     placed = pair.placed(data)
     found = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
-    basis = replace(contact, geometry=None, frame=0, plane=Plane(), shape=pair.a.name)
+    basis = replace(contact, geometry=None, rim_points=None, frame=0, plane=Plane(), shape=pair.a.name)
     points = touches(*placed, found.normal, TIE * size + max(found.value, 0.0))
     return [point_contact(pair, data, placed, found.normal, touch, basis).instant for touch in points]

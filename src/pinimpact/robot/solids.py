@@ -13,8 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import above_zero
 from ..errors import InputError
 from ._kernels.constants import SOLID
-from .collision_shapes import Remembered, collision_model, find_shape, remembered, shape_frame
-from .convex_shape import ConvexShape, box, of_collision_geometry, sphere
+from .collision_shapes import (
+    Remembered,
+    check_rim_points,
+    collision_model,
+    find_shape,
+    remembered,
+    shape_frame,
+    shape_tips,
+)
+from .convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
 from .names import frame_id, model_of
 from .sphere import Sphere
 from .surfaces import Surface, Vector, check_frame_key, vector
@@ -47,12 +55,13 @@ def carried(model: pin.Model, shape: ConvexShape, frame: int, placement: pin.SE3
     return CarriedShape(shape, frame, int(body.parentJoint), placement, body.placement * placement, name)
 
 
-def collision_shape(robot: Any, name: str) -> CarriedShape:
+def collision_shape(robot: Any, name: str, rim_points: int | None = None) -> CarriedShape:
     """Return a collision shape of a robot as a convex shape; of a mesh its hull.
 
     Args:
         robot: The RobotWrapper.
         name: Of the shape.
+        rim_points: Points that stand for each rim of a cylinder or cone.
 
     Raises:
         InputError: A robot without collision shapes, a shape that cannot be made convex.
@@ -62,15 +71,24 @@ def collision_shape(robot: Any, name: str) -> CarriedShape:
     found = find_shape(shapes, name)
     frame = shape_frame(model, found)
     placement = model.frames[frame].placement.actInv(found.placement)
-    return carried(model, _known_shape(shapes, found), frame, placement, name)
+    return carried(model, _known_shape(shapes, found, rim_points), frame, placement, name)
 
 
 _known: Remembered = {}
 
 
-def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject) -> ConvexShape:
+def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_points: int | None) -> ConvexShape:
     """Return the convex shape of a collision shape; those of meshes are remembered."""
     solid, name = found.geometry, found.name
+    if type(solid).__name__ in ("Cylinder", "Cone"):
+        if rim_points is None:
+            raise InputError(
+                f"rim_points: {name!r} is a {type(solid).__name__.lower()}, whose smooth rims meet planes "
+                "alone; give rim_points=, how many points stand for each rim (24, say)",
+                field="rim_points",
+                value=None,
+            )
+        return hull(shape_tips(shapes, found, rim_points).centres)
     if not hasattr(solid, "vertices"):
         return of_collision_geometry(solid, name)
     points = np.array(solid.vertices(), dtype=np.float64)
@@ -170,13 +188,15 @@ class Shape(Solid):
     Attributes:
         geometry: Name of the collision shape.
         name: How reports call it; None for the same.
+        rim_points: Points that stand for each rim of a cylinder or cone, ≥ 3; it must be given for these.
 
     Raises:
-        InputError: A name that is none.
+        InputError: A name that is none, a number of points below 3.
     """
 
     geometry: str = ""
     name: str | None = None
+    rim_points: int | None = None
     body: None = None
 
     def __post_init__(self) -> None:
@@ -186,6 +206,7 @@ class Shape(Solid):
                 field="geometry",
                 value=self.geometry,
             )
+        check_rim_points(self.rim_points)
 
     @property
     def label(self) -> str:
@@ -194,7 +215,7 @@ class Shape(Solid):
 
     def carried_by(self, robot: Any) -> CarriedShape:
         """See `Solid`."""
-        return collision_shape(robot, self.geometry)
+        return collision_shape(robot, self.geometry, self.rim_points)
 
 
 def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:

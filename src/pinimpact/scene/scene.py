@@ -21,6 +21,7 @@ from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
 from ..robot.names import frame_id, free_velocities, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
+from ..robot.solids import Solid
 from ..robot.surfaces import Surface
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
@@ -165,7 +166,9 @@ class Scene:
         shapes = shapes_of_links(model, collision_model(robot), links)
         if isinstance(links, str) and links == "all":
             carrier = 0
-            if surface.body is not None:
+            if isinstance(surface, Solid):
+                carrier = surface.carried_by(robot).joint
+            elif surface.body is not None:
                 carrier = model.frames[frame_id(model, surface.body, "body")].parentJoint
             shapes = [s for s in shapes if motion_signs(model, s.parentJoint, carrier).any()]
         added = [Contact(geometry=shape.name, plane=surface, **coefficients) for shape in shapes]

@@ -1,14 +1,13 @@
 """Pairs of convex shapes in a run: when they touch, in which points, and when these become others.
 
-A pair that is apart is followed by conservative advancement on the dense output of each step, unless what it
-can move in the step is less than its gap. One that touches has contacts of single points, in places that the
+A pair that is apart is followed by conservative advancement on the dense output of each step, unless it stays
+apart along one direction. One that touches has contacts of single points, in places that the
 scene keeps for it; they end where a point leaves its face or edge, and others join them where the plane that
 holds the shapes apart meets another corner.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -30,6 +29,7 @@ from .crossing import crossing
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
+from .pairs_apart import PairsApart
 
 Array = NDArray[np.float64]
 
@@ -73,12 +73,9 @@ class _Watched:
         places: Numbers of the contacts that are kept for it.
         blanks: What stands there where nothing touches.
         size: Of both shapes together [m].
-        relative: (nv,) True for velocities that move one against the other.
         supports: (2, nv) True for velocities that move A, and those that move B.
         points: What touches, by place.
         normals: (3,) normal of each, from B to A.
-        room: Way [m] that the pair can move before it may touch; below zero if unknown.
-        levers: (nv,) way of any point of the one against the other per unit of each velocity.
         flush: Corners that have come to the plane of contact where nothing is to touch, of A and of B.
     """
 
@@ -86,12 +83,9 @@ class _Watched:
     places: list[int]
     blanks: list[Contact]
     size: float
-    relative: NDArray[np.bool_]
     supports: NDArray[np.bool_]
     points: dict[int, PointContact] = field(default_factory=dict)
     normals: dict[int, Array] = field(default_factory=dict)
-    room: float = -math.inf
-    levers: Array = field(default_factory=lambda: np.zeros(0))
     flush: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
 
     @property
@@ -119,6 +113,8 @@ class ShapeWatch:
         if groups:
             self._data = model.createData()
         self._pairs = [self._watched(layout.pairs[contact], places) for contact, places in groups.items()]
+        if groups:
+            self._apart = PairsApart(model, [watched.pair for watched in self._pairs])
 
     def _watched(self, pair: ShapePair, places: list[int]) -> _Watched:
         model = self._model
@@ -127,7 +123,6 @@ class ShapeWatch:
             places,
             [self._dynamics.contacts[i] for i in places],
             pair.a.shape.reach + pair.b.shape.reach,
-            motion_signs(model, pair.a.joint, pair.b.joint) != 0.0,
             np.array([motion_signs(model, joint, 0) != 0.0 for joint in (pair.a.joint, pair.b.joint)]),
         )
 
@@ -136,9 +131,11 @@ class ShapeWatch:
 
     def take_over(self, other: ShapeWatch) -> None:
         """Become what another watch of the same scene is."""
+        if self._pairs:
+            self._apart.take_over(other._apart)
         for own, its in zip(self._pairs, other._pairs, strict=True):
             own.points, own.normals = dict(its.points), dict(its.normals)
-            own.room, own.levers, own.flush = its.room, its.levers, its.flush
+            own.flush = its.flush
             for i in own.places:
                 self._dynamics.contacts[i] = other._dynamics.contacts[i]
 
@@ -250,7 +247,6 @@ class ShapeWatch:
             for i in list(watched.points):
                 if modes[i] == FREE:
                     self._leave(watched, i)
-                    watched.room = -math.inf
                 elif watched.points[i].lasting is None:
                     kind = watched.points[i].touch.kind.replace("-", " on ")
                     raise SimulationError(
@@ -259,11 +255,6 @@ class ShapeWatch:
                         field="contacts",
                         value=watched.label,
                     )
-
-    def forget(self) -> None:
-        """Take nothing for granted of how far pairs are apart."""
-        for watched in self._pairs:
-            watched.room = -math.inf
 
     def swapped(self) -> NDArray[np.int64]:
         """Return the contacts whose forces act on the second shape of their pair."""
@@ -276,26 +267,18 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
+        apart = self._apart.over(step, peak)
         for number, watched in enumerate(self._pairs):
             if not watched.points:
-                if self._far(watched, step, peak[0]):
+                if apart[number]:
                     continue
-                found = self._touch(watched, step, end, peak)
+                found = self._touch(watched, number, step, end)
                 meeting = Meeting(found.time, number, False) if found.touches else None
             else:
                 meeting = self._change(watched, number, step, end, peak)
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
         return best
-
-    def _far(self, watched: _Watched, step: DenseStep, fastest: Array) -> bool:
-        """Return whether a pair cannot close its gap in a step, from the largest velocities (nv,) of it."""
-        if watched.room > 0.0:
-            watched.room -= float(watched.levers @ fastest) * step.h
-        if watched.room <= 0.0:
-            self._measure(watched, step.q)
-            watched.room -= float(watched.levers @ fastest) * step.h
-        return watched.room > 0.0
 
     def _at(self, watched: _Watched, step: DenseStep) -> Callable[[float], PairState]:
         model, data, pair = self._model, self._data, watched.pair
@@ -308,12 +291,19 @@ class ShapeWatch:
 
         return at
 
-    def _touch(self, watched: _Watched, step: DenseStep, end: float, peak: Array) -> Advance:
+    def _touch(self, watched: _Watched, number: int, step: DenseStep, end: float) -> Advance:
         """Return where a pair that is apart touches."""
         at = self._at(watched, step)
-        bend = self._bend(watched, step, peak)
-        found = first_touch(at, step.start, end, bend, 0.25 * self._work.touching_gap)
-        return self._settled(watched, found, step)
+
+        def normal(t: float) -> Array:
+            state = at(t)
+            return gap(state.a, state.b).normal
+
+        start = self._apart.until(number, step, normal)
+        if start >= end:
+            return Advance(end, np.inf, False)
+        bend, floor = float(self._apart.bends[number]), 0.25 * self._work.touching_gap
+        return self._settled(watched, first_touch(at, start, end, bend, floor), step)
 
     def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:
@@ -324,50 +314,6 @@ class ShapeWatch:
                 value=watched.label,
             )
         return found
-
-    def _measure(self, watched: _Watched, q: Array) -> None:
-        """Keep how far a pair can move before it may touch."""
-        pin.computeJointJacobians(self._model, self._data, q)
-        value = gap(*watched.pair.placed(self._data)).value - 1e-8 * watched.size
-        watched.room = value
-        a, b = self._levers(watched, max(value, 0.0))
-        watched.levers = np.where(watched.supports[0], a, b) * watched.relative
-
-    def _levers(self, watched: _Watched, way: float) -> tuple[Array, Array]:
-        """Return (nv,) how far a point of A, and of B, moves at the most per unit of each velocity.
-
-        Args:
-            watched: The pair, with joint Jacobians up to date.
-            way: How far the points may have moved meanwhile [m].
-        """
-        jacobian = self._data.J
-        turn = np.linalg.norm(jacobian[3:], axis=0)
-        found = []
-        for one in (watched.pair.a, watched.pair.b):
-            center = (self._data.oMi[one.joint] * one.in_joint).act(one.shape.center)
-            x, y, z = center.tolist()
-            arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            at_center = jacobian[:3] - arm @ jacobian[3:]
-            found.append(np.linalg.norm(at_center, axis=0) + turn * (one.shape.reach + way))
-        return found[0], found[1]
-
-    def _bend(self, watched: _Watched, step: DenseStep, peak: Array) -> float:
-        """Return what the acceleration of a point of A against one of B does not exceed over a step [m/s²].
-
-        d²p/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k with |H_jk| ≤ |ω_inner||J_outer|; in world axes for each body.
-        """
-        pin.computeJointJacobians(self._model, self._data, step.q)
-        turn = np.linalg.norm(self._data.J[3:], axis=0)
-        total = 0.0
-        way = [0.0, 0.0]
-        for _ in range(2):
-            total = 0.0
-            for k, supports in enumerate(watched.supports):
-                lever = self._levers(watched, way[k])[k] * supports
-                spin = float((turn * supports) @ peak[0])
-                total += float(lever @ peak[1]) + 2.0 * spin * float(lever @ peak[0])
-                way[k] = step.h * float(lever @ peak[0])
-        return total
 
     def _turning_bend(self, watched: _Watched, step: DenseStep, peak: Array) -> float:
         """Return what the second derivative of a corner's height over the plane of contact does not exceed.

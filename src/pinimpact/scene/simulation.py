@@ -488,7 +488,6 @@ class Motion:
         if self.events:
             interruption = self.events.within(step, min(time, step.end))
             if interruption is not None:
-                state.shapes.forget()
                 self._interrupt(step, interruption, arriving if interruption.time == time else None)
                 return natural
         if meeting is not None:

@@ -109,10 +109,12 @@ def look_at_blocks(work):
     The contacts of a sphere that stays off its surface need none, nor do those that stay off by its bounds.
     """
     modes, blocks, clears, spheres = work.modes, work.contact_blocks, work.clear_blocks, work.sphere_bounds
+    joints = work.contact_joints
     for b in range(len(blocks)):
         first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
         clears[b] = 0
-        if k >= 0 and stays_off(work, first, k):
+        still = joints[first, 0] == joints[first, 1]  # as where two shapes have room to touch, but do not
+        if still or (k >= 0 and stays_off(work, first, k)):
             clears[b] = 1
             continue
         if k >= 0:  # of each of the tips in it, for most are well off
