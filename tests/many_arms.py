@@ -103,6 +103,18 @@ def kinematics(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return jacobian(tip, n - 1), mass
 
 
+def singular(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return q with the last angles such that det J, for three joints, changes its sign there, if it does."""
+    low, high = (np.concatenate([q[:, :2], np.full((len(q), 1), x)], axis=1) for x in (-0.9, 0.6))
+    sign = np.linalg.det(kinematics(arm, low)[0]) > 0
+    found = sign != (np.linalg.det(kinematics(arm, high)[0]) > 0)
+    for _ in range(55):
+        middle = (low + high) / 2
+        below = (np.linalg.det(kinematics(arm, middle)[0]) > 0) == sign
+        low, high = np.where(below[:, None], middle, low), np.where(below[:, None], high, middle)
+    return np.where(found[:, None], low, q)
+
+
 def draw(rng: np.random.Generator, count: int) -> Group:
     """Draw impacts that approach, of one arm, as `random_arms.draw` does one by one."""
     kind = str(rng.choice(list(random_arms.KINDS)))
@@ -113,6 +125,13 @@ def draw(rng: np.random.Generator, count: int) -> Group:
     twists = tuple(random_arms.twist(rng) for _ in range(n - 1)) if kind == "twisted" else ()
     arm = Arm(rpy, normal, arm.q, arm.v, twists)
     q, v = rng.uniform(-2, 2, (count, n)), rng.standard_normal((count, n))
+    if rng.random() < 0.2:  # near a singular posture
+        miss = 10.0 ** rng.uniform(*random_arms.NEARLY, (count, n))
+        if kind != "twisted":
+            q[:, 1:] = miss[:, 1:]
+        elif n == 3:
+            q = singular(arm, q)
+            q[:, 2] += 10.0 ** rng.uniform(-10, -2, count)
     special = rng.random(count) < 0.4
     J, _ = kinematics(arm, q)
     if kind == "upright" and n == 1:
@@ -194,14 +213,19 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
     delassus = J @ np.linalg.solve(mass, J.transpose(0, 2, 1))
     values = np.linalg.eigvalsh(delassus)
     counted = np.where(values > 1e-13 * values[:, 2:], values, np.inf).min(axis=1)
-    noise = np.maximum(NOISE, 64 * EPS * values[:, 2] / counted)  # the directions of W are known to so much
+    noise = np.maximum(
+        NOISE, 64 * EPS * np.sqrt(values[:, 2] / counted)
+    )  # directions of W are known to so much
+    # what a large impulse changes is known to rounding of the parts that cancel
+    rounding = NOISE * size * np.sqrt(values[:, 2]) * np.sqrt(np.linalg.norm(mass, axis=(1, 2)))
     energy = np.einsum("ni,nij,nj->n", group.v, mass, group.v)
     wrong = {
         "refused": hits.status > Status.LOCKED,
-        "approaches": approach < -noise * speeds,
+        "approaches": approach < -noise * speeds - NOISE * size * values[:, 2],
         "outside the cone": sideways > group.friction * along + NOISE * size,
         "momentum": balance > NOISE * (size + speeds),
-        "energy grows": ((law == "energetic") | (group.restitution == 0)) & (gained > NOISE * energy),
+        "energy grows": ((law == "energetic") | (group.restitution == 0))
+        & (gained > NOISE * energy + rounding * np.sqrt(energy)),
     }
     if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:
         axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of its joints: nothing moves along it

@@ -16,6 +16,7 @@ from pinimpact import (
     Status,
     UnstoppableApproachError,
     impact,
+    impacts,
     solve_impact,
     solve_impacts,
 )
@@ -223,6 +224,69 @@ def test_an_approach_across_rank_one_is_refused_in_all_axes():
     matrices, velocities = random_impacts.mapped(T, np.tile(W, (2000, 1, 1)), np.tile(v, (2000, 1)))
     batch = solve_impacts(matrices, velocities, 2.6569998937133446, 1.0)
     assert (batch.status == Status.UNSTOPPABLE).all()
+
+
+def near_singular(miss: float) -> Case:
+    """A wrist that misses its singular posture by an angle, in a stick that strains the weak direction."""
+    twists = ((np.pi / 2, 0.0, 0.4), (-np.pi / 2, 0.3, 0.0))
+    arm = Arm((0.3, -0.8, 0.5), (0.0, 0.0, 1.0), (0.4, 0.9, 0.0), (0.6, -0.3, 0.8), twists)
+    q = many_arms.singular(arm, np.array([arm.q]))
+    directions = np.linalg.svd(many_arms.kinematics(arm, q)[0][0])[0]
+    normal = directions @ [0.2, 0.3, 1.0]  # the last cannot yield
+    q += [0.0, 0.0, miss]
+    directions, _, rates = np.linalg.svd(many_arms.kinematics(arm, q)[0][0])
+    v = -np.sign(normal @ directions) @ rates  # approaches along each direction
+    arm = dataclasses.replace(arm, q=tuple(q[0]), normal=tuple(normal), v=tuple(v))
+    return Case("near singular", arm, 9.0, 0.5, "poisson")
+
+
+@pytest.mark.parametrize("miss", [1e-5, 1e-8, 1e-11])
+def test_a_weak_direction_has_its_digits_from_the_factor(miss):
+    """The roots of W's eigenvalues span more than W shows: impulses of 1/miss are right to ε/miss."""
+    case = near_singular(miss)
+    W, v, _ = case.arm.contact_problem()
+    exact = solve_reference(W, v, case.friction, case.restitution, case.law)
+    P = [float(x) for x in exact.impulse]
+    assert P[2] > 1e-2 / miss
+    hit = solve(case)
+    assert hit.solution.impulse == pytest.approx(P, rel=1e-13 / miss + 1e-9)
+    assert Flag.LOCKED not in hit.solution.flags
+    again = solve_impact(hit.problem)
+    assert again.impulse.tolist() == hit.solution.impulse.tolist()
+    model = pin.buildModelFromXML(case.arm.urdf())
+    state = model, model.createData(), np.array(case.arm.q), np.array(case.arm.v)
+    contact = Contact("tip", Plane(normal=case.arm.normal), case.friction, case.restitution, case.law)
+    recorded = impact(*state, contact, record=True).solution
+    assert recorded.impulse == pytest.approx(P, rel=1e-13 / miss + 1e-9)
+    assert recorded.path.impulse[-1] == pytest.approx(P, rel=1e-13 / miss + 1e-9)
+    rows = impacts(*state, contact)
+    assert rows.impulse_world[0] == pytest.approx(hit.impulse_world, rel=1e-14)
+    assert rows.work.compression[0] == pytest.approx(hit.solution.work.compression, rel=1e-14)
+
+
+def test_a_leaning_arm_that_is_nearly_stretched_out_creeps_as_its_exact_numbers_say():
+    """The weaker of its two directions is 1e-3 of the other, and its plane leans by 1e-10 from the floor."""
+    rpy = (0.4, -0.7, 0.2)
+    normal = pin.rpy.rpyToMatrix(*rpy) @ [np.sin(1e-10), 0.0, np.cos(1e-10)]
+    arm = Arm(rpy, tuple(normal), (0.3, 1e-3), (1.0, -2.0))
+    if float(arm.contact_problem()[1][2]) > 0:
+        arm = dataclasses.replace(arm, v=(-1.0, 2.0))
+    W, v, _ = arm.contact_problem()
+    exact = solve_reference(W, v, 0.8, 0.5, "poisson")
+    P = np.array([float(x) for x in exact.impulse])
+    hit = solve(Case("leaning", arm, 0.8, 0.5, "poisson"))
+    assert hit.solution.status.name == exact.status
+    assert hit.solution.impulse == pytest.approx(P, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [(2 * np.eye(3), "which is not W"), (np.eye(2), "shape"), (np.full((3, 3), np.nan), "not finite")],
+)
+def test_a_factor_that_is_not_w_s_is_refused(factor, message):
+    with pytest.raises(InputError, match=message) as caught:
+        solve_impact(ImpactProblem(np.eye(3), (1, 0, -1), 0.3, 0.5, factor=factor))
+    assert caught.value.field == "factor"
 
 
 @pytest.mark.parametrize("scale", [-1.0, np.nan, "fast"])

@@ -100,6 +100,9 @@ def same(a: Trajectory, b: Trajectory) -> None:
         assert np.array_equal(x.impulse_world, y.impulse_world)
         assert np.array_equal(x.problem.delassus, y.problem.delassus)
         assert x.problem.velocity_scale == y.problem.velocity_scale
+        assert (x.problem.factor is None) == (y.problem.factor is None)
+        assert x.problem.factor is None or np.array_equal(x.problem.factor, y.problem.factor)
+        assert x.problem.factor_scale == y.problem.factor_scale
         assert np.array_equal(x.solution.velocity, y.solution.velocity)
         assert x.solution.segments == y.solution.segments
         assert (x.solution.path is None) == (y.solution.path is None)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..status import Status
-from .inputs import Array
+from .inputs import FACTOR, Array
 from .laws import law_code
 from .solution import Work
 
@@ -28,7 +28,7 @@ class BatchSolution:
         iterations: (N,) steps taken.
     """
 
-    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array], threads: int) -> None:
+    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array, Array], threads: int) -> None:
         self._inputs = inputs
         self._threads = threads
         numbers, codes, _ = self._solve(0)
@@ -44,10 +44,10 @@ class BatchSolution:
 
         count = len(self._inputs[1])
         result = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), np.empty((works, 3))
-        matrices, velocities, mu, e, law, scales = self._inputs
+        matrices, velocities, mu, e, law, scales, factors = self._inputs
 
         def solve(rows: slice) -> None:
-            given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows]
+            given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows], factors[rows]
             solve_rows(*given, *(part[rows] for part in result))
 
         share = -(-count // self._threads)
@@ -141,8 +141,15 @@ def solve_impacts(
             )
         coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients
-    inputs = matrices, velocities, mu, e, law_code(law), scales
-    return BatchSolution(inputs, _thread_count(threads))
+    none = np.empty((0, FACTOR))
+    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales, none), _thread_count(threads))
+
+
+def solve_factored(
+    delassus: Array, velocity: Array, mu: Array, e: Array, law: str, scales: Array, factors: Array
+) -> BatchSolution:
+    """Do what `solve_impacts` does, for arrays with one row for each problem and factors (N, FACTOR) of W."""
+    return BatchSolution((delassus, velocity, mu, e, law_code(law), scales, factors), 1)
 
 
 def _numbers(field: str, value: ArrayLike) -> Array:

@@ -6,8 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Inputs = tuple[float, float, float, float, float, float, float, float, float, float, float, int, float]
-"""w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, v₁, v₂, v₃, μ, e, the law's code, and `ImpactProblem.velocity_scale` or 0."""
+Inputs = tuple[float, float, float, float, float, float, float, float, float, float, float, int, float, Array]
+"""w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, v₁, v₂, v₃, μ, e, the law's code, `ImpactProblem.velocity_scale` or 0, and
+the numbers of a factor of W, see `FACTOR`, or none."""
+
+FACTOR = 7
+"""Numbers of a factor: c₁₁, c₂₁, c₂₂, c₃₁, c₃₂, c₃₃ of the lower triangular C with W = CCᵀ, and the size of
+the numbers that C was formed from."""
+
+NO_FACTOR: Array = np.empty(0)
+"""Instead of a factor that is not known."""
 
 NO_ROWS: Array = np.empty((0, 6))
 """Instead of a trace or path that is not wanted."""

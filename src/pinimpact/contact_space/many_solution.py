@@ -11,7 +11,7 @@ import numpy as np
 
 from ..html_tables import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
-from .inputs import Array
+from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
 
 Segments = tuple[tuple[Segment, ...], ...]
@@ -186,7 +186,7 @@ class PartSolution(Solution):
         own = (status, whole.flags, whole.iterations, *whole.velocity[j].tolist(), *whole.impulse[j].tolist())
         result = (*own, float(whole.compression_impulse[j]))
         unused = (0.0,) * 11
-        super().__init__(result, (*unused, 0, 0.0), method=whole.simultaneous)
+        super().__init__(result, (*unused, 0, 0.0, NO_FACTOR), method=whole.simultaneous)
         self.part_of = whole
         work = whole.work
         # instead of what would be found by solving again

@@ -88,7 +88,7 @@ def solve_inputs(
     surface_velocity: Any = (0.0, 0.0, 0.0),
     **options: Any,
 ) -> Solution:
-    """Solve the problem given by its thirteen numbers; otherwise as `solve_impact`."""
+    """Solve the problem given by its numbers; otherwise as `solve_impact`."""
     run = load_method(method)
     if options:
         known = METHODS[method].options

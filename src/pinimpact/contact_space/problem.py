@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import at_least_zero, float_array
+from ..checks import at_least_zero, finite_array, float_array
 from ..errors import InputError
-from .inputs import Inputs
+from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
 
 ZERO = 32.0 * 2.0**-52
 """Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
+
+
+FITTING = 1e-9
+"""How much a factor's square may differ from W, relative to its largest entry."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +41,11 @@ class ImpactProblem:
         velocity_scale: Size of the numbers that v was formed from [m/s], for a robot Σ|J||q̇| + |v_surface|. A
             v small by cancellation is known to rounding of that size only, and parts of it that W cannot have
             made are zero within 32 ε of it. None: not known; then |v₁| + |v₂| + |v₃| is taken.
+        factor: (3, m) X with W = XXᵀ, for a robot J L⁻¹ with M = LᵀL. It has the small eigenvalues and the
+            null space of W to twice as many digits; where W is nearly singular all that is small is taken
+            from it. None: from W.
+        factor_scale: Size of the numbers that the factor was formed from; parts within 32 ε of it are zero.
+            None: that of the factor.
         stiffness: Of n contacts, (n,) or a number > 0; only ratios count. None: all the same.
     """
 
@@ -48,6 +57,8 @@ class ImpactProblem:
     surface_velocity: ArrayLike = (0.0, 0.0, 0.0)
     velocity_scale: float | None = None
     stiffness: ArrayLike | None = None
+    factor: ArrayLike | None = None
+    factor_scale: float | None = None
 
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
@@ -69,7 +80,31 @@ def contact_inputs(problem: ImpactProblem) -> Inputs:
     except (TypeError, ValueError):
         raise _no_number("restitution", problem.restitution) from None
     scale = 0.0 if problem.velocity_scale is None else at_least_zero("velocity_scale", problem.velocity_scale)
-    return (*delassus_upper(problem.delassus), v1, v2, v3, mu, e, law_code(problem.law), scale)
+    upper = delassus_upper(problem.delassus)
+    factor = NO_FACTOR if problem.factor is None else _factor(problem, upper)
+    return (*upper, v1, v2, v3, mu, e, law_code(problem.law), scale, factor)
+
+
+def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
+    """Return the lower triangle C of a factor X, XXᵀ = CCᵀ, and its scale; refuse one that is not W's."""
+    given: Any = problem.factor
+    X = finite_array("factor", given, (3, max(np.shape(given)[-1:] or (3,))))
+    made = (X @ X.T)[np.triu_indices(3)]
+    if not np.abs(made - upper).max() <= FITTING * np.abs(upper).max():
+        raise InputError(
+            f"factor: X Xᵀ = {made.tolist()} (upper triangle), which is not W; for a robot "
+            "X = J L⁻¹ with M = LᵀL",
+            field="factor",
+            value=given,
+        )
+    C = np.zeros((3, 3))
+    lower = np.asarray(np.linalg.qr(X.T, mode="r")).T
+    C[:, : lower.shape[1]] = lower
+    scale = problem.factor_scale
+    size = 0.0 if scale is None else at_least_zero("factor_scale", scale)
+    if not (C.any() or size):
+        return NO_FACTOR
+    return np.array([*C[np.tril_indices(3)], size])
 
 
 def _no_number(field: str, value: Any) -> InputError:

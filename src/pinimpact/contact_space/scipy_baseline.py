@@ -46,8 +46,8 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
 
 def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tuple[Any, ...]:
     """Solve one impact with scipy; arguments `trace` and `path` and the result as the kernels have them."""
-    w11, w12, w13, w22, w23, w33, *velocity, mu, e, code, _ = inputs
-    if not np.isfinite(inputs).all() or not (mu >= 0.0 and 0.0 <= e <= 1.0):
+    w11, w12, w13, w22, w23, w33, *velocity, mu, e, code, _, _ = inputs
+    if not np.isfinite(inputs[:13]).all() or not (mu >= 0.0 and 0.0 <= e <= 1.0):
         return _failed(Status.INVALID_NUMBERS)
     W = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
     least = np.linalg.eigvalsh(W)[0]

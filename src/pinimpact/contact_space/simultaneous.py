@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import finite_array
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
-from .inputs import Array, Inputs
+from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
 from .many_solution import MODES, PHASES, ManyPath, ManySolution, ManyStory, Segments, segments_of
 from .one_contact import solve_inputs
@@ -333,6 +333,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
             float(inputs.restitution[j]),
             law,
             0.0,
+            NO_FACTOR,
         )
         one = solve_inputs(numbers)
         start = float(impulse[3 * j + 2])

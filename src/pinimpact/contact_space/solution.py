@@ -159,7 +159,7 @@ class Solution:
     def effects(self) -> tuple[str, ...]:
         """The effects that were computed, of the vocabulary `pinimpact.EFFECTS`."""
         flags = self.flags
-        _, _, w13, _, w23, _, _, _, _, mu, e, _, _ = self._inputs
+        _, _, w13, _, w23, _, _, _, _, mu, e, _, _, _ = self._inputs
         impact = self.status != Status.NO_IMPACT
         computed = (
             mu > 0.0 and impact,

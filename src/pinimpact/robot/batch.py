@@ -13,7 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import float_array
-from ..contact_space.batch import BatchSolution, solve_impacts, status_counts
+from ..contact_space.batch import BatchSolution, solve_factored, status_counts
+from ..contact_space.inputs import FACTOR
 from ..contact_space.solution import Work
 from ..errors import InputError
 from ..status import Status
@@ -230,7 +231,8 @@ def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
     velocity = numbers[:, kernel.VELOCITY : kernel.VELOCITY + 3]
     surface = numbers[:, kernel.SURFACE : kernel.SURFACE + 3]
     scale = numbers[:, kernel.SCALE]
-    return solve_impacts(delassus, velocity, rows.mu, rows.e, rows.contact.law, scale), surface
+    factors = np.ascontiguousarray(numbers[:, kernel.SINGULAR : kernel.SINGULAR + FACTOR])
+    return solve_factored(delassus, velocity, rows.mu, rows.e, rows.contact.law, scale, factors), surface
 
 
 def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
@@ -238,6 +240,7 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
     model, contact, count, nv = rows.model, rows.contact, len(rows.q), rows.model.nv
     delassus, velocity, scale = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count)
     response, surface, axes = np.zeros((count, nv, 3)), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    factors = np.zeros((count, FACTOR))
     pulls: list[tuple[int, Any]] = []
     found: Any = None
     last = -1
@@ -250,9 +253,11 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
             continue
         delassus[row], velocity[row] = found.delassus, found.velocity(v)
         scale[row] = found.velocity_scale(v)
+        if found.factor is not None:
+            factors[row] = *found.factor[np.tril_indices(3)], found.factor_scale
         response[row], surface[row], axes[row] = found.response, found.surface_velocity, found.axes
         pulls.append((row, found))
-    batch = solve_impacts(delassus, velocity, rows.mu, rows.e, contact.law, scale)
+    batch = solve_factored(delassus, velocity, rows.mu, rows.e, contact.law, scale, factors)
     after = rows.v + np.einsum("ijk,ik->ij", response, batch.impulse)
     _warn_of_pull(rows, batch, pulls)
     world = np.einsum("ik,ikj->ij", batch.impulse, axes)

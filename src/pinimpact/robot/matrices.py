@@ -10,7 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..contact_space.inputs import FACTOR
 from ._kernels import contact_kinematics
+from ._kernels.delassus_factor import delassus_factor
 from ._kernels.responses import half_solve, respond
 from .contact import WORLD, Contact, check_contact, check_held
 from .data_cache import DataCache, checked_configuration, data_cache
@@ -69,6 +71,8 @@ class ContactMatrices(ContactGeometry):
         response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with what is held and locked.
         held: Geometry of each held contact.
         held_response: (k, 3, 3) impulse on each held contact (world axes) per impulse in contact axes.
+        factor: (3, 3) lower triangular C with W = CCᵀ, see `ImpactProblem`; None where contacts are held.
+        factor_scale: Size of the numbers that it was formed from.
     """
 
     mass: Array
@@ -76,6 +80,8 @@ class ContactMatrices(ContactGeometry):
     response: Array
     held: tuple[ContactGeometry, ...]
     held_response: Array
+    factor: Array | None
+    factor_scale: float | None
 
 
 def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact) -> ContactGeometry:
@@ -125,9 +131,20 @@ def contact_matrices(
     held = check_held(held)
     geometry = contact_geometry(model, data, q, contact)
     anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in held)
-    mass = np.array(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
+    cache = data_cache(model, data)
+    at = np.asarray(q, dtype=np.float64)
+    _, _, columns, signs = kinematics(model, data, at, cache, contact)
+    columns = columns.copy(order="F")  # crba writes them
+    mass = np.array(pin.crba(model, data, at))
     rows = np.ascontiguousarray(geometry.jacobian)
-    delassus, response, held_response = _responses(model, data_cache(model, data), mass, rows, anchors, free)
+    delassus, response, held_response, lower, y = _responses(model, cache, mass, rows, anchors, free)
+    factor = scale = None
+    if not anchors:
+        numbers, triangle = np.empty(FACTOR), np.zeros((3, 3))
+        x1, x2, x3 = geometry.point.tolist()
+        delassus_factor(lower, cache.parents, columns, signs * free, x1, x2, x3, y, numbers)
+        triangle[np.tril_indices(3)], scale = numbers[:-1], float(numbers[-1])
+        factor = triangle
     return ContactMatrices(
         point=geometry.point,
         gap=geometry.gap,
@@ -140,6 +157,8 @@ def contact_matrices(
         response=response,
         held=anchors,
         held_response=held_response,
+        factor=factor,
+        factor_scale=scale,
     )
 
 
@@ -226,7 +245,7 @@ def checked_matrices(
         rows = jacobian[3 * i : 3 * i + 3]
         geometry[i] = contact_kinematics.jacobian(*kinematic, contact.constants, rows)
     jacobian[3 * k + 2 :: 3] = stops
-    delassus, response, held_response = _responses(model, cache, mass, jacobian, anchors, free)
+    delassus, response, held_response, _, _ = _responses(model, cache, mass, jacobian, anchors, free)
     axes = geometry[:k, :9].reshape(k, 3, 3)
     return ManyMatrices(axes, jacobian, geometry[:, 9:], delassus, response, anchors, held_response)
 
@@ -245,8 +264,11 @@ def _responses(
     jacobian: Array,
     anchors: Sequence[ContactGeometry],
     free: NDArray[np.bool_],
-) -> tuple[Array, Array, Array]:
-    """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian.
+
+    And the L and Y (m, nv) that they are made from.
+    """
     m, nv = jacobian.shape
     y, lower = jacobian.copy(), np.empty((nv, nv))
     held_response = np.zeros((0, 3, m))
@@ -260,7 +282,7 @@ def _responses(
         held_response = impulses.reshape(-1, 3, m)
     delassus, response = np.empty((m, m)), np.empty((m, nv))
     respond(lower, cache.parents, y, delassus, response)
-    return delassus, response.T, held_response
+    return delassus, response.T, held_response, lower, y
 
 
 def kinematics(

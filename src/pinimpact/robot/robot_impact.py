@@ -11,8 +11,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
+from ..contact_space.inputs import FACTOR, NO_FACTOR
 from ..contact_space.one_contact import solve_inputs
-from ..contact_space.problem import ImpactProblem
+from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
 from ..html_tables import html_table
@@ -42,6 +43,15 @@ _robot_impact = kernel.robot_impact
 SIZE = kernel.SIZE
 _NONE_HELD = np.zeros((0, 3))
 _NONE_HELD.setflags(write=False)
+
+
+def _factor(numbers: Array) -> tuple[Array | None, float | None]:
+    """Return a factor of W and its scale as an `ImpactProblem` has them."""
+    if not numbers.any():
+        return None, None
+    triangle = np.zeros((3, 3))
+    triangle[np.tril_indices(3)] = numbers[:-1]
+    return triangle, float(numbers[-1])
 
 
 class Hit:
@@ -103,6 +113,8 @@ class Hit:
             self._contact.law,
             self._part(kernel.SURFACE, 3).copy(),
             float(self._part(kernel.SCALE, 1)[0]),
+            None,
+            *_factor(self._part(kernel.SINGULAR, FACTOR)),
         )
 
     @property
@@ -132,6 +144,7 @@ class Hit:
             self._restitution,
             contact.law_code,
             float(self._part(kernel.SCALE, 1)[0]),
+            numbers if (numbers := self._part(kernel.SINGULAR, FACTOR)).any() else NO_FACTOR,
         )
 
     def _part(self, start: int, count: int) -> Array:
@@ -306,6 +319,8 @@ def _impact_in_steps(
     problem = ImpactProblem(
         *(matrices.delassus, velocity, contact.friction, restitution, contact.law, matrices.surface_velocity),
         velocity_scale=scale,
+        factor=matrices.factor,
+        factor_scale=matrices.factor_scale,
     )
     solution = solve_impact(problem, method=method, record=record, **options)
     held_impulses = matrices.held_response @ solution.impulse
@@ -319,7 +334,9 @@ def _impact_in_steps(
             matrices.axes.ravel(),
             solution.velocity,
             solution.impulse,
-            [solution.compression_impulse, scale, 0.0],
+            [solution.compression_impulse, scale],
+            contact_inputs(problem)[13] if matrices.factor is not None else np.zeros(FACTOR),
+            [0.0],
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)

@@ -306,6 +306,8 @@ class SceneImpacts:
             *(matrices.delassus, velocity, contact.sustained_friction, e, contact.law),
             surface_velocity=matrices.surface_velocity,
             velocity_scale=matrices.velocity_scale(v),
+            factor=matrices.factor,
+            factor_scale=matrices.factor_scale,
         )
         if stop:
             p = -np.linalg.pinv(matrices.delassus, rcond=1e-10, hermitian=True) @ velocity

@@ -121,14 +121,15 @@ def write_trajectory(
             ),
             **tables,
             impact_scale=stack([i.problem.velocity_scale for i in impacts]),  # None becomes NaN
+            impact_factor=stack([_factor(i.problem) for i in impacts], 10),
         )
 
 
 def read_trajectory(path: str | Path) -> dict[str, Any]:
     """Return what `write_trajectory` wrote, by the names of its arguments.
 
-    A file that was written before the names of sources, the forces or the scales of impacts' velocities were
-    stored has None for them, and one before events or contacts were has none.
+    A file that was written before the names of sources, the forces, the scales of impacts' velocities or the
+    factors of their matrices were stored has None for them, and one before events or contacts were has none.
 
     Raises:
         InputError: A file that is missing, or is no trajectory.
@@ -167,6 +168,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         for k, group in enumerate(meta.get("groups", ()))
     ]
     scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
+    factors = arrays.get("impact_factor", np.full((len(meta["impacts"]), 10), np.nan))
     impacts = [
         ImpactRecord(
             time,
@@ -183,6 +185,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
                 arrays["impact_vectors"][i],
                 (mu, e, law),
                 None if np.isnan(scales[i]) else float(scales[i]),
+                factors[i],
             ),
             None if in_group[i] is None else (groups[in_group[i][0]], in_group[i][1]),
             None if points[i] is None else _contact(points[i]),
@@ -255,7 +258,16 @@ def _numbers(value: Any) -> Any:
 
 
 def _contact_space(
-    delassus: Array, vectors: Array, law: tuple[float, float, str], scale: float | None
+    delassus: Array, vectors: Array, law: tuple[float, float, str], scale: float | None, factor: Array
 ) -> tuple[ImpactProblem, Array]:
     velocity, surface, impulse = vectors
-    return ImpactProblem(delassus, velocity, *law, surface, scale), impulse
+    known = None if np.isnan(factor).any() else factor[:9].reshape(3, 3)
+    size = None if known is None else float(factor[9])
+    return ImpactProblem(delassus, velocity, *law, surface, scale, factor=known, factor_scale=size), impulse
+
+
+def _factor(problem: ImpactProblem) -> Array:
+    """Return the factor (3, 3) of an impact's W, row by row, and its scale; NaN where there is none."""
+    if problem.factor is None or problem.factor_scale is None:
+        return np.full(10, np.nan)
+    return np.append(np.asarray(problem.factor), problem.factor_scale)

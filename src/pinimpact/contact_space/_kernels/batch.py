@@ -24,22 +24,28 @@ def _asymmetry(w):
 
 
 @released
-def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, numbers, codes, works):
+def solve_rows(
+    delassus, velocity, friction, restitution, law, velocity_scale, factors, numbers, codes, works
+):
     """Solve N problems.
 
     Args:
         delassus, velocity, friction, restitution: (N, 3, 3), (N, 3), (N,), (N,).
         law: Code of the law.
         velocity_scale: (N,) sizes of the numbers that the velocities were formed from; 0: not known.
+        factors: (N, FACTOR) numbers of factors, see `inputs`, all 0 where there is none; or (0, FACTOR).
         numbers: (N, 7) receives v⁺, P and the compression impulse.
         codes: (N, 3) receives status, flags and iterations.
         works: (N, 3) receives the work of compression, restitution and friction; (0, 3): not wanted.
     """
-    scratch = np.empty(SCRATCH)
+    scratch, none = np.empty(SCRATCH), np.empty(0)
     path = np.empty((0, 6))
     trace = np.empty((TRACE_ROWS if works.shape[0] > 0 else 0, 6))
     for i in range(velocity.shape[0]):
         w = delassus[i]
+        factor = none
+        if len(factors) > 0 and factors[i, 6] > 0.0:
+            factor = factors[i]
         result = Result(
             *solve_into(
                 w[0, 0],
@@ -55,6 +61,7 @@ def solve_rows(delassus, velocity, friction, restitution, law, velocity_scale, n
                 restitution[i],
                 law,
                 velocity_scale[i],
+                factor,
                 scratch,
                 trace,
                 path,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inlined_part, inner
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
@@ -23,7 +23,7 @@ from .codes import (
     SINGULAR_DELASSUS,
     UNSTOPPABLE,
 )
-from .delassus import LEANING, ZERO, classify
+from .delassus import CLEAR, LEANING, WELL_CONDITIONED, ZERO, Delassus, clear, nearly_singular, of_factor
 from .laws import counted, law_of_slow_approach
 
 PROCEEDS = np.int64(-1)
@@ -159,13 +159,33 @@ def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
     return along, -beta * n3, gamma * n3 * n3, beta * norm, -gamma * n3 * norm, gamma * norm * norm
 
 
-@ahead(*11 * [float], int, float)
+@inner
+def _of_factor(factor, scale_w, sign1, sign2, swapped):
+    """Return what `of_factor` does, for a factor of W as it was given and a View of it."""
+    half = scale_w // 2
+    f = math.ldexp(1.0, -half)
+    c11, c21, c22, c31, c32, c33, formed = factor
+    x, y = (sign1 * f * c11, 0.0, 0.0), (sign2 * f * c21, sign2 * f * c22, 0.0)
+    if swapped:
+        x, y = y, x
+    found, e1, e2 = of_factor(x, y, (f * c31, f * c32, f * c33), f * formed)
+    rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
+    g = 1.0 if scale_w == 2 * half else 0.5
+    turned = Delassus(
+        *(rank, g * a11, g * a12, g * b1, g * a22, g * b2, g * c, k1, k2, g * s, least, spread),
+        *(n1, n2, n3, doubt),
+    )
+    return turned, e1, e2
+
+
+@ahead(*11 * [float], int, float, FLOATS)
 @inlined_part
-def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale):
+def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor):
     """Check, scale, mirror and classify a problem, and decide whether there is an impact.
 
     Args:
         velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
+        factor: `FACTOR` numbers of a factor of W, from which then all that is small in it is taken; or none.
 
     Returns:
         PROCEEDS or the status with which it ends here, the figure of that status' message, flags, the
@@ -188,7 +208,13 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     if swapped:
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
 
-    found = classify(w11, w12, w13, w22, w23, w33)
+    regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else CLEAR)
+    leaning = not regular and len(factor) > 0
+    lean1, lean2 = 0.0, 1.0
+    if leaning:
+        found, lean1, lean2 = _of_factor(factor, scale_w, sign1, sign2, swapped)
+    elif not regular:
+        found = nearly_singular(w11, w12, w13, w22, w23, w33)
     rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
     if rank < 0:
         return _nothing_to_follow(INDEFINITE_DELASSUS, math.ldexp(least, scale_w), NO_FLAG)
@@ -200,10 +226,12 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     size = max(abs(v1) + abs(v2) + abs(v3), velocity_scale * fv1 * fv2)
     tiny = ZERO * spread * size
     doubtful = DOUBTFUL * tiny if velocity_scale == 0.0 and s == 0.0 else tiny
-    leaning = False
-    lean1, lean2 = 0.0, 1.0
     normal_part = abs(n3)
-    if rank == 2 and 0.0 < normal_part < LEANING:
+    if leaning:
+        v1, v2 = lean2 * v1 - lean1 * v2, lean1 * v1 + lean2 * v2
+        if s == 0.0 and abs(k2) > 1.0 and normal_part * abs(v3 - k1 * v1 - k2 * v2) <= tiny:
+            v2 = (v3 - k1 * v1) / k2
+    elif rank == 2 and 0.0 < normal_part < LEANING:
         leaning = True
         norm = math.hypot(n1, n2)
         lean1, lean2 = n1 / norm, n2 / norm

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inlined, inner
+from ..._numeric.jit import inner
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS
@@ -217,8 +217,8 @@ def _graded(w11, w12, w13, w22, w23, w33):
 
 
 @inner
-def _nearly_singular(w11, w12, w13, w22, w23, w33):
-    """Classify a W that its determinant does not clear, by eigenvalues."""
+def nearly_singular(w11, w12, w13, w22, w23, w33):
+    """Decide the rank of a W that its determinant does not clear, by eigenvalues; clean it. (theory.md, 6)"""
     smallest, largest = min(w11, w22, w33), max(w11, w22, w33)
     if ZERO * ZERO * largest < smallest < GRADED * largest:
         decided, found = _graded(w11, w12, w13, w22, w23, w33)
@@ -313,13 +313,120 @@ def _nearly_singular(w11, w12, w13, w22, w23, w33):
     )  # fmt: skip
 
 
-@inlined
-def classify(w11, w12, w13, w22, w23, w33):
-    """Decide the rank of W, clean it, and return its `Delassus`. (theory.md, 6)"""
-    # det W ≤ λ_min (tr W)²/4 clears W without its eigenvalues
+CLEAR = 1e-12
+"""det W over (tr W)³ above which W is regular: det W ≤ λ_min (tr W)²/4."""
+
+WELL_CONDITIONED = 1e-6
+"""The same, above which what is small in W has nine digits or more without a factor."""
+
+
+@inner
+def clear(w11, w12, w13, w22, w23, w33, least):
+    """Tell whether det W is above `least` (tr W)³, so that W is regular; return its `Delassus` if it is."""
     trace = w11 + w22 + w33
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
-    if det > 0.0 and det > 1e-12 * trace * trace * trace:
-        return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False)
+    regular = det > 0.0 and det > least * trace * trace * trace
+    return regular, Delassus(
+        np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False
+    )
 
-    return _nearly_singular(w11, w12, w13, w22, w23, w33)
+
+@inner
+def triangle(x, y, z):
+    """Return the lower triangle of X (3, m), XXᵀ = CCᵀ, for its rows x, y, z of 3: c₁₁ … c₃₃ row by row.
+
+    c₂₂ and c₃₃ are the lengths of what is left of y and z, right to rounding of y and z. Where a diagonal
+    entry is zero, so are those below it.
+    """
+    c11 = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    i1 = 1.0 / c11 if c11 > 0.0 else 0.0
+    p1, p2, p3 = x[0] * i1, x[1] * i1, x[2] * i1
+    c21 = p1 * y[0] + p2 * y[1] + p3 * y[2]
+    y1, y2, y3 = y[0] - c21 * p1, y[1] - c21 * p2, y[2] - c21 * p3
+    c22 = math.sqrt(y1 * y1 + y2 * y2 + y3 * y3)
+    i2 = 1.0 / c22 if c22 > 0.0 else 0.0
+    q1, q2, q3 = y1 * i2, y2 * i2, y3 * i2
+    c31 = p1 * z[0] + p2 * z[1] + p3 * z[2]
+    z1, z2, z3 = z[0] - c31 * p1, z[1] - c31 * p2, z[2] - c31 * p3
+    c32 = q1 * z1 + q2 * z2 + q3 * z3
+    z1, z2, z3 = z1 - c32 * q1, z2 - c32 * q2, z3 - c32 * q3
+    return c11, c21, c22, c31, c32, math.sqrt(z1 * z1 + z2 * z2 + z3 * z3)
+
+
+@inner
+def weak_axis(x, y):
+    """Return the unit tangential direction e (2) in which rows x and y of 3, of t₁ and t₂, are least."""
+    xx = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
+    yy = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
+    xy = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+    if xy == 0.0:
+        return (0.0, 1.0) if yy <= xx else (1.0, 0.0)
+    t, cos, sin = jacobi_angle(xx, yy, xy)
+    return (sin, cos) if yy + t * xy <= xx - t * xy else (cos, -sin)
+
+
+@inner
+def of_factor(x, y, z, formed):
+    """Decide the rank of W = XXᵀ by its factor, whose small singular values have all their digits. (6.5)
+
+    Args:
+        x, y, z: Rows of X (3, 3).
+        formed: Size of the numbers that X was formed from.
+
+    Returns:
+        the `Delassus`, in tangent axes of which the second is e, the one in which X is least; and e (2).
+    """
+    e1, e2 = weak_axis(x, y)
+    strong = (e2 * x[0] - e1 * y[0], e2 * x[1] - e1 * y[1], e2 * x[2] - e1 * y[2])
+    weak = (e1 * x[0] + e2 * y[0], e1 * x[1] + e2 * y[1], e1 * x[2] + e2 * y[2])
+    c11, c21, c22, c31, c32, c33 = triangle(strong, weak, z)
+    normal = math.sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
+    size = math.sqrt(c11 * c11 + c22 * c22 + normal * normal)
+    formed = max(formed, size)
+    zero, noise = ZERO * formed, NOISE * formed
+    nought, one = 0.0, 1.0
+    k1 = k2 = s = area = 0.0
+    n3 = 1.0
+    d1 = d2 = d3 = 0.0  # a third column, in which the rows are as the null vector n ∝ (−κ, 1) wants them
+    # rounding decides whether there is a wedge
+    doubt = noise < c22 < 2.0 * zero or noise < normal < 2.0 * zero
+    if c11 <= zero or c22 <= zero:
+        c21 = c22 = 0.0
+    if normal <= zero:  # nothing moves along the normal
+        c31 = c32 = c33 = 0.0
+        area = c11 * c22
+    elif c11 <= zero:  # nothing moves but along the normal
+        c11 = c31 = c32 = 0.0
+        c33 = normal
+    else:
+        if c22 <= zero:  # nothing moves across
+            if abs(c31) <= zero:
+                c31 = 0.0
+            c33, c32 = math.hypot(c32, c33), 0.0
+        else:
+            k2 = c32 / c22
+        k1 = (c31 - c21 * k2) / c11
+        n3 = 1.0 / math.sqrt(1.0 + k1 * k1 + k2 * k2)
+        least = c33 * n3
+        # locked, or an impulse of 10¹⁴ times the common
+        doubt = doubt or (c22 > 0.0 and noise < least < 2.0 * zero)
+        if least <= zero:
+            d1, d2, d3 = k1 * n3 * least, k2 * n3 * least, (k1 * k1 + k2 * k2) * n3 * least
+            c33 = 0.0
+        m1, m2, m3, m4 = c11 * c22, c11 * c32, c21 * c32 - c22 * c31, c11 * c33
+        if c22 == 0.0 or c33 == 0.0:
+            area = math.sqrt(m1 * m1 + m2 * m2 + m3 * m3 + m4 * m4)
+    s = c33 * c33
+    rank = np.int64(c11 > 0.0) + np.int64(c22 > 0.0) + np.int64(c33 > 0.0)
+    # the null vectors are known to ZERO times this
+    spread = max(formed * size / area, one) if area > 0.0 else formed / size if size > 0.0 else one
+    return (
+        Delassus(
+            rank, *(c11 * c11 + d1 * d1, c11 * c21 + d1 * d2, c11 * c31 + d1 * d3),
+            *(c21 * c21 + c22 * c22 + d2 * d2, c21 * c31 + c22 * c32 + d2 * d3),
+            *(c31 * c31 + c32 * c32 + c33 * c33 + d3 * d3, k1, k2, s),
+            *(nought, spread, nought, nought, n3),
+            doubt,
+        ),
+        *(e1, e2),
+    )  # fmt: skip

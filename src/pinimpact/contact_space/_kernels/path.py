@@ -51,9 +51,11 @@ VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 
-@ahead(*11 * [float], int, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
+@ahead(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, scratch, trace, path):
+def solve_into(
+    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, scratch, trace, path
+):
     """Solve one impact.
 
     Args:
@@ -61,6 +63,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
         v1, v2, v3: Pre-impact velocity.
         mu, e, law: Friction, restitution and the code of its law.
         velocity_scale: Size of the numbers that v was formed from; 0 where it is not known.
+        factor: `FACTOR` numbers of a factor of W, or none.
         scratch: SCRATCH floats.
         trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
@@ -69,7 +72,7 @@ def solve_into(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_sc
         the values of an `Result`.
     """
     begins, figure, flags, view, problem = prepare(
-        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
+        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     )
     if begins == NO_IMPACT:
         return plain(without_impact(flags, v1, v2, v3))

@@ -201,11 +201,29 @@ def stop_impulse(flat, a11, a12, a22, v1, v2):
 
 @jit
 def solve_stepping(
-    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, table, steps, rtol, trace, path
+    w11,
+    w12,
+    w13,
+    w22,
+    w23,
+    w33,
+    v1,
+    v2,
+    v3,
+    mu,
+    e,
+    law,
+    velocity_scale,
+    factor,
+    table,
+    steps,
+    rtol,
+    trace,
+    path,
 ):
     """Solve one impact by steps in P₃.
 
-    Beside the thirteen numbers of the problem, as `solve_into` has them, it takes:
+    Beside the numbers of the problem, as `solve_into` has them, it takes:
         table: The Runge–Kutta method.
         steps: Steps over the scale |v₃ᵒ|/c, or where that is zero over the impulse that would end slip.
         rtol: 0 for steps of that length; else they are chosen so that the error of P_t in one step stays
@@ -217,7 +235,7 @@ def solve_stepping(
         the values of an `Result`; its path has one point for each step and one more, as far as there is room.
     """
     begins, figure, flags, view, problem = prepare(
-        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
+        w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     )
     if begins == NO_IMPACT:
         return plain(without_impact(flags, v1, v2, v3))

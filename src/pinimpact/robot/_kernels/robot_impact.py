@@ -7,15 +7,18 @@ import numpy as np
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, READONLY, ahead
 from ..._numeric.jit import inner, jit
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
+from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
 from ...contact_space._kernels.path import SCRATCH, solve_into
-from .contact_kinematics import jacobian
+from ...contact_space.inputs import FACTOR
+from .contact_kinematics import jacobian, locate
+from .delassus_factor import delassus_factor
 from .python_calls import call
 from .tree import factor, solve, solve_transposed
 
-DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, BEYOND, SIZE = 0, 6, 9, 12, 21, 28, 29, 30
+DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SINGULAR, BEYOND, SIZE = 0, 6, 9, 12, 21, 28, 29, 36, 37
 """Where `robot_impact` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
-velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, and how many coordinates are
-beyond their bounds."""
+velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, the factor of a W that is
+ill-conditioned (else 0), and how many coordinates are beyond their bounds."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
@@ -117,9 +120,16 @@ def robot_impact(
     solve_transposed(lower, parents, y)
     w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
     w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
+    singular = out[n + SINGULAR : n + SINGULAR + FACTOR]
+    singular[:] = 0.0
+    known = 0 if clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED)[0] else FACTOR
+    if known > 0:
+        place = locate(frame, carrier, constants)
+        delassus_factor(lower, parents, columns, signs, place[4], place[5], place[6], y, singular)
     unwanted = np.empty((0, 6))
     status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
-        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale), np.empty(SCRATCH), unwanted, unwanted
+        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale),
+        *(singular[:known], np.empty(SCRATCH), unwanted, unwanted),
     )
     for j in range(n):
         delta[j] = y[0, j] * p1 + y[1, j] * p2 + y[2, j] * p3
@@ -130,10 +140,11 @@ def robot_impact(
     rest = (
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
         *geometry[:9],
-        *(a1, a2, a3, p1, p2, p3, pc, scale, beyond),
+        *(a1, a2, a3, p1, p2, p3, pc, scale),
     )
-    for i in range(SIZE):
+    for i in range(SINGULAR):
         out[n + i] = rest[i]
+    out[n + BEYOND] = beyond
     return status, flags, iterations
 
 

@@ -1,0 +1,88 @@
+"""The triangular factor of W = YYᵀ, Y = J L⁻¹, and the size of the numbers that it is formed from.
+
+Rounding of J is ε of the lengths and axes that its columns are products of, seen from the world's origin;
+rounding of the solution of Lᵀ y = x is that of |Lᵀ||y|. Either reaches Y through L⁻ᵀ. (theory.md, 6)
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.jit import inner, jit
+
+
+@inner
+def _take_out(direction, row):
+    """Take out of a row its part along a unit direction, and return its size."""
+    part = 0.0
+    for j in range(len(row)):
+        part += direction[j] * row[j]
+    for j in range(len(row)):
+        row[j] -= part * direction[j]
+    return part
+
+
+@inner
+def _normalize(row):
+    """Divide a row by its length, and return that."""
+    total = 0.0
+    for x in row:
+        total += x * x
+    length = math.sqrt(total)
+    if length > 0.0:
+        for j in range(len(row)):
+            row[j] /= length
+    return length
+
+
+@ahead(FLOAT_ROWS, INTEGERS, FLOAT_COLUMNS, FLOATS, float, float, float, FLOAT_ROWS, FLOATS)
+@jit
+def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
+    """Fill `out` with the `FACTOR` numbers of a factor, see `contact_space.inputs`.
+
+    Args:
+        lower: (nv, nv) L, M = LᵀL.
+        parents: (nv,) the next velocity on the way to the root, or −1.
+        columns: (6, nv) as in `contact_kinematics.jacobian`.
+        signs: (nv,) 0 for velocities that are none of the contact's.
+        p1, p2, p3: The contact point in world axes.
+        y: (3, nv) Y.
+        out: (FACTOR,).
+    """
+    n = len(signs)
+    sizes, rows = np.zeros(n), np.empty((3, n))
+    reach = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3)
+    for j in range(n):
+        if signs[j] != 0.0:
+            u1, u2, u3, w1, w2, w3 = (
+                *(columns[0, j], columns[1, j], columns[2, j]),
+                *(columns[3, j], columns[4, j], columns[5, j]),
+            )
+            turning = math.sqrt(w1 * w1 + w2 * w2 + w3 * w3)
+            sizes[j] = math.sqrt(u1 * u1 + u2 * u2 + u3 * u3) + reach * turning
+    for k in range(n):
+        size = abs(y[0, k]) + abs(y[1, k]) + abs(y[2, k])
+        for i in range(3):
+            rows[i, k] = y[i, k]
+        j = k
+        while j >= 0:
+            sizes[j] += abs(lower[k, j]) * size
+            j = parents[j]
+    total = 0.0
+    for i in range(n - 1, -1, -1):
+        x = sizes[i] / lower[i, i]
+        total += x * x
+        j = parents[i]
+        while j >= 0:
+            sizes[j] += x * abs(lower[i, j])
+            j = parents[j]
+    out[0] = _normalize(rows[0])
+    out[1] = _take_out(rows[0], rows[1])
+    out[2] = _normalize(rows[1])
+    out[3] = _take_out(rows[0], rows[2])
+    out[4] = _take_out(rows[1], rows[2])
+    out[5] = _normalize(rows[2])
+    out[6] = math.sqrt(total)
