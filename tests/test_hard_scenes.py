@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
 
 from .random_scenes import draw, unaccounted
-from .scene_models import G, run, unbounded
+from .scene_models import G, free_body, run, unbounded
 
 MU = 2.0
 INERTIA = 1.0 / 3.0
@@ -73,6 +73,53 @@ def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
     after = v - response @ np.linalg.solve(rows @ response, rows @ v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
     assert [m.mode for m in trajectory.modes] == ["slip"]
+
+
+def forked_rod():
+    """The rod in space, with two tips side by side that share what one would bear."""
+    return free_body(pin.Inertia(1.0, np.zeros(3), INERTIA * np.eye(3)), [(1, 0.3, 0), (1, -0.3, 0)])
+
+
+def in_space(q, v):
+    """Return the state of the rod in space that moves like the planar one."""
+    turn = pin.utils.rotate("y", q[2])
+    state = np.array([q[0], 0.0, q[1], *pin.Quaternion(turn).coeffs()])
+    return state, np.array([*(turn.T @ [v[0], 0.0, v[1]]), 0.0, v[2], 0.0])
+
+
+def test_two_tips_jam_together_as_one_would():
+    """Neither would alone: the singularity is that of both."""
+    q, v = pushed_rod(0.5, 2.5)
+    contacts = [Contact(f"tip{k}", Plane(), friction=MU) for k in range(2)]
+    trajectory = run(Scene(forked_rod(), contacts), *in_space(q, v), 0.3, rtol=1e-8, atol=1e-10)
+    (jam,) = (note for note in trajectory.notes if "jam" in note.text)
+    time, q, v = until_it_jams(q, v)
+    assert jam.time == pytest.approx(time, abs=1e-5)
+    s, c = np.sin(q[2]), np.cos(q[2])
+    rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
+    response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
+    after = v - response @ np.linalg.solve(rows @ response, rows @ v)
+    assert trajectory.at(jam.time, "right")[1] == pytest.approx(in_space(q, after)[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(restitution):
+    """Past the singularity, where each tip alone could slip on: as one tip in the middle, solved as such."""
+    q, v = pushed_rod(1.0, 0.5)
+    assert effective(q[2]) < 0.0
+    inertia = pin.Inertia(1.0, np.zeros(3), INERTIA * np.eye(3))
+    ends = []
+    for rod, tips in ((forked_rod(), 2), (free_body(inertia, [(1, 0, 0)]), 1)):
+        contact = {"friction": MU, "restitution": restitution, "law": "energetic"}
+        contacts = [Contact(f"tip{k}", Plane(), **contact) for k in range(tips)]
+        ends.append(run(Scene(rod, contacts), *in_space(q, v), 1e-4).impacts)
+    both, one = ends
+    assert len(one) == 1
+    assert len(both) == 2
+    assert both[0].impulse_world + both[1].impulse_world == pytest.approx(
+        one[0].impulse_world, rel=1e-6, abs=1e-6
+    )
+    assert both[0].v_after == pytest.approx(one[0].v_after, abs=1e-6)
 
 
 def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique():

@@ -52,6 +52,30 @@ def test_the_onset_of_slip_takes_few_steps():
     assert trajectory.statistics["steps"] < 50  # an explicit method needs hundreds at the onset
 
 
+def test_slip_begins_at_one_contact_while_another_one_is_fast():
+    """A force turns by 2 rad within 2·10⁻⁷ s, and another body slides at 100 km/s."""
+    rate, model = 1e7, pin.Model()
+    for k in range(2):
+        parent = 0
+        for kind in (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ):
+            parent = model.addJoint(parent, kind(), pin.SE3.Identity(), f"joint{model.njoints}")
+        model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+
+    def pull(t, q, v):
+        return 2.0 * MU * G * np.array([0, 0, 0, np.cos(rate * t), np.sin(rate * t), 0])
+
+    def rates(s, u):  # of the velocity in units of μg/ω, by the time in units of 1/ω
+        return 2.0 * np.array([np.cos(s), np.sin(s)]) - u / np.linalg.norm(u)
+
+    scene = Scene(model, [Contact(f"point{k}", FLOOR, friction=MU) for k in range(2)], control=pull)
+    trajectory = run(scene, np.zeros(6), [1e5, 0, 0, 0, 0, 0], 2.0 / rate, rtol=1e-6, atol=1e-13)
+    begun = 1e-6
+    end = solve_ivp(rates, (begun, 2.0), [begun, 2.0 / 3.0 * begun**2], method="Radau", rtol=1e-9, atol=1e-12)
+    assert trajectory.v[-1, 3:5] * rate / (MU * G) == pytest.approx(end.y[:, -1], abs=1e-4)
+
+
 @pytest.mark.slow
 def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(monkeypatch):
     """A mass pulls another one along, by an arm that turns and slides in it; both begin to slip."""

@@ -201,6 +201,14 @@ class SceneDynamics:
         self.check()
         return jammed, converged, energy
 
+    def pushes(self, t: float, q: Array, v: Array, touching: Sequence[int]) -> Array:
+        """Return accelerations (k,) of gaps of contacts, and of limits past those, without contact forces."""
+        contacts = [i for i in touching if i < self.work.contacts]
+        motion = self.free_motion_at(t, q, v, contacts)
+        limits = [self.limits[i - self.work.contacts] for i in touching[len(contacts) :]]
+        stops = [limit.sign * float(motion.joints[limit.index_v]) for limit in limits]
+        return np.array([*motion.acceleration[:, 2].tolist(), *stops])
+
     def make_room(self, closing: Integers) -> None:
         """Make room for contacts (n,) that may be closed at once, where not zero."""
         work, count = self.work, int(np.count_nonzero(closing))
@@ -219,11 +227,11 @@ class SceneDynamics:
         self.check()
         return float(energy)
 
-    def stop_jammed_slip(self, t: float, q: Array, v: Array, without_forces: bool, singular: float) -> bool:
-        """Stop contacts whose forces grow without bound, see the kernel; return whether there are any."""
-        jammed = jamming.stop_jammed_slip(self.work, t, q, v, without_forces, singular)
+    def forces_unbounded(self, t: float, q: Array, v: Array, without_forces: bool, singular: float) -> bool:
+        """Return whether forces of slip grow without bound, see the kernel."""
+        unbounded = jamming.forces_unbounded(self.work, t, q, v, without_forces, singular)
         self.check()
-        return bool(jammed)
+        return bool(unbounded)
 
     @property
     def forces_doubtful(self) -> bool:
@@ -335,7 +343,7 @@ def _compile(work: SceneWorkspace, policy: str | None) -> None:
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),
-        (jamming.stop_jammed_slip, work, 0.0, q, v, True, 0.0),
+        (jamming.forces_unbounded, work, 0.0, q, v, True, 0.0),
         (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
         (robot_impact.robot_impact,),

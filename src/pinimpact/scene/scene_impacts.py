@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -13,15 +14,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
-from ..errors import PinimpactError, SimulationError
+from ..errors import PinimpactError, SimulationError, UnstoppableApproachError
 from ..robot._kernels.responses import coupled
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.joint_limits import JointLimit
-from ..robot.matrices import checked_matrices, contact_geometry, contact_matrices
+from ..robot.matrices import ManyMatrices, checked_matrices, contact_geometry, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
@@ -31,6 +33,15 @@ from .scene import Scene
 Array = NDArray[np.float64]
 
 _compiled: set[tuple[bool, bool]] = set()
+
+NUDGE = 1e-8
+"""Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
+
+REAL = 1e-5
+"""Part of the speed of slip that what comes of this changes at least."""
+
+RANK = 1e-9
+"""Eigenvalues below this part of the largest are zero."""
 
 _NO_AXES = np.zeros((3, 3))
 """Those of a joint limit, whose impulse is none in the world."""
@@ -82,6 +93,14 @@ class GroupImpact(NamedTuple):
     struck: tuple[Struck, ...]
     group: ImpactGroup
     notes: tuple[str, ...]
+
+
+class Solved(NamedTuple):
+    """The solution of an impact at many contacts, which of them rest, and the problem."""
+
+    solution: ManySolution
+    resting: list[bool]
+    group: ImpactGroup
 
 
 class SceneImpacts:
@@ -210,16 +229,7 @@ class SceneImpacts:
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
         """
-        count = len(self._dynamics.contacts)
-        every = [self._dynamics.contacts[i] if i < count else None for i in touching]
-        contacts = [contact for contact in every if contact is not None]
-        limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
-        stops = np.zeros((len(limits), self._model.nv))
-        for row, limit in zip(stops, limits, strict=True):
-            row[limit.index_v] = limit.sign
-        model, data, free = self._model, self._data, self._yielding
-        anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in self._held)
-        matrices = checked_matrices(model, data, q, contacts, anchors, free, stops)
+        every, matrices = self._matrices(q, touching)
         feels = np.empty(len(touching), dtype=np.int64)
         coupled(matrices.delassus, touching.index(first), feels)
         chosen = feels.nonzero()[0]
@@ -234,19 +244,101 @@ class SceneImpacts:
         struck = [every[k] for k in chosen.tolist()]
         rates = velocity[:, 2].tolist()
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates, strict=True)]
-        stiffness = _stiffness(struck, delassus.diagonal()[2::3].tolist())
         friction = np.array([0.0 if contact is None else contact.friction for contact in struck])
+        solved = self._solve(self.policy, struck, (delassus, velocity, friction, surface), e)
+        sources = [touching[k] for k in chosen.tolist()]
+        axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
+        return _group_impact(v, response, solved, sources, axes, 0.0)
+
+    def without_forces(
+        self,
+        t: float,
+        q: Array,
+        v: Array,
+        touching: Sequence[int],
+        slips: NDArray[np.bool_],
+        slack: float,
+    ) -> GroupImpact | None:
+        """Resolve the impact without collision where no forces let contacts slip on. (theory.md, 13)
+
+        Args:
+            t: Time [s].
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            touching: All that touch, contacts before limits.
+            slips: Which of these slip; the others are at rest.
+            slack: Part by which friction may be less than where the forces have no bound.
+
+        Returns:
+            The impact; None where nothing comes of it, so that it is none.
+        """
+        every, matrices = self._matrices(q, touching)
+        velocity = matrices.velocity(v)
+        velocity[:, 2] = np.minimum(velocity[:, 2], 0.0)
+        velocity[~slips, :2] = 0.0
+        speed = float(np.abs(velocity).max(initial=0.0))
+        push = self._dynamics.pushes(t, q, v, touching)
+        if speed == 0.0 or not push.min() < 0.0:
+            return None
+        friction = np.array([0.0 if contact is None else contact.sustained_friction for contact in every])
+        if slack > 0.0:
+            more = _friction_of_jam(matrices.delassus, velocity, friction, slips)
+            if more > 1.0 + slack:
+                return None
+            friction = friction * more
+        velocity[:, 2] += NUDGE * speed * push / float(np.abs(push).max())
+        e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
+        numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
+        try:
+            solved = self._solve("propagate", every, numbers, e)
+        except UnstoppableApproachError:  # what neither forces nor impulses can hold
+            return None
+        change = matrices.delassus @ solved.solution.impulse.ravel()
+        if not float(np.abs(change).max()) > REAL * speed:
+            return None
+        axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
+        return _group_impact(v, matrices.response, solved, touching, axes, REAL)
+
+    def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
+        """Return contacts, None for each limit, and the matrices of all."""
+        count = len(self._dynamics.contacts)
+        every = [self._dynamics.contacts[i] if i < count else None for i in touching]
+        contacts = [contact for contact in every if contact is not None]
+        limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
+        stops = np.zeros((len(limits), self._model.nv))
+        for row, limit in zip(stops, limits, strict=True):
+            row[limit.index_v] = limit.sign
+        model, data, free = self._model, self._data, self._yielding
+        anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in self._held)
+        return every, checked_matrices(model, data, q, contacts, anchors, free, stops)
+
+    def _solve(
+        self,
+        name: str,
+        struck: Sequence[Contact | None],
+        numbers: tuple[Array, Array, Array, Array],
+        e: Sequence[float],
+    ) -> Solved:
+        """Solve an impact at many contacts; what bounces slower than the resting speed rests.
+
+        Args:
+            name: Of the policy.
+            struck: The contacts, None for each limit.
+            numbers: Delassus matrix, velocities, friction and velocities of the surfaces.
+            e: Restitution.
+        """
+        delassus, velocity, friction, surface = numbers
+        stiffness = _stiffness(struck, delassus.diagonal()[2::3].tolist())
         laws = {contact.law for contact in struck if contact is not None}
         law = laws.pop() if len(laws) == 1 else "energetic"
-        policy = find_policy(self.policy)
+        policy = find_policy(name)
         resting = [False] * len(struck)
         while True:
             restitution = np.array([0.0 if rests else one for rests, one in zip(resting, e, strict=True)])
             # the robot's own numbers need no check
             inputs = ManyInputs(delassus, velocity, friction, restitution, stiffness, law, surface, False)
             solution = policy.run(inputs, False)
-            impulses = solution.impulse
-            pressed, bounces = impulses[:, 2].tolist(), solution.velocity[:, 2].tolist()
+            pressed, bounces = solution.impulse[:, 2].tolist(), solution.velocity[:, 2].tolist()
             more = [
                 0.0 < bounce < self._resting_speed and p > 0.0 and one > 0.0 and not rests
                 for bounce, p, one, rests in zip(bounces, pressed, e, resting, strict=True)
@@ -257,14 +349,7 @@ class SceneImpacts:
         problem = ImpactProblem(
             *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
-        group = ImpactGroup(problem, self.policy)
-        hit = []
-        for place, k in enumerate(chosen.tolist()):
-            if pressed[place] > 0.0:
-                axes = matrices.axes[k] if k < len(contacts) else _NO_AXES
-                make = partial(_of_group, group, place, impulses[place], axes)
-                hit.append(Struck(touching[k], place, resting[place], make))
-        return GroupImpact(v + response @ impulses.ravel(), tuple(hit), group, solution.notes)
+        return Solved(solution, resting, ImpactGroup(problem, name))
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""
@@ -318,6 +403,63 @@ class SceneImpacts:
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))
+
+
+def _group_impact(
+    v: Array,
+    response: Array,
+    solved: Solved,
+    sources: Sequence[int],
+    axes: Sequence[Array],
+    least: float,
+) -> GroupImpact:
+    """Return what a solution comes to.
+
+    Args:
+        v: (nv,) velocity before it.
+        response: (nv, 3n) Δq̇ per unit impulse.
+        solved: The solution.
+        sources: Which contacts and limits.
+        axes: Contact axes of each.
+        least: Part of the largest impulse below which one is none.
+    """
+    impulses = solved.solution.impulse
+    pressed = impulses[:, 2].tolist()
+    hit = []
+    for place, source in enumerate(sources):
+        if pressed[place] > least * max(pressed):
+            make = partial(_of_group, solved.group, place, impulses[place], axes[place])
+            hit.append(Struck(source, place, solved.resting[place], make))
+    return GroupImpact(v + response @ impulses.ravel(), tuple(hit), solved.group, solved.solution.notes)
+
+
+def _friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:
+    """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
+
+    Args:
+        delassus: (3n, 3n) of what is closed.
+        velocity: (n, 3) of the contacts.
+        friction: (n,) its coefficients.
+        slips: (n,) which of them slip.
+    """
+    rows, directions = [], []
+    for i, (x, y, _) in enumerate(velocity.tolist()):
+        for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):
+            rows.append(3 * i + d)
+            along = np.zeros(len(delassus))
+            speed = math.hypot(x, y)
+            if slips[i] and speed > 0.0:
+                along[3 * i : 3 * i + 2] = friction[i] * x / speed, friction[i] * y / speed
+            directions.append(along)
+    of_rows = delassus[rows]
+    weights, basis = np.linalg.eigh(of_rows[:, rows])
+    known = weights > RANK * weights[-1]
+    basis = basis[:, known] / np.sqrt(weights[known])
+    # det(1 − s C) = 0
+    inverses = np.linalg.eigvals(basis.T @ of_rows @ np.array(directions).T @ basis)
+    real = inverses.real[np.abs(inverses.imag) <= RANK * np.abs(inverses).max()]
+    largest = float(real.max(initial=0.0))
+    return max(1.0, (1.0 + RANK) / largest) if largest > 0.0 else math.inf
 
 
 def _stiffness(struck: Sequence[Contact | None], inverse_masses: Sequence[float]) -> Array:

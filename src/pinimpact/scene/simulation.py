@@ -48,13 +48,13 @@ CROWD = 10
 slip slower than that counts as none: where they accumulate, as in a spiral, it comes to rest."""
 
 MAX_STALLED = 200
-"""Steps without progress in time, after which slip is stopped, or a simulation gives up."""
+"""Steps without progress in time, after which a jam is looked for, or a simulation gives up."""
 
 LOOK_EVERY = 1000
 """Steps from one look for chatter to the next."""
 
 JAMS = 3
-"""How often slip that a jam has stopped may begin again at one instant before it is left to begin."""
+"""How often slip may jam again at one instant before it is left to go on."""
 
 NEARLY_SINGULAR = 1e-3
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
@@ -212,7 +212,6 @@ class Motion:
         self.dense_steps: list[DenseStep] = []
         self.samples: list[tuple[float, Array, Array, Array, float]] = []
         self.steps = self.rejected = 0
-        self.jams = 0
         self.last_progress = 0, 0.0
         self.forces_were_unique = True
         self.friction_drove = False
@@ -282,7 +281,7 @@ class Motion:
 
     def resume(self) -> None:
         """Go on where an event may have ended the motion; `max_impacts` counts from here."""
-        self._counted = len(self.state.impacts) + self.jams
+        self._counted = len(self.state.impacts)
         if self.ended_by is not None:
             self.ended_by = None
             self._settle()
@@ -299,7 +298,6 @@ class Motion:
                 "w",
                 "steps",
                 "rejected",
-                "jams",
                 "last_progress",
                 "forces_were_unique",
                 "friction_drove",
@@ -417,7 +415,7 @@ class Motion:
             else:
                 self._check_for_chatter()
                 state.refuse_flat_rims()
-                if self._stop_jam():
+                if self._resolve_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -433,7 +431,7 @@ class Motion:
             if t + trial <= t:
                 self._check_for_chatter()
                 state.refuse_flat_rims()
-                if self._stop_jam():
+                if self._resolve_jam():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
@@ -533,12 +531,11 @@ class Motion:
         if self._continuous is not None:
             check_chatter(self._continuous, self.model, self.dense_steps)
 
-    def _stop_jam(self) -> bool:
-        """Stop slip whose forces have grown until no step is short enough; return False if there is none."""
-        if not self.state.stop_jammed_slip(NEARLY_SINGULAR):
+    def _resolve_jam(self) -> bool:
+        """Resolve slip whose forces have grown until no step is short enough; False if there is none."""
+        if not self.state.resolve_jam(NEARLY_SINGULAR):
             return False
         self.last_progress = self.steps, self.state.t
-        self.jams += 1
         self._settle()
         self._begin_motion()
         self._sample()
@@ -587,7 +584,7 @@ class Motion:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         if arriving is None:
-            state.stop_jammed_slip(leaving=bounded)
+            state.resolve_jam(leaving=bounded)
             self._changes.append(t)
             if t - self._changes[0] < self._settling_time and len(self._changes) == CROWD:
                 self.work.certain_speed = self.work.stick_speed
@@ -624,13 +621,12 @@ class Motion:
         before = len(impacts)
         self.state.settle(arriving)
         for _ in range(JAMS):
-            if not self.state.stop_jammed_slip():
+            if not self.state.resolve_jam():
                 break
-            self.jams += 1
             self.state.settle()
         if len(impacts) > before:  # `max_impacts` watches over these
             self.last_progress = self.steps, self.state.t
-        count = len(impacts) + self.jams - self._counted
+        count = len(impacts) - self._counted
         if count > self.max_impacts:
             last = f", the last at {_sources(impacts)}" if impacts else ""
             raise SimulationError(

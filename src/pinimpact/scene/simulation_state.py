@@ -21,7 +21,7 @@ from .dynamics import SceneDynamics
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
 from .scene import STANDARD_GRAVITY, Scene
-from .scene_impacts import Impact, SceneImpacts
+from .scene_impacts import GroupImpact, Impact, SceneImpacts
 from .shape_watch import Meeting, ShapeWatch
 
 Array = NDArray[np.float64]
@@ -46,6 +46,12 @@ LEAST_APPROACH_FRACTION = 1e-9
 
 SINGULAR = 1e-5
 """Forces whose effects cancel to this part are those of a singularity."""
+
+CLEAR = 10.0
+"""A singularity is that of slip if friction larger by no more than so many times that part makes it one."""
+
+MOST_JAMS = 10
+"""Impacts without collision at one instant before slip that jams is stopped outright."""
 
 LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
@@ -155,7 +161,7 @@ class SimulationState:
         if self.shapes:
             self.shapes.refresh(self.q)
         resolved: list[dict[str, Any]] = []
-        jams = [0] * len(self.dynamics.contacts)
+        jams = 0
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             self._check_rims(where)
@@ -167,24 +173,75 @@ class SimulationState:
                 self.note(
                     f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
                 )
+            before, modes = self.v, self.dynamics.work.modes.copy()
             jammed = self._set_modes(slow)
-            if jammed < 0:
+            if jammed < 0 and self._forces_found:
                 break
-            jams[jammed] += 1
-            if sum(jams) > MAX_ROUNDS:
+            jams += 1
+            if jams > MAX_ROUNDS:
+                last = f", the last at {self.names[jammed]!r}" if jammed >= 0 else ""
                 raise SimulationError(
-                    f"scene: {MAX_ROUNDS} impacts without collision at t = {self.t:.6g} s do not settle, the "
-                    f"last at {self.names[jammed]!r}; less friction would end them",
+                    f"scene: {MAX_ROUNDS} impacts without collision at t = {self.t:.6g} s do not settle"
+                    f"{last}; less friction would end them",
                     field="scene",
                 )
-            stop = jams[jammed] > 1
+            struck = self._without_forces(before, modes, jammed, jams > MOST_JAMS)
+            if not struck:
+                self.note("The forces of the closed contacts were not found to the usual accuracy.")
+                break
+            resolved += struck
+        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
+    def _without_forces(self, v: Array, modes: Array, jammed: int, stop: bool) -> list[dict[str, Any]]:
+        """Resolve the impact without collision where no forces hold what touches.
+
+        Args:
+            v: (nv,) velocity before modes were looked for.
+            modes: Those that held.
+            jammed: The contact that drives the surface in by itself, or −1.
+            stop: Whether to stop the slip of that one outright, since such impacts do not settle.
+
+        Returns:
+            Fields of records; none if nothing comes of it.
+        """
+        touching = self._closed(self._slow)
+        slips = self._slipping(touching, v, modes)
+        if jammed >= 0 and (stop or len(touching) == 1):
             self.note(
                 f"Slip at {self.names[jammed]} drives the surface in and no force holds it: "
                 f"an impact without collision{', which stops it' if stop else ''}."
             )
             impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
-            resolved.append(self._take_over(jammed, impact))
-        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+            return [self._take_over(jammed, impact)]
+        if stop:
+            return []
+        group = self._impacts.without_forces(self.t, self.q, v, touching, slips, 0.0)
+        if group is None:
+            return []
+        self.change_velocity(v)
+        slipping = ", ".join(self.names[i] for i, slides in zip(touching, slips, strict=True) if slides)
+        self.note(
+            f"Slip at {slipping} drives the surface in and no forces hold what touches: "
+            "an impact without collision."
+        )
+        return self._take_over_group(group)
+
+    def _closed(self, chosen: NDArray[np.int64]) -> list[int]:
+        """Return those of contacts and limits that are chosen and not held."""
+        contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
+        return [i for i in np.flatnonzero(chosen).tolist() if i >= contacts or not bilateral[i]]
+
+    def _slipping(self, touching: list[int], v: Array, modes: Array) -> NDArray[np.bool_]:
+        """Return which of what touches slips, at a velocity (nv,), where modes are known."""
+        work = self.dynamics.work
+        contacts = [i for i in touching if i < work.contacts]
+        slips = np.zeros(len(touching), dtype=bool)
+        if contacts:
+            velocity = self.dynamics.free_motion_at(self.t, self.q, v, contacts).velocity
+            speeds = np.hypot(velocity[:, 0], velocity[:, 1])
+            least = np.where(modes[contacts] == SLIP, work.certain_speed, work.stick_speed)
+            slips[: len(contacts)] = speeds > least
+        return slips
 
     def rims_jump(self, q: Array, later: Array) -> bool:
         """Whether the lowest point of a closed rim goes round by a right angle or more from q to another.
@@ -238,18 +295,19 @@ class SimulationState:
 
     def _collide_together(self, first: int) -> list[dict[str, Any]]:
         """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
-        contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
-        touching = [
-            i for i in np.flatnonzero(self._where != APART).tolist() if i >= contacts or not bilateral[i]
-        ]
+        touching = self._closed(self._where != APART)
         if len(touching) < 2 or not self._impacts.together:
             return []
         impact = self._impacts.resolve_group(self.q, self.v, first, touching)
         if impact is None:
             return []
+        return self._take_over_group(impact)
+
+    def _take_over_group(self, impact: GroupImpact) -> list[dict[str, Any]]:
+        """Take over the velocity after an impact of several; return the fields of records."""
         for text in impact.notes:
             self.note(text)
-        before = self.v
+        contacts, before = len(self.dynamics.contacts), self.v
         self.change_velocity(impact.v)
         found = []
         for source, place, resting, make in impact.struck:
@@ -313,21 +371,27 @@ class SimulationState:
         self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
         self.v = v
 
-    def stop_jammed_slip(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
-        """Stop contacts that jam, an impact without collision; return whether there are any.
+    def resolve_jam(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
+        """Resolve the impact without collision of slip whose forces have no bound, if there is any.
 
         Args:
             singular: The part to which the effects of the forces cancel at a singularity.
             leaving: Whether forces have just left their bounds: if with a determinant that has changed its
                 sign, they have gone through infinity.
         """
-        v = self.v.copy()
-        if not self.dynamics.stop_jammed_slip(self.t, self.q, v, leaving or not self._forces_found, singular):
+        without = leaving or not self._forces_found
+        if not self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular):
             return False
-        modes = zip(self.names, self.dynamics.work.modes.tolist(), strict=False)
-        slipping = ", ".join(name for name, mode in modes if mode == SLIP)
-        self.note(f"Slip at {slipping} makes the forces grow without bound; the contacts jam and stick.")
-        self.change_velocity(v)
+        modes = self.dynamics.work.modes
+        touching = self._closed(modes[: len(self.names)])
+        slips = modes[touching] == SLIP
+        group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, CLEAR * singular)
+        if group is None:
+            return False
+        slipping = ", ".join(self.names[i] for i, slides in zip(touching, slips, strict=True) if slides)
+        self.note(f"Slip at {slipping} makes the forces grow without bound: they jam, in an impact.")
+        resolved = self._take_over_group(group)
+        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
         return True
 
     # ---- contacts that stay closed
@@ -343,8 +407,6 @@ class SimulationState:
         if jammed >= 0:
             return jammed
         self._forces_found = converged
-        if not converged:
-            self.note("The forces of the closed contacts were not found to the usual accuracy.")
         same = bool((work.modes == before).all())
         work.force_bound_ignored = constrained and same
         if not same or work.driven:

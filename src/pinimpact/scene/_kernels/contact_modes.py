@@ -130,11 +130,12 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     delassus_of_rows(rows, work.minverse, response, delassus)
     force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
-    converged = sweeps >= 0
-    if jamming < 0 and not converged:
+    converged = sweeps >= 0 and jamming < 0
+    if not converged:
         both = np.empty(size)
         converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
+            jamming = -1  # what would jam alone is held by others
             for a in range(size):
                 if a < 3 * nc:
                     force[a // 3, a % 3] = both[a]

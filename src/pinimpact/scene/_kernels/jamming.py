@@ -7,26 +7,23 @@ import math
 import numpy as np
 
 from ..._numeric.jit import jit
-from .closed_set import ALL, closed_rows, delassus_of_rows, stop_along
+from .closed_set import ALL, closed_rows, delassus_of_rows
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 
 
 @jit
-def stop_jammed_slip(work, t, q, v, without_forces, singular):
-    """Stop all slip where contacts that slip drive the surface in until their forces have no bound.
+def forces_unbounded(work, t, q, v, without_forces, singular):
+    """Return whether contacts that slip drive the surface in until their forces have no bound.
 
     Args:
         work: The workspace.
         t: Time [s].
         q: (nq,) configuration.
-        v: (nv,) the velocity, which loses what the closed contacts take away of it.
+        v: (nv,) velocity.
         without_forces: Whether no forces were found for the modes, or they have just left their bounds; where
             the determinant of the equations has changed its sign there are none.
         singular: The part to which the effects of forces cancel at a singularity.
-
-    Returns:
-        Whether slip was stopped; else v is as it was.
     """
     mode, slipping = work.closed_mode, False
     for k in range(len(mode)):
@@ -40,8 +37,8 @@ def stop_jammed_slip(work, t, q, v, without_forces, singular):
     force, scalar_force, minverse = work.contact_force, work.scalar_force, work.minverse
     closed, n = 3 * len(mode), len(v)
     size = closed + len(scalar_force)
-    rows, speeds = np.zeros((size, n)), np.empty(size)
-    closed_rows(work, v, ALL, rows, speeds)
+    rows = np.zeros((size, n))
+    closed_rows(work, v, ALL, rows, np.empty(size))
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, delassus)
     left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel
@@ -54,7 +51,4 @@ def stop_jammed_slip(work, t, q, v, without_forces, singular):
             whole = max(whole, abs(part))
         left = max(left, abs(total))
     impossible = without_forces and work.force_margin == -math.inf
-    if not impossible and not left < singular * whole:
-        return False
-    stop_along(rows, speeds, minverse, v)
-    return True
+    return impossible or left < singular * whole

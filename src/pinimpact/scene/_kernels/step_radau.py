@@ -128,6 +128,7 @@ def solve_stages(work, t, h, rtol, atol):
                         matrix[row, j * count + d] = h * MATRIX[i, j] * total
                 matrix[row, row] -= speeds[i, c]
         # contacts that share their loads turn together where slip begins, and one of them cannot alone
+        equilibrate(matrix, right)
         if solve(matrix, right, angle, RANK) == 0:
             if work.forces_unique:
                 return math.inf
@@ -158,6 +159,19 @@ def solve_stages(work, t, h, rtol, atol):
 
 
 @inner
+def equilibrate(matrix, right):
+    """Divide each equation by its largest coefficient: one contact may be fast as another begins to slip."""
+    for a in range(len(right)):
+        largest = 0.0
+        for b in range(len(right)):
+            largest = max(largest, abs(matrix[a, b]))
+        if largest > 0.0:
+            for b in range(len(right)):
+                matrix[a, b] /= largest
+            right[a] /= largest
+
+
+@inner
 def filtered(h, across, effect, speeds, error):
     """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
     count, n = across.shape
@@ -172,6 +186,7 @@ def filtered(h, across, effect, speeds, error):
                 total += across[c, m] * effect[d, m]
             matrix[c, d] = -GAMMA * h * total
         matrix[c, c] += speeds[c]
+    equilibrate(matrix, right)
     if solve(matrix, right, turned, RANK) != 0:
         for c in range(count):
             for m in range(n):
