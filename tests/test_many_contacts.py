@@ -152,6 +152,45 @@ def test_a_flat_block_lands():
     assert bounced[2] / -1.0 == pytest.approx(-0.298915, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("corners", "masses", "friction", "restitution"),
+    [
+        (
+            [(-1.7516, -0.8834), (0.1586, -0.2343), (1.3725, 0.5722), (1.9419, -0.153)],
+            [0.1863, 0.7309, 0.2338, 0.305, 1.3252, 1.3169],
+            [0.194570540618, 1.0, 0.0, 0.194570540618],
+            [0.130564015563, 1.0, 0.5, 1.0],
+        ),
+        (
+            [(-0.593, 0.9283), (-0.6878, -2.4761), (0.6991, -1.5317), (-1.3326, -0.4305), (-1.1462, 0.0271)],
+            [0.6041, 1.1586, 0.7941, 3.817, 23.1221, 0.084],
+            [0.3, 0.950006, 0.0, 0.5, 0.3],
+            [0.5, 0.001825, 0.931954, 0.5, 0.5],
+        ),
+    ],
+)
+def test_a_body_lands_flat_on_corners_of_different_kinds(corners, masses, friction, restitution):
+    # friction is shared by corners in many ways; which of them slips first is the same in all numberings
+    n = len(corners)
+    jacobian = np.zeros((3 * n, 6))
+    for j, (x, y) in enumerate(corners):
+        jacobian[3 * j : 3 * j + 3, :3] = np.eye(3)
+        jacobian[3 * j : 3 * j + 3, 3:] = [[0.0, -1.0, -y], [1.0, 0.0, x], [y, -x, 0.0]]
+    w = jacobian @ np.diag(1.0 / np.array(masses)) @ jacobian.T
+    v = np.tile([0.0, 0.0, -1.0], (n, 1))
+    mu, e = np.array(friction), np.array(restitution)
+    found = []
+    for order in [np.roll(np.arange(n), k) for k in range(n)] + [np.arange(n)[::-1]]:
+        rows = (3 * order[:, None] + np.arange(3)).ravel()
+        problem = ImpactProblem(w[np.ix_(rows, rows)], v, mu[order], e[order], law="energetic")
+        solution = solve_impact(problem)
+        assert solution.notes == ()
+        velocity = np.empty((n, 3))
+        velocity[order] = solution.velocity
+        found.append(velocity)
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (n + 1, n, 3)), atol=1e-9)
+
+
 def test_a_bar_lands_flat_and_does_not_turn():
     jacobian, inverse = planar_body([(-0.5, 0.0), (0.5, 0.0)], 1.0, 1 / 12)
     solution, after = collide(jacobian, inverse, np.array([0.0, -1.0, 0.0]), restitution=0.6)

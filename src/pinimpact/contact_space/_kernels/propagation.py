@@ -29,7 +29,7 @@ from .codes import (
 )
 from .first_fall import NEVER, first_fall, value_at
 from .plastic import end_plastically
-from .propagation_friction import AT_BOUND, SLIP, settle, unknown_after
+from .propagation_friction import AT_BOUND, NEAR, SLIP, settle, unknown_after
 from .propagation_series import (
     TIED,
     State,
@@ -58,6 +58,9 @@ STOPS = 1e-7
 
 REACH = 20.0
 """Steps within which a slip that runs straight at zero is there."""
+
+NOWHERE = 1e-6
+"""Part of the speed at which slips begin that the series of one that begins has to reach."""
 
 SEEN = 1e-3
 """Part of the accuracy of velocities that impulses have where velocities do not feel them."""
@@ -216,6 +219,7 @@ def _follow(
         np.zeros(2 * n),
         np.zeros(n, dtype=np.int64),
         np.zeros(2 * n),
+        np.zeros(n),
     )
     series = new_series(ORDER, n)
     roots, work = np.empty((n, 3)), np.empty((4, ORDER + 1))
@@ -259,6 +263,9 @@ def _follow(
             pace = natural_pace(state, series)
             root = expand(system, state, unknown, inverse, ORDER, pace, series)
             h = _step_length(system, series, accuracy, pace, LONGEST)
+            if _begins_badly(state, series, h):
+                steps += 1
+                continue
             if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
                 _loaded_ends(state)
                 first = NEVER
@@ -291,6 +298,25 @@ def _presses_and_slips(state):
     found = False
     for j in range(len(state.normal)):
         found = found or (state.normal[j] == HELD and state.tangent[j] == SLIPPING)
+    return found
+
+
+@inner
+def _begins_badly(state, series, h):
+    """Let a slip whose series reaches nowhere begin at a speed that does not matter; tell whether any did.
+
+    The accelerations of one that begins at the bound of friction are not zero by as much as forces are off,
+    and turn it in no time.
+    """
+    found = False
+    for j in range(len(state.normal)):
+        if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
+            speed = series.speed[0, j] * h * (h if state.fresh[j] == TIED else 1.0)
+            if speed < NOWHERE * SLIP:
+                state.fresh[j] = 1
+                state.v[3 * j] = SLIP * state.direction[2 * j]
+                state.v[3 * j + 1] = SLIP * state.direction[2 * j + 1]
+                found = True
     return found
 
 
@@ -571,6 +597,9 @@ def _apply(system, state, series, roots, first, tie):
     """Change the modes of contacts whose time has come."""
     now = first + tie
     before = state.tangent.copy()
+    at_bound = False
+    for j in range(len(system.friction)):
+        at_bound = at_bound or (before[j] == STUCK and roots[j, 2] <= now)
     for j in range(len(system.friction)):
         z = 3 * j + 2
         state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
@@ -581,10 +610,11 @@ def _apply(system, state, series, roots, first, tie):
                 speed = math.hypot(state.v[3 * other], state.v[3 * other + 1])
                 if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= MOVED:
                     _stick(state, other)
-        elif tangent:
+        elif at_bound and before[j] == STUCK:  # with all that are as good as there
             fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
             length = math.hypot(fx, fy)
-            if length > 0.0:
+            bound = system.friction[j] * value_at(series.force, z, ORDER, first)
+            if length > 0.0 and (tangent or length >= (1.0 - NEAR) * bound):
                 state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
                 state.fresh[j] = AT_BOUND
         if not (normal or held):

@@ -9,6 +9,7 @@ import numpy as np
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.elimination import solve
 from ..._numeric.jit import inner
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
@@ -37,6 +38,15 @@ WEIGHED_ORDER = np.int64(4)
 
 FIT = 1e-11
 """Parts of a bound by which a force may miss it."""
+
+ROOM = 0.95
+"""Part of its bound that friction keeps to which is given without a look at what else would hold."""
+
+SAME = 1e-6
+"""Part of the largest force by which forces that hold the same differ."""
+
+REDUNDANT = 1e-11
+"""Part of the largest pivot below which friction of several contacts holds the same."""
 
 MOVES = 1e-11
 """An acceleration that is one, in parts of what its terms come to."""
@@ -81,6 +91,7 @@ def settle(system, state, series):
     for j in range(n):
         if normal[j] == HELD:
             held[j] = 1
+            state.pressed[j] = 0.0
             asked += 1
         if tangent[j] == STUCK or tangent[j] == BOUND:
             stuck[j] = 1
@@ -127,7 +138,7 @@ def settle(system, state, series):
     unknown = bounded_unknowns(system, state)
     inverse = np.empty((len(unknown), len(unknown)))
     force_inverse(system, state, unit, unknown, weight, inverse)
-    forces = p.copy()
+    forces, first = p.copy(), np.empty(3 * n)
     hold(system, state, unit, unknown, inverse, np.empty(len(unknown)), forces)
     scale = 0.0
     for i in range(3 * n):
@@ -135,8 +146,18 @@ def settle(system, state, series):
     if not root and _begins(system, state, unit, weight, series):
         return unknown_after(system, state, unit, weight)
     if _fits(system, state, cap, unknown, forces, scale):
-        return unknown, inverse, weight
-    _admit(system, state, unit, cap, p, heaviest, not root, forces)
+        if _has_room(system, state, forces):
+            return unknown, inverse, weight
+        _keep_from_bounds(system, state, forces)
+        return unknown_after(system, state, unit, weight)
+    for i in range(3 * n):
+        first[i] = forces[i]
+    if not _admit(system, state, unit, cap, p, heaviest, not root, forces):
+        apart = 0.0
+        for i in range(3 * n):
+            apart = max(apart, abs(forces[i] - first[i]))
+        if apart > SAME * scale:
+            _keep_from_bounds(system, state, forces)
     if not root:
         _align(system, state, unit, weight, series)
     return unknown_after(system, state, unit, weight)
@@ -296,8 +317,21 @@ def _fits(system, state, cap, unknown, forces, scale):
 
 
 @inner
+def _has_room(system, state, forces):
+    """Return whether friction that holds keeps well within its bounds."""
+    for j in range(len(system.friction)):
+        if state.tangent[j] == STUCK:
+            bound = ROOM * system.friction[j] * forces[3 * j + 2]
+            if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound:
+                return False
+    return True
+
+
+@inner
 def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
     """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
+
+    Returns whether anything moves.
 
     Args:
         p: (3n,) forces but for those of friction that holds, and of what is held.
@@ -319,7 +353,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
         change = max(change, _press_held(system, state, unit, cap, forces))
         if change <= FIT:
             break
-    scale = 0.0
+    scale, moves = 0.0, False
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
     for j in range(n):
@@ -343,6 +377,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
                 state.v[x], state.v[y] = start * ux, start * uy
                 state.fresh[j] = RESUMED if firm else 1
                 state.tangent[j] = SLIPPING
+                moves = True
             elif bound > 0.0 and length < (1.0 - NEAR) * bound:
                 state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]
             elif length > 0.0:
@@ -350,6 +385,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
                 state.direction[2 * j] = -forces[x] / length
                 state.direction[2 * j + 1] = -forces[y] / length
         if state.normal[j] == HELD:
+            state.pressed[j] = forces[z]
             rise = size = 0.0
             for i in range(3 * n):
                 rise += w[z, i] * forces[i]
@@ -359,8 +395,58 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
                 state.tangent[j] = FREE
                 state.indentation[j] = 0.0
                 state.deepest[j] = 0.0
+                moves = True
             elif forces[z] >= cap[j] and rise < -MOVES * size:
                 state.normal[j] = LOADING
+                moves = True
+    return moves
+
+
+@inner
+def _keep_from_bounds(system, state, forces):
+    """Let the friction of contacts that hold the same keep as far from its bounds as it can. (14.4)
+
+    Args:
+        system, state: What collides. Its shares are set.
+        forces: (3n,) with friction that lets nothing move.
+    """
+    w, friction = system.w, system.friction
+    n = len(friction)
+    at = np.empty(n, dtype=np.int64)
+    count, strongest = 0, 0.0
+    for j in range(n):
+        if state.tangent[j] == STUCK or state.tangent[j] == BOUND:
+            strongest = max(strongest, friction[j] * forces[3 * j + 2])
+    for j in range(n):
+        holds = state.tangent[j] == STUCK or state.tangent[j] == BOUND
+        if holds and friction[j] * forces[3 * j + 2] > WEAK * strongest:
+            at[count] = j
+            count += 1
+    size = 2 * count
+    block, none, least, null = np.empty((size, size)), np.zeros(size), np.empty(size), np.empty((size, size))
+    for a in range(size):
+        for b in range(size):
+            block[a, b] = w[3 * at[a // 2] + a % 2, 3 * at[b // 2] + b % 2]
+    free = size - least_norm(block, none, REDUNDANT, least, null)
+    program, linear = np.zeros((free + 1, free + 1)), np.zeros(free + 1)
+    cones, sides = np.zeros((3 * count, free + 1)), np.zeros(3 * count)
+    linear[free] = -1.0
+    for c in range(count):
+        sides[3 * c] = cones[3 * c, free] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
+        for a in range(2):
+            sides[3 * c + 1 + a] = forces[3 * at[c] + a] / strongest
+            for b in range(free):
+                cones[3 * c + 1 + a, b] = -null[b, 2 * c + a]
+    x, s, z = np.empty(free + 1), np.empty(3 * count), np.empty(3 * count)
+    cone_program(program, linear, cones, sides, NO_LINES, repeated(count, CONE), 1e-12, x, s, z)
+    if x[free] > NEAR:
+        for c in range(count):
+            state.tangent[at[c]] = STUCK
+            for a in range(2):
+                force = forces[3 * at[c] + a]
+                for b in range(free):
+                    force += strongest * x[b] * null[b, 2 * c + a]
+                state.share[2 * at[c] + a] = force / forces[3 * at[c] + 2]
 
 
 @inner

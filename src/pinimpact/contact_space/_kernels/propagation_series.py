@@ -58,6 +58,7 @@ class State(NamedTuple):
         fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
             3 where friction has come there, 4 for a slip that begins with an acceleration.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
+        pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
     """
 
     v: Array
@@ -69,6 +70,7 @@ class State(NamedTuple):
     direction: Array
     fresh: Codes
     share: Array
+    pressed: Array
 
 
 class Series(NamedTuple):
@@ -221,7 +223,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
         for j in range(n):
             p = 3 * j
             mode, tangent = state.normal[j], state.tangent[j]
-            normal = 0.0
+            normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
             if loads(mode):
                 if hertz:
                     normal = system.stiffness[j] * _power(series, system.exponent, k, j, root)
