@@ -178,9 +178,12 @@ def impacts(
     v = _per_row("v", v, count, cache.v_shape)
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
-    usable = np.array(np.isfinite(q).all(axis=1))
-    if cache.curved and (cache.tree is None or held or len(np.atleast_1d(locked))):
-        usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
+    in_steps = bool(held) or len(np.atleast_1d(np.asarray(locked, dtype=object))) > 0
+    usable = np.ones(count, dtype=np.bool_)  # where nothing else is told, the kernel looks at q
+    if cache.tree is None or e is None or in_steps:
+        usable = np.array(np.isfinite(q).all(axis=1))
+        if cache.curved:
+            usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
     if contact.rim > 0.0:
         usable &= np.array([_has_lowest_point(model, data, row, contact) for row in q], dtype=np.bool_)
     if e is None:
@@ -192,7 +195,7 @@ def impacts(
         cache.warn_of_limits(q[beyond[0]], f" (row {beyond[0]}; {counted(len(beyond), 'row')} in all)")
     free_velocities(model, locked)
     rows = _Rows(model, q, v, contact, mu, e, usable, held, locked, thread_count(threads))
-    if held or len(np.atleast_1d(np.asarray(locked, dtype=object))):
+    if in_steps:
         return _in_steps(data, rows)
     codes, after, impulses, _ = _solve_by_kernel(cache, data, rows, 0)
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
