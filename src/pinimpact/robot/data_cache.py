@@ -13,7 +13,7 @@ from ..checks import finite_array
 from ..errors import InputError
 from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
-from .pinocchio_bridge import MassAndColumns, tree_of
+from .pinocchio_bridge import MassAndColumns, Tree, tree_of
 
 
 class DataCache:
@@ -24,7 +24,7 @@ class DataCache:
             "bounds",
             "columns",
             "struck",
-            "tree",
+            "_tree",
             "contacts",
             "curved",
             "data",
@@ -53,12 +53,19 @@ class DataCache:
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         self.struck: dict[int, Any] = {}
-        self.tree = tree_of(model)
+        self._tree: Tree | bool | None = False
         bridge = MassAndColumns(model, data)
         self.columns = bridge.columns
         self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
         self.joint_jacobian = self._first("joint_jacobian", bridge.joint_jacobian)
         self.forward_kinematics = self._first("forward_kinematics", pin.forwardKinematics)
+
+    @property
+    def tree(self) -> Tree | None:
+        """The numbers of the model for `tree_matrices`, or None if that does not know some of its joints."""
+        if isinstance(self._tree, bool):  # nobody has asked yet
+            self._tree = tree_of(self.model())
+        return self._tree
 
     def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         """Return a call that, when it is made first, tells where Pinocchio finds joints of another kind."""

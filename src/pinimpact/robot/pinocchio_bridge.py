@@ -30,9 +30,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.jit import compile_all
 from ..errors import ModelError
 from ._kernels import tree
-from ._kernels.robot_impact import room_for
+from ._kernels.robot_impact import robot_impact, room_for
 from ._kernels.robot_workspace import (
     FREE_FLYER,
     PLANAR,
@@ -144,7 +145,10 @@ class Tree(NamedTuple):
 
 def tree_of(model: pin.Model) -> Tree | None:
     """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints."""
-    if model.nv == 0 or not _trusted(model, _disagreement_of_tree):
+    if model.nv == 0:
+        return None
+    compile_all((robot_impact,), (evaluate_tree,))  # at once, for they are needed one after the other
+    if not _trusted(model, _disagreement_of_tree):
         return None
     with contextlib.suppress(_ElsewhereError):
         return _tree(model)
