@@ -222,6 +222,20 @@ def test_threads_share_rows_and_give_the_same_bits():
         impacts(model, data, q, v, CONTACT, threads=0)
 
 
+def test_rows_of_one_configuration_are_what_they_are_alone():
+    """The tree is evaluated anew where q differs from the row before only."""
+    model = robot("free flyer")
+    data = model.createData()
+    first, second = state(model, 1)[0], state(model, 2)[0]
+    bad = first * (1.0 + 1e-6)
+    q = np.array([first, first, second, bad, bad, second, np.full(model.nq, np.nan), second, first, first])
+    v = np.random.default_rng(0).standard_normal((10, model.nv))
+    rows = impacts(model, data, q, v, CONTACT)
+    assert rows.status[[3, 4, 6]].tolist() == 3 * [Status.INVALID_NUMBERS]
+    for k in (0, 1, 2, 5, 7, 8, 9):
+        assert np.array_equal(rows.v[k], impact(model, data, q[k], v[k], CONTACT).v)
+
+
 def test_a_joint_without_inertia_is_named_whatever_the_threads():
     model = robot("revolute")
     model.armature = np.zeros(model.nv)

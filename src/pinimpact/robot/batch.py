@@ -140,7 +140,7 @@ def impacts(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
+        data: Its data; what may change is told in `contact_matrices`.
         q: (N, nq) configurations, or (nq,) one for all rows.
         v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
         contact: The contact that collides.

@@ -202,7 +202,7 @@ def impact(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
+        data: Its data; what may change is told in `contact_matrices`.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
         contact: The contact that collides, or a list of those that are closed at this instant. Of a collision

@@ -141,19 +141,23 @@ def room_for(nv: int, bodies: int) -> int:
 
 
 @inner
-def _by_tree(work, room, q, v, mu, e, out):
-    """Resolve the impact of a robot's contact; as `resolve`, or `NOT_NORMALIZED`."""
+def _by_tree(work, room, evaluated, q, v, mu, e, out):
+    """Resolve the impact of a robot's contact; as `resolve`, or `NOT_NORMALIZED`.
+
+    Where the tree is `evaluated`, at this q by the call before, room has it still.
+    """
     nv, n = work.nv, work.bodies
     first = BODY * (n + 2)
     second = first + 6 * nv
     third = second + nv * nv
     bodies = room[:first].reshape((n + 2, BODY))
     columns, mass = room[first:second].reshape((nv, 6)).T, room[second:third].reshape((nv, nv))
-    if not tree_matrices(work, q, bodies, columns, mass):
-        return NOT_NORMALIZED, 0, 0, 0
     frame, carrier = bodies[n, :12], bodies[n + 1, :12]
-    placed(bodies[work.frame_joint], work.frame, frame)
-    placed(bodies[work.carrier_joint], work.carrier, carrier)
+    if not evaluated:
+        if not tree_matrices(work, q, bodies, columns, mass):
+            return NOT_NORMALIZED, 0, 0, 0
+        placed(bodies[work.frame_joint], work.frame, frame)
+        placed(bodies[work.carrier_joint], work.carrier, carrier)
     return resolve(
         *(mass, work.velocity_parent, frame, carrier, columns, work.signs, work.constants, work.bounds),
         *(q, v, mu, e, work.law, room[third:], out),
@@ -175,7 +179,7 @@ def robot_impact(work, q, v, e, out):
     Returns:
         as `resolve`; or `NOT_NORMALIZED`.
     """
-    return _by_tree(work, work.scratch, q, v, work.friction, e, out)
+    return _by_tree(work, work.scratch, False, q, v, work.friction, e, out)
 
 
 @inner
@@ -220,13 +224,20 @@ def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
         `ALL_DONE`, or the velocity at which the factorization of M stops.
     """
     room, out = np.empty(work.room), np.empty(v.shape[1] + SIZE)
+    last = -1
     for row in range(len(v)):
         if not usable[row]:
             continue
-        status, flags, _, _ = _by_tree(work, room, q[row], v[row], mu[row], e[row], out)
+        evaluated = last >= 0
+        for i in range(q.shape[1]):
+            if evaluated and q[row, i] != q[last, i]:
+                evaluated = False
+        status, flags, _, _ = _by_tree(work, room, evaluated, q[row], v[row], mu[row], e[row], out)
         if status == SINGULAR_MASS:
             return flags
+        last = -1
         if status != NOT_NORMALIZED:
+            last = row
             _keep(row, status, flags, out, after, impulses, codes, numbers)
     return ALL_DONE
 
