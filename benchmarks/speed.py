@@ -13,6 +13,7 @@ import pinimpact
 
 COUNT = 100_000
 STATES = 16
+ROWS = 20_000
 ROBOTS = {"panda": "panda_hand_tcp", "ur5": "tool0", "talos": "gripper_left_fingertip_1_link"}
 
 
@@ -61,9 +62,37 @@ def robots() -> list[dict]:
         mean = {side: float(np.mean([t[side] for t in times])) for side in times[0]}
         slowest = max(times, key=lambda t: t["impact"])
         against = "computeFrameJacobian + impulseDynamics"
-        rows.append(row(f"impact, {name}, mean", mean["impact"], 2.5, against, mean["pinocchio"]))
-        rows.append(row(f"impact, {name}, slowest", slowest["impact"], None, against, slowest["pinocchio"]))
+        rows.append(row(f"impact, {name}, mean", mean["impact"], 2.0, against, mean["pinocchio"]))
+        rows.append(row(f"impact, {name}, slowest", slowest["impact"], 3.0, against, slowest["pinocchio"]))
     return rows
+
+
+def rows() -> list[dict]:
+    """`impacts` for random states of the Panda that approach, by one thread and by two."""
+    model = pinimpact.load_robot("panda").model
+    data = model.createData()
+    contact = pinimpact.Contact(ROBOTS["panda"], pinimpact.Plane(), friction=0.4, restitution=0.5)
+    rng = np.random.default_rng(0)
+    neutral = pin.neutral(model)
+    q = np.array([pin.integrate(model, neutral, 0.3 * rng.standard_normal(model.nv)) for _ in range(ROWS)])
+    v = rng.standard_normal((ROWS, model.nv))
+    away = pinimpact.impacts(model, data, q, v, contact).status == pinimpact.Status.NO_IMPACT
+    v[away] *= -1.0
+    first = q[0]
+    times = best_of(
+        {
+            "one": lambda: pinimpact.impacts(model, data, q, v, contact),
+            "two": lambda: pinimpact.impacts(model, data, q, v, contact, threads=2),
+            "crba": lambda: pin.crba(model, data, first),
+        },
+        rounds=30,
+    )
+    one, two = times["one"] / ROWS, times["two"] / ROWS
+    return [
+        row("impacts, panda, per row", one, 1 / 150_000),
+        row("impacts, panda, per row", one, None, "crba(panda)", times["crba"]),
+        row("impacts, panda, two threads", two, 1 / 1.8, "one thread", one),
+    ]
 
 
 def shortcuts() -> list[dict]:
@@ -93,4 +122,4 @@ def shortcuts() -> list[dict]:
 
 
 if __name__ == "__main__":
-    publish("speed", batch() + robots() + shortcuts())
+    publish("speed", batch() + robots() + rows() + shortcuts())

@@ -213,9 +213,8 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
     delassus = J @ np.linalg.solve(mass, J.transpose(0, 2, 1))
     values = np.linalg.eigvalsh(delassus)
     counted = np.where(values > 1e-13 * values[:, 2:], values, np.inf).min(axis=1)
-    noise = np.maximum(
-        NOISE, 64 * EPS * np.sqrt(values[:, 2] / counted)
-    )  # directions of W are known to so much
+    spread = np.sqrt(values[:, 2] / counted)
+    noise = np.maximum(NOISE, 64 * EPS * spread)  # the directions of W are known to so much
     # what a large impulse changes is known to rounding of the parts that cancel
     rounding = NOISE * size * np.sqrt(values[:, 2]) * np.sqrt(np.linalg.norm(mass, axis=(1, 2)))
     energy = np.einsum("ni,nij,nj->n", group.v, mass, group.v)
@@ -225,7 +224,7 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
         "outside the cone": sideways > group.friction * along + NOISE * size,
         "momentum": balance > NOISE * (size + speeds),
         "energy grows": ((law == "energetic") | (group.restitution == 0))
-        & (gained > NOISE * energy + rounding * np.sqrt(energy)),
+        & (gained > noise * spread * energy + rounding * np.sqrt(energy)),
     }
     if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:
         axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of its joints: nothing moves along it

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._numeric.threads import in_threads, thread_count
 from ..errors import InputError
 from ..status import Status
 from .inputs import FACTOR, Array
@@ -50,14 +49,7 @@ class BatchSolution:
             given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows], factors[rows]
             solve_rows(*given, *(part[rows] for part in result))
 
-        share = -(-count // self._threads)
-        shares = [slice(start, start + share) for start in range(0, count, share)] if share else []
-        if len(shares) <= 1:
-            solve(slice(None))
-        else:
-            solve(slice(0, 0))  # compiled before the threads start
-            with ThreadPoolExecutor(self._threads) as pool:
-                list(pool.map(solve, shares))
+        in_threads(solve, count, self._threads)
         return result
 
     @cached_property
@@ -142,7 +134,7 @@ def solve_impacts(
         coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients
     none = np.empty((0, FACTOR))
-    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales, none), _thread_count(threads))
+    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales, none), thread_count(threads))
 
 
 def solve_factored(
@@ -159,11 +151,3 @@ def _numbers(field: str, value: ArrayLike) -> Array:
         return np.asarray(value, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         raise InputError(f"{field}: {value!r} is not an array of numbers", field=field, value=value) from None
-
-
-def _thread_count(threads: Any) -> int:
-    if not isinstance(threads, (int, np.integer)) or threads < 1:
-        raise InputError(
-            f"threads: {threads!r} given, a whole number from 1 expected", field="threads", value=threads
-        )
-    return int(threads)

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from .._numeric.threads import in_threads, thread_count
 from ..checks import float_array
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
@@ -25,12 +26,12 @@ from .data_cache import DataCache, data_cache
 from .held import HELD_TOLERANCE, HeldContactWarning
 from .matrices import contact_matrices
 from .names import counted, free_velocities, model_of, singular_mass
-from .pinocchio_bridge import MassAndFrames, call_addresses
+from .pinocchio_bridge import call_addresses
 from .robot_impact import Hit, impact, restitution_of_approach
+from .struck import strike
 from .touching import check_rims
 
 Array = NDArray[np.float64]
-_WORLD = pin.Convention.WORLD
 _INVALID = int(Status.INVALID_NUMBERS)
 
 
@@ -48,7 +49,9 @@ class _Rows:
         usable: NDArray[np.bool_],
         held: tuple[Contact, ...],
         locked: Sequence[str | int],
+        threads: int,
     ) -> None:
+        self.threads = threads
         self.model, self.q, self.v, self.contact = model, q, v, contact
         self.mu, self.e, self.usable, self.held, self.locked = mu, e, usable, held, locked
 
@@ -111,9 +114,8 @@ class Hits:
     def _contact_space(self) -> tuple[BatchSolution, Array]:
         """The rows solved in contact space, and the velocities (N, 3) of the surfaces."""
         asked, model = self._rows, self._rows.model
-        numbers = np.full((len(self), kernel.SIZE), np.nan)
-        _solve_by_kernel(data_cache(model, data := model.createData()), data, asked, numbers)
-        return _solve(asked, numbers)
+        data = model.createData()
+        return _solve(asked, _solve_by_kernel(data_cache(model, data), data, asked, len(self))[3])
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_data": None}
@@ -132,12 +134,13 @@ def impacts(
     restitution: ArrayLike | None = None,
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
+    threads: int = 1,
 ) -> Hits:
     """Resolve one contact's impact from many states, and with many coefficients.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
+        data: Its data; what may change is told in `contact_matrices`.
         q: (N, nq) configurations, or (nq,) one for all rows.
         v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
         contact: The contact that collides.
@@ -145,6 +148,9 @@ def impacts(
         restitution: Scalar or (N,) to take instead of the contact's.
         held: Contacts that hold during the impact, as in `impact`. A row in which one moves has bad numbers.
         locked: Joints, by name or id, whose velocity the impact does not change.
+        threads: How many threads share the rows; one does all where something is held or locked, and with
+            joints of kinds that only Pinocchio knows, such as mimic joints. The answers are the same to the
+            bit, whatever their number.
 
     Returns:
         Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
@@ -172,9 +178,12 @@ def impacts(
     v = _per_row("v", v, count, cache.v_shape)
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
-    usable = np.array(np.isfinite(q).all(axis=1))
-    if cache.curved:
-        usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
+    in_steps = bool(held) or len(np.atleast_1d(np.asarray(locked, dtype=object))) > 0
+    usable = np.ones(count, dtype=np.bool_)  # where nothing else is told, the kernel looks at q
+    if cache.tree is None or e is None or in_steps:
+        usable = np.array(np.isfinite(q).all(axis=1))
+        if cache.curved:
+            usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
     if contact.rim > 0.0:
         usable &= np.array([_has_lowest_point(model, data, row, contact) for row in q], dtype=np.bool_)
     if e is None:
@@ -185,10 +194,10 @@ def impacts(
     if len(beyond):
         cache.warn_of_limits(q[beyond[0]], f" (row {beyond[0]}; {counted(len(beyond), 'row')} in all)")
     free_velocities(model, locked)
-    rows = _Rows(model, q, v, contact, mu, e, usable, held, locked)
-    if held or len(np.atleast_1d(np.asarray(locked, dtype=object))):
+    rows = _Rows(model, q, v, contact, mu, e, usable, held, locked, thread_count(threads))
+    if in_steps:
         return _in_steps(data, rows)
-    codes, after, impulses = _solve_by_kernel(cache, data, rows, np.empty((0, kernel.SIZE)))
+    codes, after, impulses, _ = _solve_by_kernel(cache, data, rows, 0)
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
 
 
@@ -202,26 +211,38 @@ def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Conta
 
 
 def _solve_by_kernel(
-    cache: DataCache, data: pin.Data, rows: _Rows, numbers: Array
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return status and flags (N, 2), v⁺ and impulses; `numbers` takes what `robot_impact` has beyond v⁺."""
+    cache: DataCache, data: pin.Data, rows: _Rows, wanted: int
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return status and flags (N, 2), v⁺, impulses, and of `wanted` rows what `resolve` has beyond v⁺."""
     model, contact, count = rows.model, rows.contact, len(rows.q)
     after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
-    frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
-    cache.mass_matrix(model, data, pin.neutral(model), _WORLD)  # says what is wrong with model or data
-    parts = MassAndFrames(model, data, frame, carrier)
-    codes = np.empty((count, 2), dtype=np.int64)
+    numbers, codes = np.full((wanted, kernel.SIZE), np.nan), np.empty((count, 2), dtype=np.int64)
     codes[:] = _INVALID, 0
-    stopped = kernel.robot_impacts(
-        *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
-        *(parts.frame, parts.carrier, parts.columns, signs, contact.constants, cache.bounds),
-        *(rows.q, rows.v, rows.usable, rows.mu, rows.e, contact.law_code, after, impulses, codes, numbers),
-    )
+    struck = strike(cache, model, data, contact)
+    given = rows.q, rows.v, rows.usable, rows.mu, rows.e
+    results = after, impulses, codes, numbers
+    if struck.work is not None:
+        work = struck.work
+
+        def solve(part: slice) -> int:
+            stopped: int = kernel.robot_impacts(work, *(x[part] for x in given), *(x[part] for x in results))
+            return stopped
+
+        each = in_threads(solve, count, rows.threads)
+        stopped = next((one for one in each if one != kernel.ALL_DONE), kernel.ALL_DONE)
+    else:
+        parts = struck.parts
+        assert parts is not None
+        stopped = kernel.impacts_by_calls(
+            *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
+            *(parts.frame, parts.carrier, parts.columns, struck.signs, struck.constants, cache.bounds),
+            *(rows.q, rows.v, rows.usable, rows.mu, rows.e, contact.law_code, struck.room, *results),
+        )
     if stopped == kernel.CALL_RAISED:
         raise_kept_error()
     if stopped >= 0:
         raise singular_mass(model, stopped)
-    return codes, after, impulses
+    return codes, after, impulses, numbers
 
 
 def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:

@@ -13,7 +13,7 @@ from ..checks import finite_array
 from ..errors import InputError
 from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
-from .pinocchio_bridge import MassAndColumns
+from .pinocchio_bridge import MassAndColumns, Tree, tree_of
 
 
 class DataCache:
@@ -23,6 +23,8 @@ class DataCache:
         *(
             "bounds",
             "columns",
+            "struck",
+            "_tree",
             "contacts",
             "curved",
             "data",
@@ -30,7 +32,7 @@ class DataCache:
             "frames",
             "joint_jacobian",
         ),
-        *("mass_matrix", "model", "nframes", "nv", "parents", "q_shape", "v_shape"),
+        *("frames_seen", "mass_matrix", "model", "nframes", "njoints", "nv", "parents", "q_shape", "v_shape"),
     )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
@@ -38,7 +40,8 @@ class DataCache:
         _check_data(tree, model, data)
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(_caches, id(data)))
-        self.nframes = model.nframes
+        self.nframes = self.frames_seen = model.nframes
+        self.njoints = model.njoints
         self.nv = model.nv
         self.q_shape = (model.nq,)
         self.v_shape = (model.nv,)
@@ -49,11 +52,20 @@ class DataCache:
             self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
+        self.struck: dict[int, Any] = {}
+        self._tree: Tree | bool | None = False
         bridge = MassAndColumns(model, data)
         self.columns = bridge.columns
         self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
         self.joint_jacobian = self._first("joint_jacobian", bridge.joint_jacobian)
         self.forward_kinematics = self._first("forward_kinematics", pin.forwardKinematics)
+
+    @property
+    def tree(self) -> Tree | None:
+        """The numbers of the model for `tree_matrices`, or None if that does not know some of its joints."""
+        if isinstance(self._tree, bool):  # nobody has asked yet
+            self._tree = tree_of(self.model())
+        return self._tree
 
     def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         """Return a call that, when it is made first, tells where Pinocchio finds joints of another kind."""
@@ -83,7 +95,7 @@ class DataCache:
 
     def ignore_limits(self) -> None:
         """Warn of no configuration beyond joint limits."""
-        self.bounds = np.outer([-np.inf, np.inf], np.ones(self.q_shape))
+        self.bounds[:] = [[-np.inf], [np.inf]]  # in place, where kernels read them
 
     def frame(self, key: str | int, field: str = "frame") -> int:
         """Return the id of a frame given by name or id; see `frame_id`."""
@@ -225,9 +237,14 @@ def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndar
     """
     q = finite_array("q", q, cache.q_shape)
     if cache.curved and not pin.isNormalized(model, q, 1e-8):
-        raise InputError(
-            "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)",
-            field="q",
-            value=q,
-        )
+        raise not_normalized(q)
     return q
+
+
+def not_normalized(q: np.ndarray) -> InputError:
+    """Return the error for a configuration in which a quaternion is not of unit length."""
+    return InputError(
+        "q: a quaternion or (cos, sin) pair is not of unit length; use pinocchio.normalize(model, q)",
+        field="q",
+        value=q,
+    )

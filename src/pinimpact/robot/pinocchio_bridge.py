@@ -7,7 +7,9 @@ results in place and take several of them from one call. That presumes:
   and ``data.oa_gf``, and `computeMinverse` without a configuration goes on from there;
 - a result stays at one address as long as its Data live, and the placements and motions of the joints stand
   one after another in memory;
-- a Python object is called by its address and that of its tuple of arguments.
+- a Python object is called by its address and that of its tuple of arguments;
+- placements and inertias of a model's joints stand one after another in memory, and what its joints do is
+  told by their names and axes.
 
 None of it is promised. Once for each model it is compared with what documented calls give on Data of their
 own; addresses are compared for each Data before anything is read by them. Where anything disagrees, as it
@@ -28,8 +30,21 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.jit import compile_all
 from ..errors import ModelError
 from ._kernels import tree
+from ._kernels.robot_impact import robot_impact, room_for
+from ._kernels.robot_workspace import (
+    FREE_FLYER,
+    PLANAR,
+    PRISMATIC,
+    REVOLUTE,
+    SPHERICAL,
+    TRANSLATION,
+    UNBOUNDED,
+    RobotWorkspace,
+)
+from ._kernels.tree_matrices import BODY, evaluate_tree
 from .names import singular_mass
 
 Array = NDArray[np.float64]
@@ -104,6 +119,184 @@ class MassAndColumns:
             self.columns[:] = jacobian.reshape(6, -1)
 
 
+_ALONG = np.eye(3)
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+_ONE_AXIS = {"R": REVOLUTE, "RUB": UNBOUNDED, "P": PRISMATIC}
+_UNALIGNED = {
+    "RevoluteUnaligned": REVOLUTE,
+    "RevoluteUnboundedUnaligned": UNBOUNDED,
+    "PrismaticUnaligned": PRISMATIC,
+}
+_MANY_AXES = {  # kind, and of each velocity whether it is a rotation, and its axis
+    "FreeFlyer": (FREE_FLYER, (0, 0, 0, 1, 1, 1), (0, 1, 2, 0, 1, 2)),
+    "Spherical": (SPHERICAL, (1, 1, 1), (0, 1, 2)),
+    "Translation": (TRANSLATION, (0, 0, 0), (0, 1, 2)),
+    "Planar": (PLANAR, (0, 0, 1), (0, 1, 2)),
+}
+
+
+class Tree(NamedTuple):
+    """The numbers of a kinematic tree as `RobotWorkspace` has them: sizes, arrays in place, copies."""
+
+    sizes: dict[str, int]
+    given: dict[str, Array]
+    copied: dict[str, NDArray[Any]]
+
+
+def tree_of(model: pin.Model) -> Tree | None:
+    """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints."""
+    if model.nv == 0:
+        return None
+    compile_all((robot_impact,), (evaluate_tree,))  # at once, for they are needed one after the other
+    if not _trusted(model, _disagreement_of_tree):
+        return None
+    with contextlib.suppress(_ElsewhereError):
+        return _tree(model)
+    return None
+
+
+def _tree(model: pin.Model) -> Tree | None:
+    joints, nv = model.njoints, model.nv
+    kinds, axes = np.zeros((2, joints), dtype=np.int64)
+    turns, joint_of, along = np.zeros(nv, dtype=np.int64), np.zeros(nv, dtype=np.int64), np.zeros((nv, 3))
+    for j, joint in enumerate(model.createData().joints):
+        name = joint.shortname().removeprefix("JointData").removesuffix("Tpl")
+        first = model.idx_vs[j]
+        rows = slice(first, first + model.nvs[j])
+        axes[j] = -1
+        if name in _MANY_AXES:
+            kinds[j], turns[rows], places = _MANY_AXES[name]
+            along[rows] = _ALONG[list(places)]
+        elif name in _UNALIGNED or name[:-1] in _ONE_AXIS:
+            kinds[j] = _UNALIGNED[name] if name in _UNALIGNED else _ONE_AXIS[name[:-1]]
+            axes[j] = _AXES.get(name[-1], -1) if name not in _UNALIGNED else -1
+            turns[rows] = kinds[j] != PRISMATIC
+            along[rows] = joint.S.ravel()[3:] if kinds[j] != PRISMATIC else joint.S.ravel()[:3]
+        elif j > 0:
+            return None
+        joint_of[rows] = j
+    if len(joint_of) != sum(model.nvs[j] for j in range(1, joints)):
+        return None
+    given = {
+        "joint_placements": _rows(model.jointPlacements, model.jointPlacements, "jointPlacements"),
+        "inertias": _inertias(model),
+        "armature": _in_place(model.armature, model.armature, "armature"),
+    }
+    copied = {
+        "joint_kind": kinds,
+        "joint_parent": np.array(list(model.parents), dtype=np.int64),
+        "joint_q": np.array([max(x, 0) for x in model.idx_qs], dtype=np.int64),
+        "joint_v": np.array([max(x, 0) for x in model.idx_vs], dtype=np.int64),
+        "joint_axis": axes,
+        "velocity_joint": joint_of,
+        "velocity_turns": turns,
+        "velocity_axis": along,
+    }
+    sizes = {"nq": model.nq, "nv": nv, "bodies": joints, "room": room_for(nv, joints)}
+    return Tree(sizes, given, copied)
+
+
+def _inertias(model: pin.Model) -> Array:
+    """Return (nj, 10) mass, centre and inertia of a model's joints in place."""
+    count = model.njoints
+    start = model.inertias[0].lever.__array_interface__["data"][0] - 8
+    for k in (0, min(1, count - 1), count - 1):
+        levers = model.inertias[k].lever, model.inertias[k].lever
+        if any(lever.__array_interface__["data"][0] != start + 80 * k + 8 for lever in levers):
+            raise _ElsewhereError("model.inertias")
+    return _at(start, 10 * count).reshape(count, 10)
+
+
+def _in_place(array: Array, again: Array, name: str) -> Array:
+    """Return what a property gives a view of, if both times it is the same memory."""
+    start = array.__array_interface__["data"][0]
+    if again.__array_interface__["data"][0] != start or not _by_row(array):
+        raise _ElsewhereError(name)
+    return _at(start, array.size)
+
+
+def placement_of_frame(model: pin.Model, frame: int) -> Array:
+    """Return (12,) the placement of a frame on its joint, in place.
+
+    Raises:
+        _ElsewhereError: It does not stand as kernels read it.
+    """
+    return _rows([model.frames[frame].placement], [model.frames[frame].placement], "frames")[0]
+
+
+def _disagreement_of_tree(model: pin.Model) -> str | None:
+    """Return what `tree_matrices` finds otherwise than Pinocchio, or None."""
+    model, q, _, _ = _probe(model)
+    model.armature = np.linspace(0.1, 0.2, model.nv)
+    try:
+        tree = _tree(model)
+    except _ElsewhereError as place:
+        return f"the place of {place} in memory"
+    if tree is None:
+        return None
+    data = model.createData()
+    parents = np.array(data.parents_fromRow, dtype=np.int64)
+    work = workspace_of(tree, 0, 0, model, np.zeros((2, model.nq)), parents, np.zeros(model.nv))
+    bodies, columns, mass = (
+        np.zeros((model.njoints, BODY)),
+        np.zeros((model.nv, 6)).T,
+        np.zeros((model.nv,) * 2),
+    )
+    evaluate_tree(work, q, bodies, columns, mass)
+    pin.forwardKinematics(model, data, q)
+    origin = data.oMi[1].translation
+    expected = np.array([[*x.rotation.T.ravel(), *(x.translation - origin)] for x in data.oMi])
+    if not _agree(bodies[:, :12], expected):
+        return "the placements of joints"
+    jacobian = _columns(model, q)
+    jacobian[:3] += np.cross(jacobian[3:], origin, axis=0)
+    if not _agree(columns, jacobian):
+        return "the joint Jacobian"
+    expected = np.tril(pin.crba(model, data, q))
+    for i in range(model.nv):
+        above, k = [], i
+        while k >= 0:
+            above.append(k)
+            k = parents[k]
+        expected[i, [j for j in range(model.nv) if j not in above]] = 0.0
+    return None if _agree(mass, expected) else "the mass matrix"
+
+
+def workspace_of(
+    tree: Tree,
+    frame: int,
+    carrier: int,
+    model: pin.Model,
+    bounds: Array,
+    parents: NDArray[np.int64],
+    signs: Array,
+) -> RobotWorkspace:
+    """Return the workspace of a contact, but for the contact's own numbers.
+
+    Args:
+        tree: The numbers of the model.
+        frame: Id of the contact's frame.
+        carrier: Id of the frame that carries the surface, 0 for the world.
+        model: Pinocchio model.
+        bounds: (2, nq) of the coordinates.
+        parents: (nv,) the next velocity on the way to the root, or −1.
+        signs: (nv,) see `contact_kinematics.fill_jacobian`.
+    """
+    arrays = tree.given | {
+        "frame": placement_of_frame(model, frame),
+        "carrier": placement_of_frame(model, carrier),
+        "velocity_parent": parents,
+        "bounds": bounds,
+        "signs": signs,
+    }
+    work = RobotWorkspace(tree.sizes, arrays)
+    for name, values in tree.copied.items():
+        work.whole(RobotWorkspace.fields[name])[...] = values  # type: ignore[arg-type]
+    work.frame_joint = model.frames[frame].parentJoint
+    work.carrier_joint = model.frames[carrier].parentJoint
+    return work
+
+
 class MassAndFrames:
     """The mass matrix and the Jacobian of a contact for kernels: calls read a buffer and leave arrays.
 
@@ -116,7 +309,7 @@ class MassAndFrames:
     Attributes:
         q: (nq,) buffer that the calls read.
         calls: To be made in turn; the arrays are then those of q.
-        mass: (nv, nv) M.
+        mass: (nv, nv) M, row by row, for it is symmetric.
         frame, carrier: (12,) placements: rotation column by column, translation.
         columns: (6, nv) as in `MassAndColumns`, or what `contact_columns` returns.
     """
@@ -129,7 +322,7 @@ class MassAndFrames:
             with contextlib.suppress(_ElsewhereError):
                 self._read_in_place()
                 return
-        self.mass = np.zeros((model.nv, model.nv), order="F")
+        self.mass = np.zeros((model.nv, model.nv))
         self.frame, self.carrier = np.zeros((2, 12))
         self.columns = np.zeros((6, model.nv), order="F")
         self.calls = [Call(self._copy, ())]
@@ -137,7 +330,7 @@ class MassAndFrames:
     def _read_in_place(self) -> None:
         model, data, *frames = self._arguments
         self.frame, self.carrier = (_rows([data.oMf[k]], [data.oMf[k]], "oMf")[0] for k in frames)
-        self.mass = data.M.reshape(model.nv, model.nv, order="F")
+        self.mass = data.M.reshape(model.nv, model.nv, order="F").T
         self.columns = data.J.reshape(6, model.nv, order="F")
         self.calls = [Call(pin.crba, (model, data, self.q, _WORLD))]
         self.calls += [Call(pin.updateFramePlacement, (model, data, k)) for k in frames if k > 0]

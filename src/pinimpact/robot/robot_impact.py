@@ -20,12 +20,13 @@ from ..html_tables import html_table
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
-from .data_cache import checked_configuration, data_cache
+from .data_cache import DataCache, _caches, checked_configuration, data_cache, not_normalized
 from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
-from .matrices import contact_geometry, contact_matrices, kinematics
+from .matrices import contact_geometry, contact_matrices
 from .names import model_of, singular_mass
 from .shape_pair import is_pair, touching_points
+from .struck import Struck, strike
 from .touching import check_rims, touching_tips
 
 LOCKED = int(Status.LOCKED)
@@ -35,8 +36,6 @@ Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model
-_WORLD = pin.Convention.WORLD
-_is_normalized = pin.isNormalized
 _contiguous = np.ascontiguousarray
 _empty = np.empty
 _robot_impact = kernel.robot_impact
@@ -67,7 +66,7 @@ class Hit:
         self,
         numbers: Array,
         nv: int,
-        ended: tuple[int, int, int],
+        ended: tuple[int, ...],
         contact: Contact,
         restitution: float,
         solution: Solution | None = None,
@@ -122,7 +121,7 @@ class Hit:
         """The solution in contact axes: velocity, impulse, segments, work, status, flags."""
         if self._solution is None:
             inputs = self._inputs()
-            numbers = (*self._ended, *self._part(kernel.AFTER, 7).tolist())
+            numbers = (*self._ended[:3], *self._part(kernel.AFTER, 7).tolist())
             surface = self._part(kernel.SURFACE, 3)
             self._solution = Solution(numbers, inputs, surface_velocity=surface)
         return self._solution
@@ -203,7 +202,7 @@ def impact(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
+        data: Its data; what may change is told in `contact_matrices`.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
         contact: The contact that collides, or a list of those that are closed at this instant. Of a collision
@@ -234,7 +233,9 @@ def impact(
     robot = model
     if type(model) is not _Model:
         model = model_of(model)
-    cache = data_cache(model, data)
+    cache = _caches.get(id(data))
+    if cache is None or cache.model() is not model:
+        cache = data_cache(model, data)
     if type(contact) is not Contact:
         if isinstance(contact, Sequence) and not isinstance(contact, str):
             return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
@@ -256,36 +257,50 @@ def impact(
         fit = False
     if not fit:  # say what is wrong
         q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
-    if cache.curved and not _is_normalized(model, q_now, 1e-8):
-        checked_configuration(cache, model, q_now)
     restitution = contact.restitution
     if callable(restitution):
         restitution = restitution_of_approach(model, data, q_now, v_now, contact)
     nv = cache.nv
     numbers = _empty(nv + SIZE)
-    ended = _robot_impact(
-        cache.mass_matrix(model, data, q_now, _WORLD),
-        cache.parents,
-        *kinematics(model, data, q_now, cache, contact),
-        contact.constants,
-        cache.bounds,
-        q_now,
-        v_now,
-        contact.friction,
-        restitution,
-        contact.law_code,
-        numbers,
-    )
+    struck = cache.struck.get(id(contact))
+    if struck is None or model.nframes != cache.frames_seen or model.njoints != cache.njoints:
+        struck = strike(cache, model, data, contact)
+    work = struck.work
+    if work is not None:
+        ended = _robot_impact(work, q_now, v_now, restitution, numbers)
+    else:
+        ended = _impact_by_calls(model, cache, struck, q_now, v_now, restitution, numbers)
     hit = Hit(numbers, nv, ended, contact, restitution)
     if not 0 <= ended[0] <= LOCKED:
         if ended[0] == kernel.SINGULAR_MASS:
             raise singular_mass(model, ended[1])
         finite_array("q", q, cache.q_shape)
         finite_array("v", v, cache.v_shape)
+        if ended[0] == kernel.NOT_NORMALIZED:
+            raise not_normalized(q_now)
         solve_inputs(hit._inputs())
-    if numbers[-1] > 0.0:
+    if ended[3]:
         cache.warn_of_limits(q_now)
     return hit
+
+
+def _impact_by_calls(
+    model: pin.Model, cache: DataCache, struck: Struck, q: Array, v: Array, e: float, numbers: Array
+) -> tuple[int, ...]:
+    """Do what `robot_impact` does, for joints that its kernels do not know."""
+    parts, contact = struck.parts, struck.contact
+    assert parts is not None
+    if not np.isfinite(q).all() or (cache.curved and not pin.isNormalized(model, q, 1e-8)):
+        checked_configuration(cache, model, q)
+    parts.q[:] = q
+    for call in parts.calls:
+        call.function(*call.arguments)
+    ended: tuple[int, ...] = kernel.resolve(
+        *(parts.mass, cache.parents, parts.frame, parts.carrier, parts.columns, struck.signs),
+        *(struck.constants, cache.bounds, q, v, contact.friction, e, contact.law_code),
+        *(struck.room, numbers),
+    )
+    return ended
 
 
 def restitution_of_approach(model: pin.Model, data: pin.Data, q: Array, v: Array, contact: Contact) -> float:
@@ -336,7 +351,6 @@ def _impact_in_steps(
             solution.impulse,
             [solution.compression_impulse, scale],
             contact_inputs(problem)[13] if matrices.factor is not None else np.zeros(FACTOR),
-            [0.0],
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)

@@ -202,6 +202,27 @@ def locate(frame, carrier, constants):
     return at_contact(pose(frame), pose(carrier), constants)
 
 
+@inner
+def contact_rows(R, S, columns, signs, constants, out):
+    """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
+
+    Returns:
+        t₁, t₂, n (9), what the surface does beyond its carrier (3), in contact axes, and the point (3).
+    """
+    _, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
+    a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
+    fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
+    o1, o2, o3 = place(S, constants, POINT)
+    w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
+    return (
+        *(a1, a2, a3, b1, b2, b3, n1, n2, n3),
+        a1 * w1 + a2 * w2 + a3 * w3,
+        b1 * w1 + b2 * w2 + b3 * w3,
+        n1 * w1 + n2 * w2 + n3 * w3,
+        *(p1, p2, p3),
+    )
+
+
 @ahead(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, FLOAT_ROWS)
 @jit
 def jacobian(frame, carrier, columns, signs, constants, out):
@@ -218,15 +239,4 @@ def jacobian(frame, carrier, columns, signs, constants, out):
     Returns:
         t₁, t₂, n (9) in world axes, and what the surface does beyond its carrier (3), in contact axes.
     """
-    S = pose(carrier)
-    _, n1, n2, n3, p1, p2, p3 = at_contact(pose(frame), S, constants)
-    a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
-    fill_jacobian(columns, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
-    o1, o2, o3 = place(S, constants, POINT)
-    w1, w2, w3, _, _, _ = material_velocity(S, constants, p1 - o1, p2 - o2, p3 - o3)
-    return (
-        *(a1, a2, a3, b1, b2, b3, n1, n2, n3),
-        a1 * w1 + a2 * w2 + a3 * w3,
-        b1 * w1 + b2 * w2 + b3 * w3,
-        n1 * w1 + n2 * w2 + n3 * w3,
-    )
+    return contact_rows(pose(frame), pose(carrier), columns, signs, constants, out)[:12]

@@ -1,30 +1,39 @@
-"""The whole impact of a robot in one call: mass matrix and Jacobians in, post-impact velocity out."""
+"""The whole impact of a robot in one call: configuration and velocity in, post-impact velocity out.
+
+Mass matrix, Jacobian and placements come from the numbers of the model, `tree_matrices`, or, for joints that
+that does not know, from Pinocchio.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, READONLY, ahead
-from ..._numeric.jit import inner, jit
+from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
+from ..._numeric.jit import inner, jit, released
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
 from ...contact_space._kernels.path import SCRATCH, solve_into
 from ...contact_space.inputs import FACTOR
-from .contact_kinematics import jacobian, locate
+from .contact_kinematics import contact_rows
 from .delassus_factor import delassus_factor
 from .python_calls import call
+from .robot_workspace import RobotWorkspace
 from .tree import factor, solve, solve_transposed
+from .tree_matrices import BODY, placed, tree_matrices
 
-DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SINGULAR, BEYOND, SIZE = 0, 6, 9, 12, 21, 28, 29, 36, 37
+DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SINGULAR, SIZE = 0, 6, 9, 12, 21, 28, 29, 36
 """Where `robot_impact` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
-velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, the factor of a W that is
-ill-conditioned (else 0), and how many coordinates are beyond their bounds."""
+velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, and the factor of a W that
+is ill-conditioned (else 0)."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
 
+NOT_NORMALIZED = -2
+"""Status: a quaternion or a (cos, sin) pair is not of unit length."""
+
 CALL_RAISED, ALL_DONE = -2, -1
-"""Where `robot_impacts` came to no velocity at which M is singular."""
+"""Where a batch came to no velocity at which M is singular."""
 
 
 @inner
@@ -45,73 +54,53 @@ def dot(x, y):
     return total
 
 
+def room_to_resolve(nv: int) -> int:
+    """Return how many numbers `resolve` needs room for; for Python."""
+    return (nv + 4) * nv + SCRATCH
+
+
 @ahead(
-    FLOAT_ROWS,
-    INTEGERS,
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOAT_COLUMNS,
-    FLOATS,
-    READONLY,
-    FLOAT_ROWS,
-    FLOATS,
-    FLOATS,
-    float,
-    float,
-    int,
-    FLOATS,
+    *(FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS),
+    *(float, float, int, FLOATS, FLOATS),
 )
 @jit
-def robot_impact(
-    mass,
-    parents,
-    frame,
-    carrier,
-    columns,
-    signs,
-    constants,
-    bounds,
-    q,
-    v,
-    mu,
-    e,
-    law,
-    out,
-):
+def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q, v, mu, e, law, room, out):
     """Resolve the impact of one contact.
 
     Args:
         mass: (nv, nv) M.
         parents: (nv,) the next velocity on the way to the root, or −1.
-        frame: This and the next four as in `contact_kinematics.jacobian`.
-        carrier: See there.
-        columns: See there.
-        signs: See there.
-        constants: See there.
-        bounds: (2, nq) the least and the greatest value of each coordinate, see `BEYOND`.
+        frame: (12,) placement of the contact's frame.
+        carrier: (12,) placement of the frame that carries the surface, or of the world.
+        columns: (6, nv) as in `contact_kinematics.fill_jacobian`, seen from where the placements are.
+        signs: (nv,) see there.
+        constants: Of the contact, in these frames' axes.
+        bounds: (2, nq) the least and the greatest value of each coordinate.
         q: (nq,), only looked through for numbers that are not finite, or beyond these.
         v: (nv,) pre-impact velocity.
         mu: Friction.
         e: Restitution.
         law: Code of its law.
+        room: (`room_to_resolve`,) of any numbers.
         out: (nv + SIZE,) takes the answer; see `DELASSUS` and its neighbours.
 
     Returns:
-        status, flags and iterations; or `SINGULAR_MASS` and the velocity at which the factorization stops.
+        status, flags, iterations, how many coordinates are beyond their bounds; or `SINGULAR_MASS` and the
+        velocity at which the factorization stops.
     """
     n = len(v)
-    beyond = 0.0
+    beyond = 0
     for i in range(len(q)):
         if q[i] < bounds[0, i] or q[i] > bounds[1, i]:
-            beyond += 1.0
+            beyond += 1
     if not (all_finite(q) and all_finite(v)):
-        return INVALID_NUMBERS, 0, 0
-    scratch = np.empty((n + 4, n))
+        return INVALID_NUMBERS, 0, 0, 0
+    scratch, unwanted = room[: (n + 4) * n].reshape((n + 4, n)), room[:0].reshape((0, 6))
     lower, y, delta = scratch[:n], scratch[n : n + 3], scratch[n + 3]
     stopped = factor(mass, parents, lower)
     if stopped >= 0:
-        return SINGULAR_MASS, stopped, 0
-    geometry = jacobian(frame, carrier, columns, signs, constants, y)
+        return SINGULAR_MASS, stopped, 0, 0
+    geometry = contact_rows(frame, carrier, columns, signs, constants, y)
     s1, s2, s3 = geometry[9], geometry[10], geometry[11]
     v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
     scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
@@ -124,12 +113,11 @@ def robot_impact(
     singular[:] = 0.0
     known = 0 if clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED)[0] else FACTOR
     if known > 0:
-        place = locate(frame, carrier, constants)
-        delassus_factor(lower, parents, columns, signs, place[4], place[5], place[6], y, singular)
-    unwanted = np.empty((0, 6))
+        x1, x2, x3 = geometry[12], geometry[13], geometry[14]
+        delassus_factor(lower, parents, columns, signs, x1, x2, x3, y, singular)
     status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale),
-        *(singular[:known], np.empty(SCRATCH), unwanted, unwanted),
+        *(singular[:known], room[(n + 4) * n :], unwanted, unwanted),
     )
     for j in range(n):
         delta[j] = y[0, j] * p1 + y[1, j] * p2 + y[2, j] * p3
@@ -144,71 +132,151 @@ def robot_impact(
     )
     for i in range(SINGULAR):
         out[n + i] = rest[i]
-    out[n + BEYOND] = beyond
-    return status, flags, iterations
+    return status, flags, iterations, beyond
+
+
+def room_for(nv: int, bodies: int) -> int:
+    """Return how many numbers `robot_impact` needs room for; for Python."""
+    return BODY * (bodies + 2) + 6 * nv + nv * nv + room_to_resolve(nv)
 
 
 @inner
-def homogeneous(placement, matrix):
-    """Fill a homogeneous (4, 4) matrix with a placement (12,); its last row stands."""
+def _by_tree(work, room, evaluated, q, v, mu, e, out):
+    """Resolve the impact of a robot's contact; as `resolve`, or `NOT_NORMALIZED`.
+
+    Where the tree is `evaluated`, at this q by the call before, room has it still.
+    """
+    nv, n = work.nv, work.bodies
+    first = BODY * (n + 2)
+    second = first + 6 * nv
+    third = second + nv * nv
+    bodies = room[:first].reshape((n + 2, BODY))
+    columns, mass = room[first:second].reshape((nv, 6)).T, room[second:third].reshape((nv, nv))
+    frame, carrier = bodies[n, :12], bodies[n + 1, :12]
+    if not evaluated:
+        if not tree_matrices(work, q, bodies, columns, mass):
+            return NOT_NORMALIZED, 0, 0, 0
+        placed(bodies[work.frame_joint], work.frame, frame)
+        placed(bodies[work.carrier_joint], work.carrier, carrier)
+    return resolve(
+        *(mass, work.velocity_parent, frame, carrier, columns, work.signs, work.constants, work.bounds),
+        *(q, v, mu, e, work.law, room[third:], out),
+    )
+
+
+@ahead(RobotWorkspace, FLOATS, FLOATS, float, FLOATS)
+@jit
+def robot_impact(work, q, v, e, out):
+    """Resolve the impact of one contact.
+
+    Args:
+        work: `RobotWorkspace`.
+        q: (nq,).
+        v: (nv,) pre-impact velocity.
+        e: Restitution.
+        out: (nv + SIZE,) takes the answer.
+
+    Returns:
+        as `resolve`; or `NOT_NORMALIZED`.
+    """
+    return _by_tree(work, work.scratch, False, q, v, work.friction, e, out)
+
+
+@inner
+def _keep(row, status, flags, out, after, impulses, codes, numbers):
+    """Write a row of a batch."""
+    n = after.shape[1]
+    codes[row, 0] = status
+    if status > LOCKED:
+        return
+    codes[row, 1] = flags
+    if len(numbers) > 0:
+        for i in range(SIZE):
+            numbers[row, i] = out[n + i]
+    for j in range(n):
+        after[row, j] = out[j]
+    axes, p = out[n + AXES :], out[n + AFTER + 3 :]
     for i in range(3):
-        for j in range(4):
-            matrix[i, j] = placement[3 * j + i]
+        impulses[row, i] = p[0] * axes[i] + p[1] * axes[3 + i] + p[2] * axes[6 + i]
+
+
+@ahead(
+    *(RobotWorkspace, FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
+    *(INTEGER_ROWS, FLOAT_ROWS),
+)
+@released
+def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
+    """Resolve one contact's impact from N states.
+
+    Args:
+        work: `RobotWorkspace`.
+        q: (N, nq).
+        v: (N, nv).
+        usable: (N,) whether a row is to be resolved; the others are passed by.
+        mu: (N,).
+        e: (N,).
+        after: (N, nv) takes v⁺.
+        impulses: (N, 3) takes the impulses in world axes.
+        codes: (N, 2) takes status and flags; rows that are passed by keep theirs.
+        numbers: (N, SIZE) takes what `resolve` has beyond v⁺; (0, SIZE) where that is not wanted.
+
+    Returns:
+        `ALL_DONE`, or the velocity at which the factorization of M stops.
+    """
+    room, out = np.empty(work.room), np.empty(v.shape[1] + SIZE)
+    last = -1
+    for row in range(len(v)):
+        if not usable[row]:
+            continue
+        evaluated = last >= 0
+        for i in range(q.shape[1]):
+            if evaluated and q[row, i] != q[last, i]:
+                evaluated = False
+        status, flags, _, _ = _by_tree(work, room, evaluated, q[row], v[row], mu[row], e[row], out)
+        if status == SINGULAR_MASS:
+            return flags
+        last = -1
+        if status != NOT_NORMALIZED:
+            last = row
+            _keep(row, status, flags, out, after, impulses, codes, numbers)
+    return ALL_DONE
 
 
 @jit
-def robot_impacts(
-    calls,
-    buffer,
-    mass,
-    parents,
-    frame,
-    carrier,
-    columns,
-    signs,
-    constants,
-    bounds,
-    q,
-    v,
-    usable,
-    mu,
-    e,
-    law,
-    after,
-    impulses,
-    codes,
-    numbers,
-):
-    """Resolve one contact's impact from N states.
+def impacts_by_calls(
+    calls, buffer, mass, parents, frame, carrier, columns, signs, constants, bounds,
+    q, v, usable, mu, e, law, room, after, impulses, codes, numbers,
+):  # fmt: skip
+    """Resolve one contact's impact from N states, by calls of Pinocchio.
 
     Args:
         calls: (2 k,) addresses of functions and their arguments, see `python_calls`; after them mass, frame,
             carrier and columns are those of the buffer.
         buffer: (nq,) where the calls find the configuration.
-        mass: As in `robot_impact`, as all that is not told here.
+        mass: As in `resolve`, as all that is not told here.
         parents: See there.
-        frame: (12,) placement of the contact's frame.
-        carrier: (12,) placement of the frame that carries the surface.
-        columns: See `robot_impact`.
+        frame: See there.
+        carrier: See there.
+        columns: See there.
         signs: See there.
         constants: See there.
         bounds: See there.
-        q: (N, nq).
-        v: (N, nv).
-        usable: (N,) whether a row's q is a configuration; the others are passed by.
-        mu: (N,).
-        e: (N,).
+        q: As in `robot_impacts`, as all that follows but `law`.
+        v: See there.
+        usable: See there.
+        mu: See there.
+        e: See there.
         law: Code of the law.
-        after: (N, nv) takes v⁺.
-        impulses: (N, 3) takes the impulses in world axes.
-        codes: (N, 2) takes status and flags.
-        numbers: (N, SIZE) takes what `robot_impact` has beyond v⁺; (0, SIZE) where that is not wanted.
+        room: See `resolve`.
+        after: See `robot_impacts`.
+        impulses: See there.
+        codes: See there.
+        numbers: See there.
 
     Returns:
         `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.
     """
-    n = v.shape[1]
-    out, placed, carried = np.empty(n + SIZE), np.eye(4), np.eye(4)
+    out = np.empty(v.shape[1] + SIZE)
     fresh = False
     for row in range(len(v)):
         if not usable[row]:
@@ -222,24 +290,11 @@ def robot_impacts(
                 if not call(calls[k], calls[k + 1]):
                     return CALL_RAISED
             fresh = True
-        homogeneous(frame, placed)
-        homogeneous(carrier, carried)
-        status, flags, _ = robot_impact(
-            *(mass, parents, placed, carried, columns, signs, constants, bounds),
-            *(q[row], v[row], mu[row], e[row], law, out),
+        status, flags, _, _ = resolve(
+            *(mass, parents, frame, carrier, columns, signs, constants, bounds),
+            *(q[row], v[row], mu[row], e[row], law, room, out),
         )
         if status == SINGULAR_MASS:
             return flags
-        codes[row, 0] = status
-        if status > LOCKED:
-            continue
-        codes[row, 1] = flags
-        if len(numbers) > 0:
-            for i in range(SIZE):
-                numbers[row, i] = out[n + i]
-        for j in range(n):
-            after[row, j] = out[j]
-        axes, p = out[n + AXES :], out[n + AFTER + 3 :]
-        for i in range(3):
-            impulses[row, i] = p[0] * axes[i] + p[1] * axes[3 + i] + p[2] * axes[6 + i]
+        _keep(row, status, flags, out, after, impulses, codes, numbers)
     return ALL_DONE

@@ -1,0 +1,60 @@
+"""What kernels take of a contact that collides, remembered with the Data."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ._kernels.robot_impact import room_to_resolve
+from ._kernels.robot_workspace import RobotWorkspace
+from .contact import Contact
+from .data_cache import DataCache, outdated
+from .pinocchio_bridge import MassAndFrames, workspace_of
+
+MOST = 256
+"""Contacts that are remembered at once."""
+
+
+class Struck(NamedTuple):
+    """What kernels take of a contact that collides.
+
+    Attributes:
+        contact: The contact, kept so that no other one has its id.
+        signs, constants: As in `contact_kinematics.jacobian`.
+        work: For `robot_impact`; None where some joint is unknown to `tree_matrices`.
+        parts: Then mass matrix and Jacobian by way of Pinocchio,
+        room: and room for `resolve`.
+    """
+
+    contact: Contact
+    signs: np.ndarray
+    constants: np.ndarray
+    work: RobotWorkspace | None
+    parts: MassAndFrames | None
+    room: np.ndarray
+
+
+def strike(cache: DataCache, model: pin.Model, data: pin.Data, contact: Contact) -> Struck:
+    """Return what kernels take of a contact, made on the first call and anew when the model has grown."""
+    if model.njoints != cache.njoints:
+        raise outdated(model, data)
+    if model.nframes != cache.frames_seen or len(cache.struck) >= MOST:
+        cache.struck.clear()  # frames are elsewhere in memory now
+        cache.frames_seen = model.nframes
+    found: Struck | None = cache.struck.get(id(contact))
+    if found is not None:
+        return found
+    frame, carrier, signs = cache.contact(contact.frame, contact.plane.body)
+    cache.mass_matrix(model, data, pin.neutral(model), pin.Convention.WORLD)  # says what is wrong
+    work = parts = None
+    room = np.empty(0 if cache.tree else room_to_resolve(cache.nv))
+    if cache.tree is None:
+        parts = MassAndFrames(model, data, frame, carrier)
+    else:
+        work = workspace_of(cache.tree, frame, carrier, model, cache.bounds, cache.parents, signs)
+        work.constants[:] = contact.constants
+        work.friction, work.law = contact.friction, contact.law_code
+    found = cache.struck[id(contact)] = Struck(contact, signs, contact.constants.copy(), work, parts, room)
+    return found
