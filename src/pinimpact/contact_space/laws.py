@@ -4,7 +4,7 @@ All laws are cumulative over the whole impact, second compressions included. (th
 
 To add a law, write it down here, as one more `Law` in `_LAWS`, and give its goal in
 `_kernels.laws.restitution_goal`; nothing else knows one law from another. A law that counts something
-other than the three quantities below needs that quantity in `_kernels.laws` and `_kernels.slip_series` as
+other than the three quantities below needs that quantity in `_kernels.laws` and `_kernels.slip_events` as
 well. `scipy_baseline`, which is kept independent on purpose, says that it does not know the law until it is
 taught.
 """

@@ -1,8 +1,8 @@
-"""Slip that converges to an invariant direction, as one series around that direction. (theory.md, section 4)
+"""Slip that converges to an invariant direction or leaves one, as a series around it. (theory.md, section 4)
 
-Around the root of p the speed is a power of the remaining angle times an analytic function,
-R ∝ yᵃ H(y) with y = t/t₀ = e^{−L}. All that is left of the slip, down to v_t = 0 (a > 0) or out to
-infinity (a < 0), is one convergent series: there is no speed at which "small" would begin.
+Around a root of p the speed is a power of the angle to it times an analytic function, R ∝ yᵃ H(y). All that
+is left of the slip as it converges, down to v_t = 0 (a > 0) or out to infinity (a < 0), is one convergent
+series: there is no speed at which "small" would begin. And so is all of it as it leaves, from any angle.
 """
 
 from __future__ import annotations
@@ -13,16 +13,23 @@ from ..._numeric.jit import inner
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, Shape, along_slip, in_frame, polynomials
 
+NEARBY = 0.3
+"""Influence of the other roots of p up to which a series goes around one. (4.1)"""
+
+LEFT_TO = 0.5
+"""The influence up to which a series may follow slip that leaves a direction, from within a fifth of it."""
+
 
 @inner
 def nearby_root(p0, polynomials):
-    """Return the root of p that slip converges to, if it is simple, stable and close, else 0. (4.1)"""
+    """Return the root of p that slip converges to or leaves, if it is simple and close, else 0. (4.1)"""
     p1, p2, p3, p4, _, _, _, _ = polynomials
-    if p1 >= 0.0:
+    if p1 == 0.0:
         return 0.0
     t = -p0 / p1
     at = abs(t)
-    if not (at * (abs(p2) + at * (abs(p3) + at * abs(p4))) < -0.3 * p1 and at < 0.5):
+    bound, widest = (-NEARBY * p1, 0.5) if p1 < 0.0 else (0.2 * LEFT_TO * p1, 0.25)
+    if not (at * (abs(p2) + at * (abs(p3) + at * abs(p4))) < bound and at < widest):
         return 0.0
     for _ in range(8):
         value = p0 + t * (p1 + t * (p2 + t * (p3 + t * p4)))
@@ -30,21 +37,22 @@ def nearby_root(p0, polynomials):
         step = value / slope
         t -= step
         if abs(step) <= 1e-9 * abs(t):
-            return t if t * p0 > 0.0 else 0.0
+            return t if t * p0 * p1 < 0.0 else 0.0
     return 0.0
 
 
 @inner
-def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s1, s2, root):
+def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s1, s2, root, leaving):
     """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
 
     Args:
         coefficients: Receives the coefficients of G(y) = H/π. (4.3)
         reciprocals: Receives 1/(a + k), and 0 where that is close to a pole.
         weak, a11 … b2: As in `along_slip`.
+        leaving: Whether slip leaves that direction, and does not converge to it.
 
     Returns:
-        whether the series converges up to the present direction; the invariant direction (2);
+        whether the series converges up to the present direction; up to which y; the invariant direction (2);
         p₁ and b∥/ω, b⊥/ω there; the size of the terms of m₀; and the `Shape`.
     """
     scale = 1.0 / (1.0 + root * root)
@@ -55,7 +63,14 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     terms = 1.0
     if weak > 0:
         m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, bl, 0.0, 0.0)
-    t = -root
+    t, start, sign = -root, 1.0, 1.0
+    good = p1 < 0.0
+    if leaving:
+        others = abs(p2) + 0.5 * abs(p3) + 0.25 * abs(p4)
+        far = 0.5 if 0.5 * others <= LEFT_TO * p1 else LEFT_TO * p1 / others
+        t = math.copysign(far, t)
+        start, sign = -root / t, -1.0
+        good = p1 > 0.0
     inv = 1.0 / p1
     exponent = 2.0 * m0 * inv
     q1, q2, q3 = p2 * inv * t, p3 * inv * t * t, p4 * inv * t * t * t
@@ -65,7 +80,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     w2 = two * t * t * (m3 - m0 * p4 * inv) - 3.0 * q3
     c0, c1, c2 = w0, w1 + q2, w2 + 2.0 * q3
     g0, g1, g2 = 1.0, 0.0, 0.0
-    total = 1.0
+    total, here, power = 1.0, 1.0, 1.0
     coefficients[0] = 1.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
@@ -77,19 +92,26 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
         g2, g1, g0 = g1, g0, new
         coefficients[k + 1] = new
         total += new
-    good = p1 < 0.0 and total < math.inf and abs(g0) + abs(g1) + abs(g2) <= EPS * total
+        power *= start
+        here += new * power
+    last, most = abs(g0) + abs(g1) + abs(g2), 1.0
+    if leaving and last > EPS * here:
+        most = math.exp(math.log(EPS * here / last) * (1.0 / TERMS))
+    good = good and total < math.inf and (start < 0.75 * most if leaving else last <= EPS * total)
     if good:
         for k in range(TERMS + 5):
             z = exponent + k
             reciprocals[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
-    speed = 1.0 / (total * (1.0 + q1 + q2 + q3) * (1.0 + t * t))
+    # 1/(H(1 + t²)) at x = 0
+    speed = 1.0 / (here * (1.0 + start * (q1 + start * (q2 + start * q3))) * (1.0 + root * root))
     return (
         good,
+        most,
         d1,
         d2,
         p1,
         bl,
         bp,
         terms,
-        Shape(t, speed, -2.0 * inv * speed, exponent, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
+        Shape(t, speed, -2.0 * inv * speed, exponent, start, sign, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
     )

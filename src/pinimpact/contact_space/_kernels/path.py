@@ -21,7 +21,6 @@ from .codes import (
     SLIP_TURNS,
     UNSTOPPABLE,
     VELOCITY,
-    WORK,
 )
 from .contact_problem import PROCEEDS, prepare
 from .ending import finish, no_result, plain, without_impact
@@ -39,9 +38,10 @@ from .moves import (
 )
 from .recording import record_move, record_point
 from .slip_equations import TERMS
+from .slip_works import WORK_TERMS
 from .turning_slip import turning_move
 
-SCRATCH = 2 * TERMS + 6
+SCRATCH = 2 * TERMS + 6 + 3 * (WORK_TERMS + 1)
 """Floats of scratch space that an impact needs."""
 
 MAX_MOVES = 1000
@@ -80,8 +80,9 @@ def solve_into(
         return plain(no_result(begins, figure))
 
     units = slip_units(problem)
-    coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 :]
-    works_wanted = problem.counts == WORK or trace.shape[0] > 0
+    coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
+    work_terms = scratch[2 * TERMS + 6 :]
+    traced = trace.shape[0] > 0
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
     course = frictionless_course(problem)
@@ -110,13 +111,11 @@ def solve_into(
                 turns = not straight
         if turns:
             flags |= SLIP_TURNS
-            move, state, near_jump, points = turning_move(
-                coefficients, reciprocals, problem, units, state, polynomials, bl, bp, course.rate,
-                ledger.phase, ledger.goal, left, works_wanted, path, points,
+            move, state, new_flags, points = turning_move(
+                coefficients, reciprocals, work_terms, problem, units, state, polynomials, bl, bp,
+                course.rate, ledger.phase, ledger.goal, left, traced, path, points,
             )  # fmt: skip
-            flags |= jams(move.rate)
-            if near_jump:
-                flags |= NEAR_JUMP
+            flags |= new_flags | jams(move.rate)
         else:
             move, state = straight_move(problem, units.omega, course, state, ledger.phase, left)
 
@@ -129,7 +128,7 @@ def solve_into(
             )
             return plain(no_result(never, math.ldexp(figure, view.scale_v)))
         flags |= mode_flag(course.mode, move.span, state.p3)
-        if trace.shape[0] > 0:
+        if traced:
             rows = record_move(
                 trace, rows, course.mode, ledger.phase, state.p3 - move.span, state.p3, move.work,
                 move.friction_work,

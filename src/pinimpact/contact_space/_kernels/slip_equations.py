@@ -17,7 +17,7 @@ from ..._numeric.jit import inner
 from .delassus import EPS
 
 TERMS = 32
-RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, TERMS + 8)])
+RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, 2 * TERMS)])
 
 
 class Polynomials(NamedTuple):
@@ -37,9 +37,10 @@ class Shape(NamedTuple):
     """The constants of a series of turning slip.
 
     Attributes:
-        h: t/x, or t₀ for a series around an invariant direction.
+        h: t/x, or t/y for a series around an invariant direction.
         factor, unit: Factors of speed and impulse.
         exponent: a, where the series goes around an invariant direction. (4.2)
+        start, sign: There y at x = 0, and 1 where slip comes, −1 where it leaves: y goes like e^{−sign x}.
         q1, q2, q3, q4: Coefficients of p̂ or π.
         w0, w1, w2, w3: Those of the logarithmic derivative of S or G.
     """
@@ -48,6 +49,8 @@ class Shape(NamedTuple):
     factor: float
     unit: float
     exponent: float
+    start: float
+    sign: float
     q1: float
     q2: float
     q3: float
@@ -139,7 +142,7 @@ def expand(coefficients, p0, polynomials):
         s0 = new
         coefficients[k + 1] = new
     last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
-    return last, Shape(h, 1.0, 1.0, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
+    return last, Shape(h, 1.0, 1.0, 0.0, 1.0, 1.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
 @inner

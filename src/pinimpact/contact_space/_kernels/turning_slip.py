@@ -11,8 +11,10 @@ from .codes import (
     COMPRESSION_RESUMES,
     IMPULSE,
     LAW_MET,
+    NEAR_JUMP,
     NEVER,
     NO_EVENT,
+    NO_FLAG,
     RESTITUTION,
     VELOCITY,
     WORK,
@@ -20,46 +22,53 @@ from .codes import (
 from .contact_problem import Problem
 from .invariant_direction import expand_around_root, nearby_root
 from .ledger import CLOSE_TO_JUMP
-from .moves import NO_FORCE, Move, State, Units
+from .moves import NO_FORCE, Move, State, Units, jams
 from .recording import record_series
 from .slip_equations import Polynomials, Shape, expand, reach
-from .slip_series import SlipSeries, first_root, halley, point, seek, seek_near, works
+from .slip_events import seek, seek_near
+from .slip_series import SlipSeries, first_root, halley, point
+from .slip_works import expand_works, friction_work, no_works, normal_work
+
+FURTHEST = 100.0
+"""Growth of slip, as an exponent, up to which one series follows it as it leaves an invariant direction."""
 
 
 @ahead(
-    *(FLOATS, FLOATS, Problem, Units, State, Polynomials, float, float, float, int, float, float),
+    *(FLOATS, FLOATS, FLOATS, Problem, Units, State, Polynomials, float, float, float, int, float, float),
     *(bool, FLOAT_ROWS, int),
 )
 @inlined_part
 def turning_move(
-    coefficients, reciprocals, problem, units, state, polynomials, bl, bp, rate, phase, goal, left,
-    works_wanted, path, points,
+    coefficients, reciprocals, work_terms, problem, units, state, polynomials, bl, bp, rate, phase, goal,
+    left, traced, path, points,
 ):  # fmt: skip
     """Follow slip that turns along one series, on which v₃ is monotone.
 
     Args:
-        coefficients, reciprocals: Scratch for the coefficients of the series and for 1/(a + k).
+        coefficients, reciprocals, work_terms: Scratch for the coefficients of the series, for 1/(a + k), and
+            for those of the works.
         problem, units, state: The impact, and where it stands.
         polynomials, bl, bp, rate: The slip equations, b∥, b⊥ and dv₃/dP₃ in the present frame.
         phase, goal, left: Of the restitution, from the `Ledger`.
-        works_wanted: Whether the works of the move are wanted.
+        traced: Whether the works of the move are written down.
         path, points: Where points are recorded, and how many there are.
 
     Returns:
-        the `Move`, the state after it, whether a jump is near, and the points recorded.
+        the `Move`, the state after it, flags to be set, and the points recorded.
     """
     s1, s2, speed, v3, turn, p1, p2, p3 = state
     mu, c, s, endless_slip, counts = problem.mu, problem.c, problem.s, problem.endless_slip, problem.counts
     t1, m0 = polynomials.p1, polynomials.m0
-    event = NO_EVENT
+    event, flags = NO_EVENT, NO_FLAG
     span = along = across = ratio = t = v3_end = 0.0
     jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     scale = speed * units.per
     d1, d2, n1, x = s1, s2, 0.0, 0.0
     restoring = phase == RESTITUTION
-    near_jump = around_invariant = expanded = event != NO_EVENT  # False, but no literal: see `codes`
+    around_invariant = expanded = known = event != NO_EVENT  # False, but no literal: see `codes`
     last, terms = 0.0, 1.0
-    shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    work_series = no_works(work_terms)
     series = SlipSeries(around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed)
 
     # most often the next event is near: try for it at once
@@ -75,34 +84,47 @@ def turning_move(
             guess = halley(-2.0 * left / (v3 + math.sqrt(square)), scale, bend)
     elif rate > 0.0:
         guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
-    if guess > 0.0 and guess * max(abs(turn), -t1) < 1.0:
+    if guess > 0.0 and guess * max(abs(turn), abs(t1)) < 1.0:
         expanded = True
         last, shape = expand(coefficients, turn, polynomials)
         series = SlipSeries(
             around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed
         )
-        x = seek_near(series, sought, aim, guess, last)
+        if sought == WORK:
+            work_series, known = expand_works(series, work_series, traced), expanded
+        x = seek_near(series, work_series, sought, aim, guess, last)
         if x > 0.0:
             event = LAW_MET if restoring else COMPRESSION_ENDS
 
     if event == NO_EVENT:
-        # go as far as the series converges and v₃ is monotone: into the invariant direction ahead ...
+        # go as far as the series converges and v₃ is monotone: into the invariant direction ahead, or far
+        # from the one behind ...
         root = nearby_root(turn, polynomials)
+        leaving = root != 0.0 and t1 > 0.0
         if root != 0.0:
-            expanded = False
-            around_invariant, e1, e2, n1, el, ep, terms, shape = expand_around_root(
+            expanded = known = False
+            around_invariant, end, e1, e2, n1, el, ep, terms, shape = expand_around_root(
                 coefficients, reciprocals, units.weak,
-                units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root,
+                units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root, leaving,
             )  # fmt: skip
         if around_invariant and endless_slip and abs(shape.exponent * n1) <= NO_FORCE * terms:
-            h, factor, unit, _, q1, q2, q3, w0, w1, w2, q4, w3 = shape
-            shape = Shape(h, factor, unit, 0.0, q1, q2, q3, w0, w1, w2, q4, w3)
-        if around_invariant:
-            t = first_root(jam0, jam1, jam2, root)
+            h, factor, unit, _, start, sign, q1, q2, q3, w0, w1, w2, q4, w3 = shape
+            shape = Shape(h, factor, unit, 0.0, start, sign, q1, q2, q3, w0, w1, w2, q4, w3)
+        if around_invariant and leaving:
+            end *= shape.h
+            whole = (end + root) / (1.0 - end * root)
+            t = first_root(jam0, jam1, jam2, whole, root)
+            x = math.log1p(-t * (1.0 + root * root) / (root * (1.0 + t * root)))
+            most = FURTHEST / max(1.0, abs(shape.exponent))
+            peaks = t != whole and x < most
+            x = min(x, most)
+        elif around_invariant:
+            t = first_root(jam0, jam1, jam2, root, root)
             if endless_slip and shape.exponent == 0.0 and abs(root - t) <= 1e-9 * abs(root):
                 t = root  # dv₃/dP₃ tends to s
             peaks = t != root
             x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
+        if around_invariant:
             d1, d2, bl, bp = e1, e2, el * units.omega, ep * units.omega
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
         else:
@@ -110,7 +132,8 @@ def turning_move(
             if not expanded:
                 last, shape = expand(coefficients, turn, polynomials)
             whole = reach(last, shape.h)
-            x = first_root(jam0, jam1, jam2, shape.h * whole) / shape.h
+            end = shape.h * whole
+            x = first_root(jam0, jam1, jam2, end, end) / shape.h
             peaks = x < whole
         series = SlipSeries(
             around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed
@@ -137,34 +160,41 @@ def turning_move(
             elif v3_end < 0.0:
                 event = COMPRESSION_RESUMES
             elif counts == VELOCITY and peaks and rate > 0.0 and goal - v3_end < CLOSE_TO_JUMP * goal:
-                near_jump = True
+                flags |= NEAR_JUMP
         elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
             event = COMPRESSION_ENDS
         if event != NO_EVENT:
-            x = seek(series, VELOCITY, aim, v3 - aim, v3_end - aim, x)
+            x = seek(series, work_series, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
             endless = False
         # what the sum of impulse or work brings before that
         if restoring and counts != VELOCITY:
             total = math.inf
             if counts == WORK:
+                if not known:
+                    work_series, known = expand_works(series, work_series, traced), restoring
                 if not endless:
-                    total, _ = works(series, x)
+                    reached = span if event == NO_EVENT else point(series, x)[0]
+                    total = normal_work(series, work_series, x, reached)
             elif not endless:
                 total = span if event == NO_EVENT else point(series, x)[0]
             if total >= left:
                 event = LAW_MET
-                x = seek(series, counts, left, -left, total - left, x)
+                x = seek(series, work_series, counts, left, -left, total - left, x, rate)
                 endless = False
         if endless:
-            return Move(NEVER, span, 0.0, 0.0, rate), state, near_jump, points
+            return Move(NEVER, span, 0.0, 0.0, rate), state, flags, points
 
     if event != NO_EVENT:
         span, along, across, dv3, ratio, t, _, _ = point(series, x)
         v3_end = v3 + dv3
 
-    work = friction_work = 0.0
-    if works_wanted:
-        work, friction_work = works(series, x)
+    work = rubbed = 0.0
+    if traced or (counts == WORK and event != LAW_MET):
+        if not known:
+            work_series = expand_works(series, work_series, traced)
+        work = normal_work(series, work_series, x, span)
+    if traced:
+        rubbed = friction_work(series, work_series, x)
     if path.shape[0] > 0:
         points = record_series(path, points, series, x, d1, d2, p1, p2, p3)
     p1 += d1 * along - d2 * across
@@ -172,6 +202,9 @@ def turning_move(
     p3 += span
     if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
         v3_end = 0.0
+    # v₃ is monotone, but at both ends it may stand still
+    middle = 0.5 * (t + shape.h * shape.start if around_invariant else t)
+    flags |= jams(jam0 + middle * (jam1 + middle * jam2))
     chord = 1.0 + t * t
     rate = (jam0 + t * (jam1 + t * jam2)) / chord
     cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
@@ -186,4 +219,4 @@ def turning_move(
     else:
         turn *= (1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))) / (chord * chord)
     state = State(s1, s2, speed, v3_end, turn, p1, p2, p3)
-    return Move(event, span, work, friction_work, rate), state, near_jump, points
+    return Move(event, span, work, rubbed, rate), state, flags, points

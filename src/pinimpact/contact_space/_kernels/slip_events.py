@@ -1,0 +1,104 @@
+"""Events on turning slip: where v₃, the impulse or the normal work comes to its aim. (theory.md, 3.3)"""
+
+from __future__ import annotations
+
+import math
+
+from ..._numeric.jit import inlined, inner
+from .codes import IMPULSE, VELOCITY, WORK
+from .slip_equations import within_reach
+from .slip_series import beginning, first_root, halley, point, settled
+from .slip_works import normal_work
+
+
+@inlined
+def measure(series, work_series, counts, aim, x):
+    """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
+    mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
+    normal, _, _, dv3, _, t, slope, bend = point(series, x)
+    if counts == IMPULSE:
+        return normal - aim, slope, bend
+    chord = 1.0 + t * t
+    rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
+    if counts == WORK:
+        now = v3 + dv3
+        return normal_work(series, work_series, x, normal) - aim, slope * now, bend + slope * rate / now
+    turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
+    return (
+        (v3 - aim) + dv3,
+        slope * rate,
+        bend + (-series.shape.sign * t if series.around_invariant else series.shape.h) * turn / rate,
+    )
+
+
+@inner
+def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
+    """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
+
+    Halley's iteration inside a bracket.
+
+    Args:
+        f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs, or the second is zero.
+        rate: dv₃/dP₃ at 0.
+
+    Returns:
+        x.
+    """
+    if f_high == 0.0:
+        return high
+    low, top = 0.0, high
+    x = 0.5
+    if counts == WORK:
+        # with v₃ taken as linear; it may rise from zero, and the root be smaller than `high` by any factor
+        v3 = series.v3
+        span = -2.0 * f_low / (v3 + math.sqrt(max(0.0, v3 * v3 - 2.0 * rate * f_low)))
+        slope, bend = beginning(series)
+        x = halley(-span, slope, bend)
+        end = high if high < math.inf else 0.5
+        if not (0.0 < x < end):
+            x = end
+    elif math.isfinite(f_high) and high < math.inf:
+        x = high * (f_low / (f_low - f_high))
+    for _ in range(100):
+        now, slope, bend = measure(series, work_series, counts, aim, x)
+        if now == 0.0:
+            return x
+        if (now > 0.0) == (f_high > 0.0):
+            top = x
+        else:
+            low = x
+        step = halley(now, slope, bend)
+        new = x + step
+        if not (low < new < top):
+            if top - low <= 2.0**-52 * top:
+                return x
+            new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
+        elif new > 2.0 * x + 2.0:
+            new = 2.0 * x + 2.0
+        elif settled(step, x, now, slope):
+            return new
+        x = new
+    return x
+
+
+@inner
+def seek_near(series, work_series, counts, aim, x, last):
+    """Try to find an event by Halley's iteration from the guess x, without a bracket.
+
+    Returns:
+        x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
+    """
+    mu, c, bl, bp, v3, h = series.mu, series.c, series.bl, series.bp, series.v3, series.shape.h
+    for _ in range(8):
+        if not (x > 0.0 and within_reach(x, last, h)):
+            return 0.0
+        now, slope, bend = measure(series, work_series, counts, aim, x)
+        step = halley(now, slope, bend)
+        converged = settled(step, x, now, slope)
+        x += step
+        if converged:
+            end = h * x
+            monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end, end) == end
+            falls = counts != VELOCITY and c < mu * bl and v3 + point(series, x)[3] < 0.0
+            return x if monotone and not falls else 0.0
+    return 0.0
