@@ -1,29 +1,39 @@
-"""Time of an impact against Pinocchio's own algorithms, and of the shortcuts against the general path.
+"""Time of an impact against Pinocchio's own algorithms, of laws, works and threads, and of the shortcuts.
 
 python -m benchmarks.speed
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pinocchio as pin
 from benchmarks.timing import best_of, publish, row
 
 import pinimpact
+from pinimpact.contact_space._kernels.timing import repeat_exact
+from pinimpact.contact_space.laws import law_code
 
 COUNT = 100_000
 STATES = 16
+STATES_OF_LAWS = 500
 ROWS = 20_000
 ROBOTS = {"panda": "panda_hand_tcp", "ur5": "tool0", "talos": "gripper_left_fingertip_1_link"}
 
 
+def random_problems(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """W and v of spatial impacts."""
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((count, 3, 7))
+    velocity = rng.standard_normal((count, 3))
+    velocity[:, 2] = -np.abs(velocity[:, 2])
+    return X @ X.transpose(0, 2, 1) / 7.0, velocity
+
+
 def batch() -> list[dict]:
     """Random spatial problems, in a batch, against one mass matrix of the Panda."""
-    rng = np.random.default_rng(0)
-    X = rng.standard_normal((COUNT, 3, 7))
-    delassus = X @ X.transpose(0, 2, 1) / 7.0
-    velocity = rng.standard_normal((COUNT, 3))
-    velocity[:, 2] = -np.abs(velocity[:, 2])
+    delassus, velocity = random_problems(COUNT)
     model = pinimpact.load_robot("panda").model
     data, q = model.createData(), pin.neutral(model)
     times = best_of(
@@ -34,6 +44,43 @@ def batch() -> list[dict]:
         rounds=20,
     )
     return [row("solve_impacts, per problem", times["impacts"] / COUNT, 1.5, "crba(panda)", times["crba"])]
+
+
+def laws() -> list[dict]:
+    """The energetic law against Poisson's, works, and threads, on random spatial problems."""
+    count = 4000
+    few, many = random_problems(count), random_problems(COUNT)
+
+    def call(problems, law="poisson", **options):
+        return lambda: pinimpact.solve_impacts(*problems, 0.3, 0.5, law, **options)
+
+    calls = {
+        "poisson": call(few),
+        "energetic": call(few, "energetic"),
+        "works": call(few, work=True),
+        "works, energetic": call(few, "energetic", work=True),
+    }
+    times = {name: seconds / count for name, seconds in best_of(calls, rounds=60).items()}
+    rows = [
+        row("energetic law, mean", times["energetic"], 1.5, "Poisson's", times["poisson"]),
+        row("works of a batch", times["works"] - times["poisson"], 1e-6),
+        row("works of a batch, energetic law", times["works, energetic"] - times["energetic"], 1e-6),
+    ]
+
+    singles = []
+    for W, v in zip(few[0][:STATES_OF_LAWS], few[1], strict=False):
+        numbers = (*W[np.triu_indices(3)], *v, 0.3, 0.5)
+        kernels = {
+            law: partial(repeat_exact, 10, *numbers, law_code(law)) for law in ("poisson", "energetic")
+        }
+        singles.append(best_of(kernels, rounds=10, least=0.0))
+    for name, part in (("median", 50), ("99 in 100", 99)):
+        seconds = {law: np.percentile([s[law] for s in singles], part) / 10 for law in singles[0]}
+        against = f"Poisson's {name}"
+        rows.append(row(f"energetic law, {name}", seconds["energetic"], 1.5, against, seconds["poisson"]))
+
+    times = best_of({"one": call(many), "two": call(many, threads=2)}, rounds=20)
+    return [*rows, row("solve_impacts, two threads", times["two"], 1.0 / 1.8, "one", times["one"])]
 
 
 def robots() -> list[dict]:
@@ -122,4 +169,4 @@ def shortcuts() -> list[dict]:
 
 
 if __name__ == "__main__":
-    publish("speed", batch() + robots() + rows() + shortcuts())
+    publish("speed", batch() + laws() + robots() + rows() + shortcuts())

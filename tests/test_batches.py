@@ -129,6 +129,24 @@ def test_one_matrix_and_many_velocities():
     assert len(pinimpact.solve_impacts(W, v[0], 0.3, 0.5)) == 1
 
 
+@pytest.mark.parametrize("law", pinimpact.LAWS)
+def test_works_found_on_the_way_are_those_found_later(law):
+    rng = np.random.default_rng(4)
+    X = rng.normal(size=(50, 3, 4))
+    v = rng.normal(size=(50, 3)) - (0, 0, 2)
+    later, at_once = (
+        pinimpact.solve_impacts(X @ X.transpose(0, 2, 1), v, 0.4, 0.6, law, work=work)
+        for work in (False, True)
+    )
+    assert at_once.velocity.tolist() == later.velocity.tolist()
+    assert at_once.impulse.tolist() == later.impulse.tolist()
+    gained = np.einsum("ij,ij->i", later.impulse, v + later.velocity) / 2
+    for batch in (later, at_once):
+        assert batch.work.total == pytest.approx(gained, rel=1e-12, abs=1e-13)
+        assert (batch.work.compression <= 0).all()
+    assert at_once.work.friction.tolist() == later.work.friction.tolist()
+
+
 def test_batches_say_what_they_hold(rng):
     W = np.eye(3)
     batch = pinimpact.solve_impacts(W, [(0, 0, -1), (0, 0, 1), (1, 0, -1)], 0.3, 0.5)

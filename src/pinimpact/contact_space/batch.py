@@ -27,10 +27,13 @@ class BatchSolution:
         iterations: (N,) steps taken.
     """
 
-    def __init__(self, inputs: tuple[Array, Array, Array, Array, int, Array, Array], threads: int) -> None:
+    def __init__(
+        self, inputs: tuple[Array, Array, Array, Array, int, Array, Array], threads: int, work: bool = False
+    ) -> None:
         self._inputs = inputs
         self._threads = threads
-        numbers, codes, _ = self._solve(0)
+        numbers, codes, works = self._solve(work)
+        self._works = works if work else None
         self.velocity = numbers[:, 0:3]
         self.impulse = numbers[:, 3:6]
         self.compression_impulse = numbers[:, 6]
@@ -38,11 +41,15 @@ class BatchSolution:
         self.flags = codes[:, 1]
         self.iterations = codes[:, 2]
 
-    def _solve(self, works: int) -> tuple[Array, NDArray[np.int64], Array]:
+    def _solve(self, work: bool) -> tuple[Array, NDArray[np.int64], Array]:
         from ._kernels.batch import solve_rows
 
         count = len(self._inputs[1])
-        result = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), np.empty((works, 3))
+        result = (
+            np.empty((count, 7)),
+            np.empty((count, 3), dtype=np.int64),
+            np.empty((count if work else 0, 3)),
+        )
         matrices, velocities, mu, e, law, scales, factors = self._inputs
 
         def solve(rows: slice) -> None:
@@ -54,8 +61,8 @@ class BatchSolution:
 
     @cached_property
     def work(self) -> Work:
-        """The `Work` ledgers, arrays (N,) [J]; computed on first access. Surfaces at rest."""
-        works = self._solve(len(self._inputs[1]))[2]
+        """The `Work` ledgers, arrays (N,) [J]; computed on first access if not before. Surfaces at rest."""
+        works = self._solve(True)[2] if self._works is None else self._works
         return Work(works[:, 0], works[:, 1], works[:, 2], np.zeros(len(works)))
 
     def __len__(self) -> int:
@@ -82,6 +89,7 @@ def solve_impacts(
     law: str = "poisson",
     velocity_scale: ArrayLike | None = None,
     threads: int = 1,
+    work: bool = False,
 ) -> BatchSolution:
     """Resolve N frictional impacts with the method "exact".
 
@@ -94,6 +102,8 @@ def solve_impacts(
         velocity_scale: Sizes of the numbers that the velocities were formed from, a number or (N,); see
             `ImpactProblem`.
         threads: How many threads share the rows. The answers are the same to the bit, whatever their number.
+        work: Whether the works are wanted: they are then found on the way, and not by solving once more when
+            they are asked for.
 
     Returns:
         A `BatchSolution`. A row whose numbers are unusable gets its status and NaN, and spoils no other.
@@ -134,7 +144,8 @@ def solve_impacts(
         coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients
     none = np.empty((0, FACTOR))
-    return BatchSolution((matrices, velocities, mu, e, law_code(law), scales, none), thread_count(threads))
+    inputs = matrices, velocities, mu, e, law_code(law), scales, none
+    return BatchSolution(inputs, thread_count(threads), work)
 
 
 def solve_factored(

@@ -128,11 +128,16 @@ def finish(
     compressed = compressed * fp1 * fp2
     if not (abs(v1) + abs(v2) + abs(v3) + abs(p1) + abs(p2) + abs(p3) < math.inf):
         return no_result(OUT_OF_RANGE, 0.0)
+    fw1, fw2 = halves(scale_p + scale_v)
     for i in range(rows):
-        trace[i, 2] = math.ldexp(trace[i, 2], scale_p)
-        trace[i, 3] = math.ldexp(trace[i, 3], scale_p)
-        trace[i, 4] = math.ldexp(trace[i, 4], scale_p + scale_v)
-        trace[i, 5] = math.ldexp(trace[i, 5], scale_p + scale_v)
+        trace[i, 2] *= fp1
+        trace[i, 2] *= fp2
+        trace[i, 3] *= fp1
+        trace[i, 3] *= fp2
+        trace[i, 4] *= fw1
+        trace[i, 4] *= fw2
+        trace[i, 5] *= fw1
+        trace[i, 5] *= fw2
     for i in range(points):
         x1, x2, y1, y2 = path[i, 1], path[i, 2], path[i, 4], path[i, 5]
         if view.leaning:

@@ -67,10 +67,10 @@ def no_works(scratch):
 
 
 @inner
-def _expand(normal, friction, shape, v3, f0, f1, f2, f3, f4):
-    """Fill `friction` with the coefficients of U, and `normal` with those of Z (1 + t²)², integrated.
+def _expand(normal, friction, rubbing, shape, v3, f0, f1, f2, f3, f4):
+    """Fill `normal` with the coefficients of Z (1 + t²)², and `friction` with U (1 + t²)³, both integrated.
 
-    (3.16), (3.17)
+    (3.16) to (3.18); `rubbing` says whether the second is wanted.
 
     Returns:
         the size of the last coefficients of U.
@@ -98,6 +98,16 @@ def _expand(normal, friction, shape, v3, f0, f1, f2, f3, f4):
         u4, u3, u2, u1, u0 = u3, u2, u1, u0, new
         friction[k + 1] = new
     normal[ORDER] = (z0 + (h2 * z2 + h4 * z4)) * RECIPROCAL[ORDER + 1]
+    if rubbing:
+        e2, e4, e6 = 3.0 * hh, 3.0 * h4, h4 * hh
+        for k in range(ORDER, 5, -1):
+            rubbed = (friction[k] + e2 * friction[k - 2]) + (e4 * friction[k - 4] + e6 * friction[k - 6])
+            friction[k] = rubbed * RECIPROCAL[k + 1]
+        friction[5] = (friction[5] + (e2 * friction[3] + e4 * friction[1])) * RECIPROCAL[6]
+        friction[4] = (friction[4] + (e2 * friction[2] + e4 * friction[0])) * RECIPROCAL[5]
+        friction[3] = (friction[3] + e2 * friction[1]) * RECIPROCAL[4]
+        friction[2] = (friction[2] + e2 * friction[0]) * RECIPROCAL[3]
+        friction[1] *= RECIPROCAL[2]
     return max(max(abs(u0), abs(u1)), max(abs(u2), abs(u3)))
 
 
@@ -235,7 +245,7 @@ def expand_works(series, work_series, rubbing):
             series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
         )
     else:
-        last = _expand(normal, friction, shape, series.v3, f0, f1, f2, f3, f4)
+        last = _expand(normal, friction, rubbing, shape, series.v3, f0, f1, f2, f3, f4)
     return WorkSeries(normal, friction, quotients, rest, push, share, pole, work_pole, last)
 
 
@@ -247,12 +257,7 @@ def normal_work(series, work_series, x, span):
     if not series.around_invariant:
         if not _converges(work_series, x):
             return quadrature(series, x)[0]
-        xx = x * x
-        even, odd = normal[ORDER], 0.0
-        for k in range(ORDER - 2, -1, -2):
-            even = even * xx + normal[k]
-            odd = odd * xx + normal[k + 1]
-        return size * x * (even + x * odd)
+        return size * x * _sum(normal, ORDER, x)
     exponent, start = shape.exponent, shape.start
     length = shape.sign * x
     y, drop, power, part = passed(exponent, start, length)
@@ -263,12 +268,8 @@ def normal_work(series, work_series, x, span):
     if work_series.pole >= 0:
         k = work_series.pole
         whole = fill(exponent + k, k, start, length)
-        yy = y * y
-        even, odd = work_series.quotients[TERMS + 4], 0.0
-        for k in range(TERMS + 2, -1, -2):
-            even = even * yy + work_series.quotients[k]
-            odd = odd * yy + work_series.quotients[k + 1]
-        work += work_series.push * whole * (0.5 * work_series.share * whole - power * (even + y * odd))
+        quotient = _sum(work_series.quotients, TERMS + 4, y)
+        work += work_series.push * whole * (0.5 * work_series.share * whole - power * quotient)
     return work_series.rest * span + size * work
 
 
@@ -280,24 +281,24 @@ def friction_work(series, work_series, x):
     if not series.around_invariant:
         if not _converges(work_series, x):
             return quadrature(series, x)[1]
-        power = 1.0
-        m0 = m2 = m4 = m6 = 0.0
-        for k in range(ORDER + 1):
-            one = friction[k] * power
-            power *= x
-            m0 += one * RECIPROCAL[k + 1]
-            m2 += one * RECIPROCAL[k + 3]
-            m4 += one * RECIPROCAL[k + 5]
-            m6 += one * RECIPROCAL[k + 7]
-        tt = shape.h * x
-        tt *= tt
-        return size * x * (m0 + tt * (3.0 * m2 + tt * (3.0 * m4 + tt * m6)))
+        return size * x * _sum(friction, ORDER, x)
     length = shape.sign * x
     y, drop, power, part = passed(shape.exponent, shape.start, length)
     if not _converges(work_series, max(shape.start, y)):
         return quadrature(series, x)[1]
     pole, exponent, start = work_series.work_pole, shape.exponent, shape.start
     return size * _filled(friction, pole, exponent, start, length, y, drop, power, part)
+
+
+@inner
+def _sum(coefficients, degree, x):
+    """Return the value of a polynomial of an even degree."""
+    xx = x * x
+    even, odd = coefficients[degree], 0.0
+    for k in range(degree - 2, -1, -2):
+        even = even * xx + coefficients[k]
+        odd = odd * xx + coefficients[k + 1]
+    return even + x * odd
 
 
 @inner

@@ -24,7 +24,7 @@ from .invariant_direction import expand_around_root, nearby_root
 from .ledger import CLOSE_TO_JUMP
 from .moves import NO_FORCE, Move, State, Units, jams
 from .recording import record_series
-from .slip_equations import Polynomials, Shape, expand, reach
+from .slip_equations import Polynomials, Shape, expand, reach, within_reach
 from .slip_events import seek, seek_near
 from .slip_series import SlipSeries, first_root, halley, point
 from .slip_works import expand_works, friction_work, no_works, normal_work
@@ -90,7 +90,7 @@ def turning_move(
         series = SlipSeries(
             around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed
         )
-        if sought == WORK:
+        if sought == WORK and within_reach(guess, last, shape.h):
             work_series, known = expand_works(series, work_series, traced), expanded
         x = seek_near(series, work_series, sought, aim, guess, last)
         if x > 0.0:
