@@ -348,3 +348,15 @@ def test_exact_stays(shifted):
 def test_registered_methods():
     assert list(METHODS) == ["exact", "euler", "rk4", "adaptive", "solve_ivp"]
     assert all(method.summary for method in METHODS.values())
+
+
+def test_no_jam_is_seen_in_slip_that_dies():
+    """Its direction is lost in the error of the impulse; the exact method and the reference see no jam."""
+    rng = np.random.default_rng(21)
+    turn = np.linalg.qr(rng.standard_normal((60, 3, 3)))[0]
+    stiffness = 10.0 ** np.array([0.0, -3.0, -6.0])
+    for axes in turn:
+        W = axes * stiffness @ axes.T
+        problem = ImpactProblem((W + W.T) / 2, (0.4, -0.7, -1.0), 0.8, 0.5)
+        stepped = solve_impact(problem, "adaptive")
+        assert (Flag.JAM in stepped.flags) == (Flag.JAM in solve_impact(problem).flags)

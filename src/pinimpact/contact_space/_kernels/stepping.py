@@ -353,7 +353,11 @@ def solve_stepping(
                     event = COMPRESSION_ENDS
                 elif phase == RESTITUTION and v3_end < 0.0:
                     event = COMPRESSION_RESUMES
-            flags |= jams(rate)
+            # as far as the error of P_t so far lets the direction be known, which is lost as slip dies
+            doubt, push = rtol * mu * (p3 + h), norm(b1, b2)
+            flags |= jams(rate + min(1.0, doubt * (a11 + a22) / speed) * mu * push)
+            if rtol > 0.0:
+                flags |= jams(v3_end - v3 + 2.0 * rtol * mu * max(p3 + h, scale) * push)
             before, speed = speed, norm(u1, u2)
             rate = c - mu * (b1 * u1 + b2 * u2) / speed if speed > 0.0 else problem.s
             if abs(v1 * u2 - v2 * u1) > TURNED * before * speed:
