@@ -13,6 +13,9 @@ from ..._numeric.jit import inner
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, Shape, along_slip, in_frame, polynomials
 
+VANISHES = 1e-250
+"""Coefficients below this are zero: close to the smallest doubles arithmetic is slow."""
+
 NEARBY = 0.3
 """Influence of the other roots of p up to which a series goes around one. (4.1)"""
 
@@ -86,6 +89,8 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
         share = RECIPROCAL[k + 1]
         rest = (c1 * g1 + c2 * g2) * share
         new = (c0 * share) * g0 + rest
+        if abs(new) < VANISHES:
+            new = 0.0
         c0 -= q1
         c1 -= q2
         c2 -= q3

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..._numeric.jit import inlined, inner
 from .delassus import EPS
+from .invariant_direction import VANISHES
 from .slip_equations import RECIPROCAL, TERMS
 from .slip_series import SETTLED, fill, passed, point
 
@@ -125,6 +126,8 @@ def _expand_square(friction, shape):
     for k in range(ORDER):
         share = RECIPROCAL[k + 1]
         new = (c1 * u1 + c2 * u2) * share + (c0 * share) * u0
+        if abs(new) < VANISHES:
+            new = 0.0
         c0 -= q1
         c1 -= q2
         c2 -= q3
