@@ -45,7 +45,7 @@ def choose_forces(work, t, out):
 def fit(work, out):
     """Return whether the forces last evaluated, or others with the same motion, are within their bounds.
 
-    And whether no slip begins backwards.
+    And whether no slip begins backwards, nor a joint against its dry friction.
     """
     if work.force_margin < 0.0 and not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
         return False
@@ -66,6 +66,12 @@ def fit(work, out):
             along += reference[k, d] * total
         if along < -BACKWARDS * largest:
             return False
+    sliding, v = work.sliding_friction, work.v
+    for j in range(len(acceleration)):
+        if sliding[j] != 0.0 and abs(v[j]) <= work.certain_speed:
+            along = out[j] if sliding[j] > 0.0 else -out[j]
+            if along < -BACKWARDS * (abs(acceleration[j]) + abs(out[j])):
+                return False
     return True
 
 
