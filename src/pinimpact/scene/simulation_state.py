@@ -384,7 +384,7 @@ class SimulationState:
             return False
         modes = self.dynamics.work.modes
         touching = self._closed(modes[: len(self.names)])
-        slips = modes[touching] == SLIP
+        slips = (modes[touching] == SLIP) & (np.array(touching) < self.dynamics.work.contacts)
         group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, CLEAR * singular)
         if group is None:
             return False
