@@ -380,11 +380,14 @@ class SimulationState:
                 sign, they have gone through infinity.
         """
         without = leaving or not self._forces_found
-        if not self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular):
+        work = self.dynamics.work
+        unbounded = self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular)
+        # within rounding of a singularity the equations have no solution any more, or many
+        if not unbounded and (singular == SINGULAR or work.forces_unique):
             return False
-        modes = self.dynamics.work.modes
+        modes = work.modes
         touching = self._closed(modes[: len(self.names)])
-        slips = (modes[touching] == SLIP) & (np.array(touching) < self.dynamics.work.contacts)
+        slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
         group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, CLEAR * singular)
         if group is None:
             return False
