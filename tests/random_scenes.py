@@ -25,6 +25,8 @@ def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     bounded = (np.abs(lower) < 1e3) & (np.abs(upper) < 1e3) & (upper > lower)
     q[bounded] = np.clip(q[bounded], lower[bounded] + 1e-3, upper[bounded] - 1e-3)
+    if not pin.isNormalized(model, q):  # a quaternion has bounds too
+        q = pin.normalize(model, q)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     points = np.array([data.oMf[model.getFrameId(tip)].translation for tip in TIPS[name]])

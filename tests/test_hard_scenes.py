@@ -164,6 +164,18 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
         assert min(heights) - lowest + 0.05 > -1e-7
 
 
+@pytest.mark.parametrize("seed", [31000334, 31001224, 31001820, 71000554, 72000253, 72000435, 72000900])
+def test_feet_that_slip_and_jam_together_come_to_the_end(seed):
+    """No friction gives energy, and what impacts take is no less than nothing."""
+    _, scene, q, v, rtol = draw(seed)
+    trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.complete
+    energy = trajectory.energy
+    assert unaccounted(trajectory) < 300 * rtol
+    for work in (energy.friction, energy.impacts):
+        assert np.diff(work).max() < 100 * rtol * (energy.kinetic.max() + 1.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3000072, 3000170, 5000621, *range(4000001, 4000013)])
 def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):

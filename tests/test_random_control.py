@@ -26,6 +26,8 @@ from .random_control import DURATION, draw, wrong_in
         1000142,
         1000026,  # joints that break away in a motion of all but redundant contacts
         4000311,  # bounces lower than a gap that counts as none
+        # feet that turn on several corners: by other forces than those of the modes they would not
+        pytest.param(61000205, marks=pytest.mark.slow),
     ],
 )
 def test_modes_settle(seed):

@@ -48,6 +48,10 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+DOUBTFUL = 1e-8
+"""Part of the largest force within which forces that are not unique are known."""
+
+
 class FreeMotion(NamedTuple):
     """The motion of some contacts without contact forces.
 
@@ -237,7 +241,8 @@ class SceneDynamics:
     def forces_doubtful(self) -> bool:
         """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
         margin: float = force_bound.margin_of_forces(self.work)
-        return margin <= 2.0 * self.work.force_tolerance
+        largest = float(np.abs(self.work.solution).max(initial=0.0))
+        return margin <= 2.0 * self.work.force_tolerance + DOUBTFUL * largest
 
     @property
     def constrained(self) -> bool:

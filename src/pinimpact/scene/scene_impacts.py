@@ -37,8 +37,11 @@ _compiled: set[tuple[bool, bool]] = set()
 NUDGE = 1e-8
 """Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
 
-REAL = 1e-5
-"""Part of the speed of slip that what comes of this changes at least."""
+LEAST_NUDGE = 1e-9
+"""Part of the fastest slip that this is at least."""
+
+GROWN = 100.0
+"""By what factor it has grown at least where it is no rounding."""
 
 RANK = 1e-9
 """Eigenvalues below this part of the largest are zero."""
@@ -286,7 +289,14 @@ class SceneImpacts:
             if more > 1.0 + slack:
                 return None
             friction = friction * more
-        velocity[:, 2] += NUDGE * speed * push / float(np.abs(push).max())
+        growing = _growing(matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus))
+        if growing is None:
+            return None
+        # what begins is small beside the slip of what jams, and what counts as rest beside the fastest
+        jamming = int(np.argmax(growing * slips))
+        slow = float(np.hypot(velocity[jamming, 0], velocity[jamming, 1]))
+        nudge = max(NUDGE * slow, LEAST_NUDGE * speed)
+        velocity[:, 2] -= nudge * growing
         e = [self._limit_restitution if c is None else c.restitution_at(0.0) for c in every]
         numbers = matrices.delassus, velocity, friction, matrices.surface_velocity
         try:
@@ -294,10 +304,10 @@ class SceneImpacts:
         except UnstoppableApproachError:  # what neither forces nor impulses can hold
             return None
         change = matrices.delassus @ solved.solution.impulse.ravel()
-        if not float(np.abs(change).max()) > REAL * speed:
+        if not float(np.abs(change).max()) > GROWN * nudge:
             return None
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
-        return _group_impact(v, matrices.response, solved, touching, axes, REAL)
+        return _group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
         """Return contacts, None for each limit, and the matrices of all."""
@@ -328,7 +338,7 @@ class SceneImpacts:
             e: Restitution.
         """
         delassus, velocity, friction, surface = numbers
-        stiffness = _stiffness(struck, delassus.diagonal()[2::3].tolist())
+        stiffness = _stiffness(struck, delassus)
         laws = {contact.law for contact in struck if contact is not None}
         law = laws.pop() if len(laws) == 1 else "energetic"
         policy = find_policy(name)
@@ -442,28 +452,75 @@ def _friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: N
         friction: (n,) its coefficients.
         slips: (n,) which of them slip.
     """
-    rows, directions = [], []
-    for i, (x, y, _) in enumerate(velocity.tolist()):
-        for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):
-            rows.append(3 * i + d)
-            along = np.zeros(len(delassus))
-            speed = math.hypot(x, y)
-            if slips[i] and speed > 0.0:
-                along[3 * i : 3 * i + 2] = friction[i] * x / speed, friction[i] * y / speed
-            directions.append(along)
+    rows, along = _slipping_rows(velocity, friction, slips)
     of_rows = delassus[rows]
     weights, basis = np.linalg.eigh(of_rows[:, rows])
     known = weights > RANK * weights[-1]
     basis = basis[:, known] / np.sqrt(weights[known])
     # det(1 − s C) = 0
-    inverses = np.linalg.eigvals(basis.T @ of_rows @ np.array(directions).T @ basis)
+    inverses = np.linalg.eigvals(basis.T @ of_rows @ along @ basis)
     real = inverses.real[np.abs(inverses.imag) <= RANK * np.abs(inverses).max()]
     largest = float(real.max(initial=0.0))
     return max(1.0, (1.0 + RANK) / largest) if largest > 0.0 else math.inf
 
 
-def _stiffness(struck: Sequence[Contact | None], inverse_masses: Sequence[float]) -> Array:
+def _growing(
+    delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_], stiffness: Array
+) -> Array | None:
+    """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
+
+    Those of the fastest growth at which nothing pulls, of what is indented then. Arguments as in
+    `_friction_of_jam`, and the stiffnesses (n,).
+    """
+    active = list(range(len(velocity)))
+    while active:
+        places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
+        rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
+        part = delassus[np.ix_(places, places)]
+        system = part[rows][:, rows] - part[rows] @ along
+        normal = np.array(rows) % 3 == 2
+        held = system[np.ix_(~normal, ~normal)]
+        pressed = system[np.ix_(normal, normal)]
+        if held.size:  # what sticks holds its tangential rows at once
+            inverse = np.linalg.pinv(held, rcond=RANK, hermitian=True)
+            pressed = pressed - system[np.ix_(normal, ~normal)] @ inverse @ system[np.ix_(~normal, normal)]
+        system = stiffness[active, None] * pressed
+        values, vectors = np.linalg.eig(system)
+        size = float(np.abs(values).max())
+        real = np.abs(values.imag) <= RANK * size
+        rates = np.where(real, values.real, np.inf)
+        fastest = int(np.argmin(rates))
+        if not rates[fastest] < 0.1 * RANK * size:
+            return None
+        forces = vectors[:, fastest].real
+        forces /= forces[np.argmax(np.abs(forces))]
+        if forces.sum() < 0.0:
+            forces = -forces
+        if forces.min() >= -1e-6 * forces.max():
+            indentations = np.zeros(len(velocity))
+            indentations[active] = np.maximum(forces, 0.0) / stiffness[active]
+            return np.array(indentations / indentations.max())
+        del active[int(np.argmin(forces))]
+    return None
+
+
+def _slipping_rows(velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> tuple[list[int], Array]:
+    """Return which rows of contacts are held, and per held row the friction against it, (3n, rows)."""
+    rows, columns = [], []
+    for i, (x, y, _) in enumerate(velocity.tolist()):
+        for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):
+            rows.append(3 * i + d)
+            column = np.zeros(3 * len(velocity))
+            speed = math.hypot(x, y)
+            if slips[i] and speed > 0.0:
+                column[3 * i : 3 * i + 2] = friction[i] * x / speed, friction[i] * y / speed
+            columns.append(column)
+    return rows, np.array(columns).T
+
+
+def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:
     """Return relative stiffnesses; of joint limits such that κ W is the mean of the contacts'."""
+    inverse_masses = delassus.diagonal()[2::3].tolist()
     given = [contact.stiffness * w for contact, w in zip(struck, inverse_masses, strict=True) if contact]
     mean = (sum(given) / len(given) if given else 0.0) or 1.0
     return np.array(

@@ -380,11 +380,14 @@ class SimulationState:
                 sign, they have gone through infinity.
         """
         without = leaving or not self._forces_found
-        if not self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular):
+        work = self.dynamics.work
+        unbounded = self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular)
+        # within rounding of a singularity the equations have no solution any more, or many
+        if not unbounded and (singular == SINGULAR or work.forces_unique):
             return False
-        modes = self.dynamics.work.modes
+        modes = work.modes
         touching = self._closed(modes[: len(self.names)])
-        slips = modes[touching] == SLIP
+        slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
         group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, CLEAR * singular)
         if group is None:
             return False
@@ -420,17 +423,22 @@ class SimulationState:
         move is seen a little later, in the smooth continuation of the step.
         """
         work = self.dynamics.work
-        before = work.modes.copy()
-        ahead = LEAST_AHEAD * step.h
-        while ahead <= MOST_AHEAD * step.h:
+        before = found = work.modes.copy()
+        ahead, certain = LEAST_AHEAD * step.h, False
+        while ahead <= MOST_AHEAD * step.h and not certain:
             q, v = step.at(self.t + ahead)
             jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
-            if jammed < 0 and (work.modes != before).any():
-                work.force_bound_ignored = False
-                self._tell_modes()
-                return True
+            modes = work.modes.copy()
+            changed = jammed < 0 and (modes != before).any()
+            # of what begins together one may show before the other: the same modes twice are those
+            certain = changed and bool((modes == found).all())
+            found = modes if changed else before
             ahead *= 4.0
-        return False
+        if (found == before).all():
+            return False
+        work.force_bound_ignored = False
+        self._tell_modes()
+        return True
 
     def shapes_meet(self, meeting: Meeting, step: DenseStep) -> Arriving:
         """Let a pair of shapes touch at present, or elsewhere; return what arrives."""

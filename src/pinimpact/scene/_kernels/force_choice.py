@@ -2,8 +2,8 @@
 
 Contacts that share their load and slip may share it in several ways, each with another friction, and the
 motion is another for each. Those of least norm are taken where they keep within their bounds and let begin
-what begins to slip; else those farthest from their bounds, or those by which the modes were found. Until the
-modes are set anew it is the nearest to them that act.
+what begins to slip; else those by which the modes were found, lest what they set in motion stays, or those
+farthest from their bounds. Until the modes are set anew it is the nearest to them that act.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def choose_forces(work, t, out):
     if work.forces_unique or not rubs(work) or fit(work, out):
         return
     known = work.inner_forces
-    if widest_margin(work, ANY_MOTION, known) > 0.0:
-        evaluate(work, t, out)
-        if fit(work, out):
-            return
     take_found(work)
     evaluate(work, t, out)
     if fit(work, out):
         return
+    if widest_margin(work, ANY_MOTION, known) > 0.0:
+        evaluate(work, t, out)
+        if fit(work, out):
+            return
     for a in range(len(known)):
         known[a] = 0.0
     evaluate(work, t, out)
@@ -45,7 +45,7 @@ def choose_forces(work, t, out):
 def fit(work, out):
     """Return whether the forces last evaluated, or others with the same motion, are within their bounds.
 
-    And whether no slip begins backwards.
+    And whether no slip begins backwards, nor a joint against its dry friction.
     """
     if work.force_margin < 0.0 and not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
         return False
@@ -66,6 +66,12 @@ def fit(work, out):
             along += reference[k, d] * total
         if along < -BACKWARDS * largest:
             return False
+    sliding, v = work.sliding_friction, work.v
+    for j in range(len(acceleration)):
+        if sliding[j] != 0.0 and abs(v[j]) <= work.certain_speed:
+            along = out[j] if sliding[j] > 0.0 else -out[j]
+            if along < -BACKWARDS * (abs(acceleration[j]) + abs(out[j])):
+                return False
     return True
 
 
