@@ -171,7 +171,7 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
 
 
 MISSED = 1e-6
-"""Part of velocities and works that may be missed or gained, before waves count as lost."""
+"""Part of velocities, impulses and works that may be missed or gained, before waves count as lost."""
 
 MOST_STEPS = 5000
 """Steps after which what is left of an impact is resolved at once, and that is noted."""

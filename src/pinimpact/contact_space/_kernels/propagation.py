@@ -138,7 +138,8 @@ def propagate(
 
     Returns:
         Whether the approach could be stopped, and what the answer misses: velocities that the impulses do not
-        make, in parts of the largest before it, or energy that they create, in parts of the works' sizes.
+        make, in parts of the largest before it, friction beyond its cone, in parts of the strongest impulse,
+        or energy that they create, in parts of the works' sizes.
     """
     n = len(friction)
     scale, most = 0.0, 0.0
@@ -177,6 +178,12 @@ def propagate(
             made += w[i, k] * impulse[k]
         missed = max(missed, abs(v[i] - made))
         stopped = stopped and math.isfinite(v[i]) and math.isfinite(impulse[i])
+    strongest = outside = 0.0
+    for j in range(n):
+        p1, p2, p3 = impulse[3 * j], impulse[3 * j + 1], impulse[3 * j + 2]
+        strongest = max(strongest, p3)
+        outside = max(outside, math.hypot(p1, p2) - friction[j] * p3)
+    missed = max(missed, outside / max(strongest, 1e-300))
     for i in range(3 * n):
         v[i] *= scale
         impulse[i] *= scale
