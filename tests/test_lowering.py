@@ -151,7 +151,85 @@ def made_here(n):
     return row, last
 
 
+def new_arrays(n, k):
+    """New arrays of all types of numbers, dimensions and ways to say them."""
+    a, b, c = np.zeros(n), np.zeros((n, 3), dtype=np.int64), np.zeros((2, n, k), np.float64)
+    d, e, f = np.empty((n, k), dtype=float), np.empty(n, np.bool_), np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        e[i] = i % 2 == 0
+        for j in range(k):
+            d[i, j] = 10 * i + j
+    c[1, -1, -1] = a.size + b.size + c.size + d.size + e.size
+    return (
+        a,
+        b,
+        c,
+        d,
+        e,
+        f,
+        d.sum(),
+        c[1].strides,
+        b.itemsize + e.itemsize,
+        d.T.copy(),
+        np.zeros((0, n)).shape,
+    )
+
+
+def extremes(x, y, i, j):
+    """Largest and smallest of numbers, the first of which stays where none is larger."""
+    return (
+        max(x, y),
+        max(y, x),
+        min(x, y, 2.0),
+        min(2.0, y, x),
+        max(i, j, 1),
+        min(i, j),
+        max(i, 2.5),
+        min(x, j),
+        max((x, y)),
+        int(x > 1.0),
+        int(j),
+        int(2.0 * y) if y == y else 0,
+    )
+
+
+def half(pair):
+    """Take arrays that are lent."""
+    return 0.5 * pair.rows[1, -1] + pair.last[-1] + pair.factor + len(pair.rows) * pair.last.size
+
+
+def sums(a, b, flags, numbers):
+    """Take arrays of several orders, dimensions and types."""
+    for k in range(len(numbers)):
+        numbers[k] += 1 if flags[k] else 0
+    return a[1, 0] + 10 * a[0, -1] + b[1, 0, -1] + a.shape[1] + b[-1].size + numbers.sum()
+
+
+def lent(a, b, flags, numbers, n):
+    """Arrays lent to other kernels: arguments, rows and new ones."""
+    pair = Pair(np.full((n, 3), 2.0), b[0, 1], 1.0)
+    for i in range(n):
+        pair = Pair(pair.rows, np.full(n, half(pair)), 0.5 * i)
+    return half(pair), sums(a, b, flags, numbers), sums(a[:, 1:], b, flags[::2], numbers), half(pair)
+
+
+half, sums = compiled(half), compiled(sums)
+
 CASES = [
+    (new_arrays, lambda: (3, 2)),
+    (extremes, lambda: (1.5, math.nan, 2, 7)),
+    (extremes, lambda: (-0.0, 0.0, -2, -2)),
+    (extremes, lambda: (math.inf, -3.7, 0, 1)),
+    (
+        lent,
+        lambda: (
+            np.arange(12.0).reshape(4, 3).T,
+            np.arange(12.0).reshape(2, 3, 2),
+            np.array([True, False, True, True]),
+            np.arange(2),
+            4,
+        ),
+    ),
     (items, lambda: (np.arange(12.0).reshape(3, 4), np.ones((3, 4)), 1)),
     (items, lambda: (np.arange(12.0).reshape(4, 3).T, np.ones((4, 3)).T, 2)),
     (items, lambda: (np.arange(24.0).reshape(3, 8)[:, ::2], np.ones((4, 4))[:, 1:], 1)),
@@ -190,6 +268,7 @@ def test_a_kernel_does_what_python_does(function, arguments):
         found, expected = (found,), (expected,)
     for one, other in zip(found, expected, strict=True):
         assert np.array_equal(one, other, equal_nan=True)
+        assert np.array_equal(np.signbit(one), np.signbit(other))
     for one, other in zip(parts(ours), parts(theirs), strict=True):  # what was written into arguments
         assert np.array_equal(one, other, equal_nan=True)
 
@@ -200,6 +279,26 @@ def test_what_a_kernel_returns_outlives_it():
     gc.collect()
     rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
     assert all(np.array_equal(row, [1.0, 2.0, 3.0]) for row in rows)
+    assert len(rubbish) == len(rows)
+
+
+@compiled
+def first_row(rows):
+    """Hand back a part of an argument."""
+    return rows[0]
+
+
+@compiled
+def handed_on(n):
+    """A row of an array that nobody but a callee has handed back."""
+    return first_row(np.full((n, 3), 4.0))
+
+
+def test_what_a_callee_hands_back_of_its_arguments_outlives_it():
+    rows = [handed_on(n) for n in range(2, 50)]
+    gc.collect()
+    rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
+    assert all(np.array_equal(row, [4.0, 4.0, 4.0]) for row in rows)
     assert len(rubbish) == len(rows)
 
 

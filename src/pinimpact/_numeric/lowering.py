@@ -11,20 +11,32 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterable
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
+import numpy as np
 from llvmlite import ir as llvm_ir
 from numba import core
 from numba.core import analysis, cgutils, ir, lowering
 
+from . import short_calls
+from .arguments import (
+    ARRAY,
+    DATA,
+    ITEMSIZE,
+    MEMINFO,
+    NITEMS,
+    PARENT,
+    SHAPE,
+    STRIDES,
+    counted,
+    has_fields,
+    lent_arguments,
+)
+from .short_calls import is_index
+
 errors: Any = core.errors  # no stub tells all that is in them
 types: Any = core.types
-
-_ARRAY = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
-"""The fields of an array, as they are known here."""
-
-_MEMINFO, _PARENT, _NITEMS, _ITEMSIZE, _DATA, _SHAPE, _STRIDES = range(len(_ARRAY))
 
 _RANGE = ("start", "stop", "step")
 _RANGE_ITERATOR = ("iter", "stop", "step", "count")
@@ -44,25 +56,8 @@ _COMPARISONS = {
 }
 
 
-@cache
-def counted(models: Any, kind: Any) -> bool:
-    """Whether references to what a type stands for, or to a part of it, are counted."""
-    found: bool = models[kind].contains_nrt_meminfo()
-    return found
-
-
-@cache
-def _has(models: Any, kind: Any, fields: tuple[str, ...]) -> bool:
-    """Whether a type is laid out with these fields."""
-    return tuple(getattr(models[kind], "_fields", ())) == fields
-
-
-def _is_index(kind: Any) -> bool:
-    return isinstance(kind, types.Integer) and kind.signed and kind.bitwidth == 64
-
-
 def _is_number(kind: Any) -> bool:
-    return kind is types.float64 or _is_index(kind)
+    return kind is types.float64 or is_index(kind)
 
 
 def _constant(value: Any) -> int | None:
@@ -109,19 +104,26 @@ def view(
         builder,
         kind,
         [
-            (_MEMINFO, owner[0]),
-            (_PARENT, owner[1]),
-            (_NITEMS, count),
-            (_ITEMSIZE, itemsize),
-            (_DATA, data),
-            *(((_SHAPE, k), length) for k, length in enumerate(shape)),
-            *(((_STRIDES, k), stride) for k, stride in enumerate(strides)),
+            (MEMINFO, owner[0]),
+            (PARENT, owner[1]),
+            (NITEMS, count),
+            (ITEMSIZE, itemsize),
+            (DATA, data),
+            *(((SHAPE, k), length) for k, length in enumerate(shape)),
+            *(((STRIDES, k), stride) for k, stride in enumerate(strides)),
         ],
     )
 
 
 class Lowering(lowering.Lower):
     """Lowering on short ways, without a thought of the references of what has none."""
+
+    def init(self) -> None:
+        """Take arguments as kernels hand them over."""
+        super().init()
+        if not self.func_ir.func_id.is_generator:
+            models = self.context.data_model_manager
+            self.fndesc.argtypes = lent_arguments(models, self.fndesc.argtypes, self.fndesc.restype)
 
     def _find_singly_assigned_variable(self) -> None:
         """Find the variables that need no memory of their own, and the arrays that need no count."""
@@ -192,19 +194,19 @@ class Lowering(lowering.Lower):
         return counted(self.context.data_model_manager, kind)
 
     def _has(self, kind: Any, fields: tuple[str, ...]) -> bool:
-        return _has(self.context.data_model_manager, kind, fields)
+        return has_fields(self.context.data_model_manager, kind, fields)
 
     def incref(self, typ: Any, val: Any) -> None:
         """Count one more reference."""
-        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
-            super().incref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        if isinstance(typ, types.Array) and self._has(typ, ARRAY):
+            super().incref(_REFERENCE, self.builder.extract_value(val, MEMINFO))
         elif self._counted(typ):
             super().incref(typ, val)
 
     def decref(self, typ: Any, val: Any) -> None:
         """Count one less."""
-        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
-            super().decref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        if isinstance(typ, types.Array) and self._has(typ, ARRAY):
+            super().decref(_REFERENCE, self.builder.extract_value(val, MEMINFO))
         elif self._counted(typ):
             super().decref(typ, val)
 
@@ -285,11 +287,11 @@ class Lowering(lowering.Lower):
     def _integers(self, kind: Any, index: Any) -> int:
         """Return how many integers an index into an array of numbers consists of; 0 for others."""
         number = isinstance(kind, types.Array) and kind.dtype in (types.float64, types.int64)
-        if not number or kind.layout == "A" or not kind.aligned or not self._has(kind, _ARRAY):
+        if not number or kind.layout == "A" or not kind.aligned or not self._has(kind, ARRAY):
             return 0
         form = self.typeof(index.name)
-        count = 1 if _is_index(form) else 0
-        if isinstance(form, types.BaseTuple) and all(map(_is_index, form.types)):
+        count = 1 if is_index(form) else 0
+        if isinstance(form, types.BaseTuple) and all(map(is_index, form.types)):
             count = len(form)
         return 0 if self.context.enable_boundscheck or count > kind.ndim else count
 
@@ -311,7 +313,7 @@ class Lowering(lowering.Lower):
     def _place(self, kind: Any, array: Any, indices: list[Any]) -> Any:
         """Return where an item or a row of an array begins."""
         builder = self.builder
-        lengths = [builder.extract_value(array, (_SHAPE, k)) for k in range(kind.ndim)]
+        lengths = [builder.extract_value(array, (SHAPE, k)) for k in range(kind.ndim)]
         inside = [self._from_start(*pair) for pair in zip(indices, lengths, strict=False)]
         places = inside + [None] * (kind.ndim - len(inside))
         order = range(kind.ndim) if kind.layout == "C" else range(kind.ndim - 1, -1, -1)
@@ -321,7 +323,7 @@ class Lowering(lowering.Lower):
                 offset = builder.mul(offset, lengths[k])
             if places[k] is not None:
                 offset = places[k] if offset is None else builder.add(offset, places[k])
-        return builder.gep(builder.extract_value(array, _DATA), [offset])
+        return builder.gep(builder.extract_value(array, DATA), [offset])
 
     def _from_start(self, index: Any, length: Any) -> Any:
         """Return an index that counts from the start."""
@@ -344,11 +346,11 @@ class Lowering(lowering.Lower):
             self.context,
             builder,
             resty,
-            (builder.extract_value(array, _MEMINFO), builder.extract_value(array, _PARENT)),
-            builder.extract_value(array, _ITEMSIZE),
+            (builder.extract_value(array, MEMINFO), builder.extract_value(array, PARENT)),
+            builder.extract_value(array, ITEMSIZE),
             self._place(kind, array, indices),
-            [builder.extract_value(array, (_SHAPE, k)) for k in left],
-            [builder.extract_value(array, (_STRIDES, k)) for k in left],
+            [builder.extract_value(array, (SHAPE, k)) for k in left],
+            [builder.extract_value(array, (STRIDES, k)) for k in left],
         )
         if not self._to_unowned:
             self.incref(resty, row)
@@ -356,8 +358,8 @@ class Lowering(lowering.Lower):
 
     def _attribute(self, resty: Any, expr: Any) -> Any:
         kind = self.typeof(expr.value.name)
-        if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, _ARRAY):
-            return self.builder.extract_value(self.loadvar(expr.value.name), _SHAPE)
+        if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, ARRAY):
+            return self.builder.extract_value(self.loadvar(expr.value.name), SHAPE)
         return self._known_item(resty, expr)
 
     # ---- tuples
@@ -428,17 +430,23 @@ class Lowering(lowering.Lower):
 
     def _call(self, resty: Any, expr: Any) -> Any:
         called = getattr(self.typeof(expr.func.name), "typing_key", None)
-        if called not in (range, len, bool) or expr.kws or expr.vararg:
+        if expr.vararg:
             return None
         kinds = [self.typeof(one.name) for one in expr.args]
+        known = short_calls.signature(called, kinds, {name: self.typeof(one.name) for name, one in expr.kws})
+        if known is not None:
+            found = self._known_call(called, known.return_type, expr, kinds)
+            return self.context.cast(self.builder, found, known.return_type, resty)
+        if called not in (range, len, bool) or expr.kws:
+            return None
         if called is len:
-            if isinstance(kinds[0], types.Array) and kinds[0].ndim and self._has(kinds[0], _ARRAY):
-                return self.builder.extract_value(self.loadvar(expr.args[0].name), (_SHAPE, 0))
+            if isinstance(kinds[0], types.Array) and kinds[0].ndim and self._has(kinds[0], ARRAY):
+                return self.builder.extract_value(self.loadvar(expr.args[0].name), (SHAPE, 0))
         elif called is bool:
             if kinds[0] == types.boolean:
                 return self.loadvar(expr.args[0].name)
-        elif resty == types.range_state64_type and all(map(_is_index, kinds)):
-            numbers = [self._loaded(*pair) for pair in zip(expr.args, kinds, strict=True)]
+        elif resty == types.range_state64_type and all(map(is_index, kinds)):
+            numbers = self._numbers(expr.args, kinds)
             if len(numbers) == 1:
                 numbers.insert(0, _INTEGER(0))
             if len(numbers) == 2:
@@ -446,12 +454,40 @@ class Lowering(lowering.Lower):
             return aggregate(self.context, self.builder, resty, enumerate(numbers))
         return None
 
+    def _numbers(self, variables: Any, kinds: Any) -> list[Any]:
+        return [self._loaded(*pair) for pair in zip(variables, kinds, strict=True)]
+
+    def _known_call(self, called: Any, result: Any, expr: Any, kinds: list[Any]) -> Any:
+        """Lower a call whose types `short_calls` knows."""
+        if called is max or called is min:
+            return short_calls.extreme(self.builder, called, result, self._numbers(expr.args, kinds))
+        if called is int:
+            return self.context.cast(self.builder, self.loadvar(expr.args[0].name), kinds[0], result)
+        return self._new_array(result, self._indices(expr.args[0]), called is np.zeros)
+
+    def _new_array(self, kind: Any, shape: list[Any], zero: bool) -> Any:
+        """Return a new array."""
+        context, builder = self.context, self.builder
+        width = _INTEGER(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+        strides = [width]
+        for length in shape[:0:-1]:
+            strides.append(builder.mul(strides[-1], length))
+        size = builder.mul(strides[-1], shape[0])
+        align = context.get_preferred_array_alignment(kind.dtype)
+        meminfo = context.nrt.meminfo_alloc_aligned(builder, size, context.get_constant(types.uint32, align))
+        data = context.nrt.meminfo_data(builder, meminfo)
+        if zero:
+            cgutils.memset(builder, data, size, 0)
+        data = builder.bitcast(data, context.get_data_type(kind.dtype).as_pointer())
+        parent = context.get_constant_null(types.pyobject)
+        return view(context, builder, kind, (meminfo, parent), width, data, shape, strides[::-1])
+
     def _binary(self, resty: Any, expr: Any) -> Any:
         """Lower a sum, product, quotient or comparison of two numbers of one type."""
         fn = expr.fn if expr.op == "binop" else expr.immutable_fn
         left, right = self.typeof(expr.lhs.name), self.typeof(expr.rhs.name)
         builder = self.builder
-        if _is_index(left) and _is_index(right):
+        if is_index(left) and is_index(right):
             if isinstance(left, types.IntegerLiteral) and isinstance(right, types.IntegerLiteral):
                 return None
             lhs, rhs = self._loaded(expr.lhs, left), self._loaded(expr.rhs, right)
