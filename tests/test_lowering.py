@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from pinimpact._numeric.linking import KernelCompiler
 
@@ -325,3 +326,66 @@ def test_what_comes_out_of_a_tuple_outlives_it():
     assert all(np.array_equal(row, [6.0, 7.0, 8.0]) for row, _ in found)
     assert all(np.array_equal(last, [2.0, 2.0, 2.0]) for _, last in found)
     assert len(rubbish) == len(found)
+
+
+def ways(a, n, which):
+    """Arrays made before, within and after branches and loops, and what is left of each."""
+    first = np.full(3, 1.0)
+    kept, row = first, a[1]
+    pair = Pair(np.full((2, 3), 2.0), first, 0.5)
+    if which < 0:
+        return first
+    for i in range(n):
+        inside = np.full(3, float(i))
+        row = pair.rows[i % 2]
+        row[0] += inside[1]
+        kept = inside
+    after = np.full(3, pair.rows[1, 0])
+    again = pair.rows[0]
+    while after[0] > 6.0:
+        after[0] -= first[0]
+        if which > 1:
+            return pair.last
+    return (kept, again, after)[which] if which < 2 else row
+
+
+@pytest.mark.parametrize(("n", "which"), [(4, -1), (4, 0), (0, 0), (4, 1), (9, 2), (1, 2)])
+def test_an_array_lives_as_long_as_anything_looks_at_it(n, which):
+    a = np.ones((3, 3))
+    kernel, before = compiled(ways), sys.getrefcount(a)
+    rows = [kernel(a, n, which) for _ in range(50)]
+    gc.collect()
+    rubbish = [np.full(3, -1.0) for _ in range(500)]
+    expected = ways(a, n, which)
+    assert all(np.array_equal(row, expected) for row in rows)
+    assert sys.getrefcount(a) == before
+    assert len(rubbish) == 500
+
+
+def kept_until_the_end(n):
+    """Arrays and tuples that are there from start to end, and nothing else."""
+    a, b = np.full(n, 1.0), np.full((n, 3), 2.0)
+    pair = Pair(b, a, 1.0)
+    total = 0.0
+    for i in range(n):
+        row = pair.rows[i]
+        total += row[1] + pair.last[i]
+    return total
+
+
+def test_all_memory_is_given_back():
+    kernel = compiled(kept_until_the_end)
+    made = compiled(ways)
+    a = np.ones((3, 3))
+    kernel(3), made(a, 3, 2)
+    gc.collect()
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for n in range(20):
+        kernel(n)
+        for which in (-1, 0, 1, 2):
+            made(a, n, which)
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 0

@@ -126,10 +126,11 @@ class Lowering(lowering.Lower):
             self.fndesc.argtypes = lent_arguments(models, self.fndesc.argtypes, self.fndesc.restype)
 
     def _find_singly_assigned_variable(self) -> None:
-        """Find the variables that need no memory of their own, and the arrays that need no count."""
+        """Find the variables that need no memory of their own, and the arrays that need no count, or one."""
         super()._find_singly_assigned_variable()
         self._debugged = self._disable_sroa_like_opt
         self._unowned: set[str] = set()
+        self._held: set[str] = set()
         self._to_unowned = False
         if self._debugged or self.func_ir.func_id.is_generator:
             return
@@ -141,6 +142,9 @@ class Lowering(lowering.Lower):
                 values.setdefault(inst.target.name, []).append(inst.value)
                 places[inst.target.name] = offset
         self._unowned = self._find_unowned(values)
+        self._held = self._find_held(values, places)
+        self._unowned = self._find_unowned(values)
+        self._held -= self._unowned
         first = min(blocks)
         if any(first in block.terminator.get_targets() for block in blocks.values()):
             return
@@ -158,31 +162,75 @@ class Lowering(lowering.Lower):
         """Whether references to what a variable holds are counted."""
         return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
 
+    def _find_held(self, values: dict[str, list[Any]], places: dict[str, int]) -> set[str]:
+        """Return the arrays, and tuples of them, that can as well be held until the function returns.
+
+        Each is made once, and nothing returns, nor uses it, that has not come by there.
+
+        Args:
+            values: What each variable is assigned.
+            places: Where it is assigned.
+        """
+        blocks = self.func_ir.blocks
+        deleted = {inst.value for block in blocks.values() for inst in block.find_insts(ir.Del)}
+        found = {
+            name
+            for name in deleted - self._singly_assigned_vars - self._unowned
+            if isinstance(self.typeof(name), (types.Array, types.BaseTuple))
+            and self._is_counted(name)
+            and len(values.get(name, ())) == 1
+        }
+        if not found:
+            return found
+        graph = analysis.compute_cfg_from_blocks(blocks)
+        inside = {offset for loop in graph.loops().values() for offset in loop.body}
+        before = graph.dominators()
+        ends = [offset for offset, block in blocks.items() if isinstance(block.terminator, ir.Return)]
+        users: dict[str, list[int]] = {}
+        for offset, names in analysis.compute_use_defs(blocks).usemap.items():
+            for name in found & set(names):
+                users.setdefault(name, []).append(offset)
+
+        def leads(place: int, offset: int) -> bool:
+            return place <= offset and (offset not in before or place in before[offset])
+
+        return {
+            name
+            for name in found
+            if places[name] not in inside
+            and all(leads(places[name], offset) for offset in ends)
+            and all(places[name] < offset and leads(places[name], offset) for offset in users.get(name, ()))
+        }
+
     def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:
         """Return the arrays, and tuples of them, that need no count of references, for others outlive them.
 
-        They are arguments, items of such tuples, the views that a type `lends`, and rows of such arrays.
+        They are arguments, what is `held`, items of such tuples, the views that a type `lends`, and rows of
+        such arrays.
 
         Args:
             values: What each variable is assigned.
         """
         found = {name for name in values if isinstance(self.typeof(name), (types.Array, types.BaseTuple))}
 
+        def lasts(name: str) -> bool:
+            return name in found or name in self._held
+
         def lent(name: str, value: Any) -> bool:
             kind = self.typeof(name)
             if isinstance(value, ir.Arg):
                 return self.typeof(f"arg.{value.name}") == kind
             if isinstance(value, ir.Var):
-                return value.name in found and self.typeof(value.name) == kind
+                return lasts(value.name) and self.typeof(value.name) == kind
             if not isinstance(value, ir.Expr) or value.op not in ("getattr", "getitem", "static_getitem"):
                 return False
             owner = self.typeof(value.value.name)
             if isinstance(owner, types.BaseTuple):
-                return value.value.name in found and self._place_in(kind, owner, value) is not None
+                return lasts(value.value.name) and self._place_in(kind, owner, value) is not None
             if value.op == "getattr":
                 return getattr(owner, "lends", False)
             index = value.index if value.op == "getitem" else value.index_var
-            if value.value.name not in found or index is None:
+            if not lasts(value.value.name) or index is None:
                 return False
             return self.fndesc.calltypes[value].return_type == kind and self._is_row(kind, owner, index)
 
@@ -212,12 +260,14 @@ class Lowering(lowering.Lower):
 
     def delvar(self, name: str) -> None:
         """End the life of a variable."""
-        if self._debugged or self._is_counted(name):
+        if self._debugged or (self._is_counted(name) and name not in self._held):
             super().delvar(name)
 
     def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
         """Give a variable a value."""
-        if self._debugged or self._is_counted(name):
+        if name in self._held:
+            self._blk_local_varmap[name] = value
+        elif self._debugged or self._is_counted(name):
             super().storevar(value, name, argidx)
         elif name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
@@ -251,6 +301,9 @@ class Lowering(lowering.Lower):
             else:
                 self.storevar(self.lower_assign(self.typeof(name), inst), name)
         else:
+            if type(inst) is ir.Return:
+                for name in sorted(self._held):
+                    self.decref(self.typeof(name), self.loadvar(name))
             super().lower_inst(inst)
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
