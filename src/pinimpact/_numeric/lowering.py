@@ -56,6 +56,18 @@ _COMPARISONS = {
 }
 
 
+def _reached(graph: Any, place: int) -> set[int]:
+    """Return the blocks that control may come to after one."""
+    found: set[int] = set()
+    waiting = [place]
+    while waiting:
+        for one, _ in graph.successors(waiting.pop()):
+            if one not in found:
+                found.add(one)
+                waiting.append(one)
+    return found
+
+
 def _is_number(kind: Any) -> bool:
     return kind is types.float64 or is_index(kind)
 
@@ -130,7 +142,8 @@ class Lowering(lowering.Lower):
         super()._find_singly_assigned_variable()
         self._debugged = self._disable_sroa_like_opt
         self._unowned: set[str] = set()
-        self._held: set[str] = set()
+        self._held: dict[str, int] = {}
+        self._let_go: dict[int, list[str]] = {}
         self._to_unowned = False
         if self._debugged or self.func_ir.func_id.is_generator:
             return
@@ -144,7 +157,6 @@ class Lowering(lowering.Lower):
         self._unowned = self._find_unowned(values)
         self._held = self._find_held(values, places)
         self._unowned = self._find_unowned(values)
-        self._held -= self._unowned
         first = min(blocks)
         if any(first in block.terminator.get_targets() for block in blocks.values()):
             return
@@ -162,10 +174,11 @@ class Lowering(lowering.Lower):
         """Whether references to what a variable holds are counted."""
         return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
 
-    def _find_held(self, values: dict[str, list[Any]], places: dict[str, int]) -> set[str]:
+    def _find_held(self, values: dict[str, list[Any]], places: dict[str, int]) -> dict[str, int]:
         """Return the arrays, and tuples of them, that can as well be held until the function returns.
 
-        Each is made once, and nothing returns, nor uses it, that has not come by there.
+        Each is made once, at the place that comes with it, and nothing uses it, nor returns after it, but by
+        way of there.
 
         Args:
             values: What each variable is assigned.
@@ -174,8 +187,8 @@ class Lowering(lowering.Lower):
         blocks = self.func_ir.blocks
         deleted = {inst.value for block in blocks.values() for inst in block.find_insts(ir.Del)}
         found = {
-            name
-            for name in deleted - self._singly_assigned_vars - self._unowned
+            name: places[name]
+            for name in sorted(deleted - self._singly_assigned_vars - self._unowned)
             if isinstance(self.typeof(name), (types.Array, types.BaseTuple))
             and self._is_counted(name)
             and len(values.get(name, ())) == 1
@@ -186,21 +199,25 @@ class Lowering(lowering.Lower):
         inside = {offset for loop in graph.loops().values() for offset in loop.body}
         before = graph.dominators()
         ends = [offset for offset, block in blocks.items() if isinstance(block.terminator, ir.Return)]
-        users: dict[str, list[int]] = {}
+        users: dict[str, list[int]] = {name: [] for name in found}
         for offset, names in analysis.compute_use_defs(blocks).usemap.items():
-            for name in found & set(names):
-                users.setdefault(name, []).append(offset)
+            for name in found.keys() & set(names):
+                users[name].append(offset)
 
         def leads(place: int, offset: int) -> bool:
-            return place <= offset and (offset not in before or place in before[offset])
+            return place < offset and place in before.get(offset, ())
 
-        return {
-            name
-            for name in found
-            if places[name] not in inside
-            and all(leads(places[name], offset) for offset in ends)
-            and all(places[name] < offset and leads(places[name], offset) for offset in users.get(name, ()))
-        }
+        for name, place in [*found.items()]:
+            if place in inside or place in ends:
+                del found[name]
+                continue
+            after = _reached(graph, place).intersection(ends)
+            if not all(leads(place, offset) for offset in (*users[name], *after)):
+                del found[name]
+        for end in ends:
+            names = [name for name, place in found.items() if leads(place, end)]
+            self._let_go[id(blocks[end].terminator)] = names
+        return found
 
     def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:
         """Return the arrays, and tuples of them, that need no count of references, for others outlive them.
@@ -218,6 +235,8 @@ class Lowering(lowering.Lower):
 
         def lent(name: str, value: Any) -> bool:
             kind = self.typeof(name)
+            if name in self._held:
+                return False
             if isinstance(value, ir.Arg):
                 return self.typeof(f"arg.{value.name}") == kind
             if isinstance(value, ir.Var):
@@ -302,7 +321,7 @@ class Lowering(lowering.Lower):
                 self.storevar(self.lower_assign(self.typeof(name), inst), name)
         else:
             if type(inst) is ir.Return:
-                for name in sorted(self._held):
+                for name in self._let_go.get(id(inst), ()):
                     self.decref(self.typeof(name), self.loadvar(name))
             super().lower_inst(inst)
 
