@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from pinimpact._numeric.linking import KernelCompiler
 
@@ -151,7 +152,85 @@ def made_here(n):
     return row, last
 
 
+def new_arrays(n, k):
+    """New arrays of all types of numbers, dimensions and ways to say them."""
+    a, b, c = np.zeros(n), np.zeros((n, 3), dtype=np.int64), np.zeros((2, n, k), np.float64)
+    d, e, f = np.empty((n, k), dtype=float), np.empty(n, np.bool_), np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        e[i] = i % 2 == 0
+        for j in range(k):
+            d[i, j] = 10 * i + j
+    c[1, -1, -1] = a.size + b.size + c.size + d.size + e.size
+    return (
+        a,
+        b,
+        c,
+        d,
+        e,
+        f,
+        d.sum(),
+        c[1].strides,
+        b.itemsize + e.itemsize,
+        d.T.copy(),
+        np.zeros((0, n)).shape,
+    )
+
+
+def extremes(x, y, i, j):
+    """Largest and smallest of numbers, the first of which stays where none is larger."""
+    return (
+        max(x, y),
+        max(y, x),
+        min(x, y, 2.0),
+        min(2.0, y, x),
+        max(i, j, 1),
+        min(i, j),
+        max(i, 2.5),
+        min(x, j),
+        max((x, y)),
+        int(x > 1.0),
+        int(j),
+        int(2.0 * y) if y == y else 0,
+    )
+
+
+def half(pair):
+    """Take arrays that are lent."""
+    return 0.5 * pair.rows[1, -1] + pair.last[-1] + pair.factor + len(pair.rows) * pair.last.size
+
+
+def sums(a, b, flags, numbers):
+    """Take arrays of several orders, dimensions and types."""
+    for k in range(len(numbers)):
+        numbers[k] += 1 if flags[k] else 0
+    return a[1, 0] + 10 * a[0, -1] + b[1, 0, -1] + a.shape[1] + b[-1].size + numbers.sum()
+
+
+def lent(a, b, flags, numbers, n):
+    """Arrays lent to other kernels: arguments, rows and new ones."""
+    pair = Pair(np.full((n, 3), 2.0), b[0, 1], 1.0)
+    for i in range(n):
+        pair = Pair(pair.rows, np.full(n, half(pair)), 0.5 * i)
+    return half(pair), sums(a, b, flags, numbers), sums(a[:, 1:], b, flags[::2], numbers), half(pair)
+
+
+half, sums = compiled(half), compiled(sums)
+
 CASES = [
+    (new_arrays, lambda: (3, 2)),
+    (extremes, lambda: (1.5, math.nan, 2, 7)),
+    (extremes, lambda: (-0.0, 0.0, -2, -2)),
+    (extremes, lambda: (math.inf, -3.7, 0, 1)),
+    (
+        lent,
+        lambda: (
+            np.arange(12.0).reshape(4, 3).T,
+            np.arange(12.0).reshape(2, 3, 2),
+            np.array([True, False, True, True]),
+            np.arange(2),
+            4,
+        ),
+    ),
     (items, lambda: (np.arange(12.0).reshape(3, 4), np.ones((3, 4)), 1)),
     (items, lambda: (np.arange(12.0).reshape(4, 3).T, np.ones((4, 3)).T, 2)),
     (items, lambda: (np.arange(24.0).reshape(3, 8)[:, ::2], np.ones((4, 4))[:, 1:], 1)),
@@ -190,6 +269,7 @@ def test_a_kernel_does_what_python_does(function, arguments):
         found, expected = (found,), (expected,)
     for one, other in zip(found, expected, strict=True):
         assert np.array_equal(one, other, equal_nan=True)
+        assert np.array_equal(np.signbit(one), np.signbit(other))
     for one, other in zip(parts(ours), parts(theirs), strict=True):  # what was written into arguments
         assert np.array_equal(one, other, equal_nan=True)
 
@@ -200,6 +280,26 @@ def test_what_a_kernel_returns_outlives_it():
     gc.collect()
     rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
     assert all(np.array_equal(row, [1.0, 2.0, 3.0]) for row in rows)
+    assert len(rubbish) == len(rows)
+
+
+@compiled
+def first_row(rows):
+    """Hand back a part of an argument."""
+    return rows[0]
+
+
+@compiled
+def handed_on(n):
+    """A row of an array that nobody but a callee has handed back."""
+    return first_row(np.full((n, 3), 4.0))
+
+
+def test_what_a_callee_hands_back_of_its_arguments_outlives_it():
+    rows = [handed_on(n) for n in range(2, 50)]
+    gc.collect()
+    rubbish = [np.full((n, 3), -1.0) for n in range(2, 50)]
+    assert all(np.array_equal(row, [4.0, 4.0, 4.0]) for row in rows)
     assert len(rubbish) == len(rows)
 
 
@@ -226,3 +326,69 @@ def test_what_comes_out_of_a_tuple_outlives_it():
     assert all(np.array_equal(row, [6.0, 7.0, 8.0]) for row, _ in found)
     assert all(np.array_equal(last, [2.0, 2.0, 2.0]) for _, last in found)
     assert len(rubbish) == len(found)
+
+
+def ways(a, n, which):
+    """Arrays made before, within and after branches and loops, and what is left of each."""
+    if n > 8:
+        return a[2]
+    first = np.full(3, 1.0)
+    kept, row = first, a[1]
+    pair = Pair(np.full((2, 3), 2.0), first, 0.5)
+    if which < 0:
+        return first
+    for i in range(n):
+        inside = np.full(3, float(i))
+        row = pair.rows[i % 2]
+        row[0] += inside[1]
+        kept = inside
+    after = np.full(3, pair.rows[1, 0])
+    again = pair.rows[0]
+    while after[0] > 6.0:
+        after[0] -= first[0]
+        if which > 1:
+            return pair.last
+    return (kept, again, after)[which] if which < 2 else row
+
+
+@pytest.mark.parametrize(("n", "which"), [(4, -1), (4, 0), (0, 0), (4, 1), (8, 2), (9, 2), (1, 2)])
+def test_an_array_lives_as_long_as_anything_looks_at_it(n, which):
+    a = np.ones((3, 3))
+    kernel, before = compiled(ways), sys.getrefcount(a)
+    rows = [kernel(a, n, which) for _ in range(50)]
+    gc.collect()
+    rubbish = [np.full(3, -1.0) for _ in range(500)]
+    expected = ways(a, n, which)
+    assert all(np.array_equal(row, expected) for row in rows)
+    assert len(rubbish) == 500
+    del rows, expected
+    assert sys.getrefcount(a) == before
+
+
+def kept_until_the_end(n):
+    """Arrays and tuples that are there from start to end, and nothing else."""
+    a, b = np.full(n, 1.0), np.full((n, 3), 2.0)
+    pair = Pair(b, a, 1.0)
+    total = 0.0
+    for i in range(n):
+        row = pair.rows[i]
+        total += row[1] + pair.last[i]
+    return total
+
+
+def test_all_memory_is_given_back():
+    kernel = compiled(kept_until_the_end)
+    made = compiled(ways)
+    a = np.ones((3, 3))
+    kernel(3), made(a, 3, 2)
+    gc.collect()
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for n in range(20):
+        kernel(n)
+        for which in (-1, 0, 1, 2):
+            made(a, n, which)
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 0

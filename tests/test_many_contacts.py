@@ -8,6 +8,9 @@ from scipy.integrate import solve_ivp
 
 import pinimpact
 from pinimpact import Flag, ImpactProblem, InputError, LawError, Status, solve_impact
+from pinimpact._numeric import jit
+from pinimpact.contact_space import simultaneous
+from pinimpact.robot._kernels.responses import half_solve
 
 CRADLE = (-0.130261695064521, 0.150229569434774, 0.980032125629747)
 
@@ -530,3 +533,17 @@ def test_what_waves_cannot_stop_is_no_reason_to_refuse_what_can_be_stopped():
     found = velocity.ravel() + delassus @ solution.impulse.ravel()
     assert solution.velocity.ravel() == pytest.approx(found, abs=1e-9)
     assert solution.work.total.sum() < 0.0
+
+
+def test_what_one_asks_for_with_a_policy_is_compiled_though_the_policy_is_there(monkeypatch):
+    compiled = []
+    monkeypatch.setattr(simultaneous, "_compiled", set())
+    monkeypatch.setattr(jit, "compile_all", lambda *calls: compiled.extend(kernel for (kernel,) in calls))
+    simultaneous.compile_policy("propagate")
+    assert compiled
+    assert half_solve not in compiled
+    simultaneous.compile_policy("propagate", half_solve)
+    assert half_solve in compiled
+    compiled.clear()
+    simultaneous.compile_policy("propagate", half_solve)
+    assert not compiled

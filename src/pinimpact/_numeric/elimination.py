@@ -22,7 +22,9 @@ def solve(system, target, solution, rank):
     size = len(target)
     matrix = system.copy()
     right = target.copy()
-    order = np.arange(size)
+    order = np.empty(size, dtype=np.int64)
+    for k in range(size):
+        order[k] = k
     largest = 0.0
     sign = 1
     for k in range(size):

@@ -24,6 +24,7 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from .lowering import Lowering
 from .shortcuts import Canonical, Lifetimes, Passes, Rewrites, shortcuts
 from .sources import stamp
+from .unused import remove_unused
 
 Kernel = tuple[str, str, tuple[Any, ...]]
 """Module, name and argument types of a kernel that is compiled on its own."""
@@ -40,6 +41,11 @@ class KernelCode(JITCodeLibrary):
     A function on its own gets its variables out of memory, which makes it short; all else waits until it is
     where it is used. Loops are not vectorized: most run three or seven times.
     """
+
+    def add_ir_module(self, module: Any) -> None:
+        """Take in what has been lowered, without what nobody uses."""
+        remove_unused(module)
+        super().add_ir_module(module)
 
     def _passes(self, level: int) -> Any:
         options = llvm.create_pipeline_tuning_options(level)
@@ -304,6 +310,7 @@ class KernelCompiler(compiler.CompilerBase):
     one type, and LLVM has its own.
     """
 
+    makes_kernels = True
     library: type[JITCodeLibrary] = KernelLibrary
     lowering: type[typed_passes.NativeLowering] = KernelLowering
 

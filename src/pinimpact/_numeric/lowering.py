@@ -11,20 +11,32 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterable
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
+import numpy as np
 from llvmlite import ir as llvm_ir
 from numba import core
 from numba.core import analysis, cgutils, ir, lowering
 
+from . import short_calls
+from .arguments import (
+    ARRAY,
+    DATA,
+    ITEMSIZE,
+    MEMINFO,
+    NITEMS,
+    PARENT,
+    SHAPE,
+    STRIDES,
+    counted,
+    has_fields,
+    lent_arguments,
+)
+from .short_calls import is_index
+
 errors: Any = core.errors  # no stub tells all that is in them
 types: Any = core.types
-
-_ARRAY = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
-"""The fields of an array, as they are known here."""
-
-_MEMINFO, _PARENT, _NITEMS, _ITEMSIZE, _DATA, _SHAPE, _STRIDES = range(len(_ARRAY))
 
 _RANGE = ("start", "stop", "step")
 _RANGE_ITERATOR = ("iter", "stop", "step", "count")
@@ -44,25 +56,20 @@ _COMPARISONS = {
 }
 
 
-@cache
-def counted(models: Any, kind: Any) -> bool:
-    """Whether references to what a type stands for, or to a part of it, are counted."""
-    found: bool = models[kind].contains_nrt_meminfo()
+def _reached(graph: Any, place: int) -> set[int]:
+    """Return the blocks that control may come to after one."""
+    found: set[int] = set()
+    waiting = [place]
+    while waiting:
+        for one, _ in graph.successors(waiting.pop()):
+            if one not in found:
+                found.add(one)
+                waiting.append(one)
     return found
 
 
-@cache
-def _has(models: Any, kind: Any, fields: tuple[str, ...]) -> bool:
-    """Whether a type is laid out with these fields."""
-    return tuple(getattr(models[kind], "_fields", ())) == fields
-
-
-def _is_index(kind: Any) -> bool:
-    return isinstance(kind, types.Integer) and kind.signed and kind.bitwidth == 64
-
-
 def _is_number(kind: Any) -> bool:
-    return kind is types.float64 or _is_index(kind)
+    return kind is types.float64 or is_index(kind)
 
 
 def _constant(value: Any) -> int | None:
@@ -109,13 +116,13 @@ def view(
         builder,
         kind,
         [
-            (_MEMINFO, owner[0]),
-            (_PARENT, owner[1]),
-            (_NITEMS, count),
-            (_ITEMSIZE, itemsize),
-            (_DATA, data),
-            *(((_SHAPE, k), length) for k, length in enumerate(shape)),
-            *(((_STRIDES, k), stride) for k, stride in enumerate(strides)),
+            (MEMINFO, owner[0]),
+            (PARENT, owner[1]),
+            (NITEMS, count),
+            (ITEMSIZE, itemsize),
+            (DATA, data),
+            *(((SHAPE, k), length) for k, length in enumerate(shape)),
+            *(((STRIDES, k), stride) for k, stride in enumerate(strides)),
         ],
     )
 
@@ -123,11 +130,20 @@ def view(
 class Lowering(lowering.Lower):
     """Lowering on short ways, without a thought of the references of what has none."""
 
+    def init(self) -> None:
+        """Take arguments as kernels hand them over."""
+        super().init()
+        if not self.func_ir.func_id.is_generator:
+            models = self.context.data_model_manager
+            self.fndesc.argtypes = lent_arguments(models, self.fndesc.argtypes, self.fndesc.restype)
+
     def _find_singly_assigned_variable(self) -> None:
-        """Find the variables that need no memory of their own, and the arrays that need no count."""
+        """Find the variables that need no memory of their own, and the arrays that need no count, or one."""
         super()._find_singly_assigned_variable()
         self._debugged = self._disable_sroa_like_opt
         self._unowned: set[str] = set()
+        self._held: dict[str, int] = {}
+        self._let_go: dict[int, list[str]] = {}
         self._to_unowned = False
         if self._debugged or self.func_ir.func_id.is_generator:
             return
@@ -138,6 +154,8 @@ class Lowering(lowering.Lower):
             for inst in block.find_insts(ir.Assign):
                 values.setdefault(inst.target.name, []).append(inst.value)
                 places[inst.target.name] = offset
+        self._unowned = self._find_unowned(values)
+        self._held = self._find_held(values, places)
         self._unowned = self._find_unowned(values)
         first = min(blocks)
         if any(first in block.terminator.get_targets() for block in blocks.values()):
@@ -156,31 +174,82 @@ class Lowering(lowering.Lower):
         """Whether references to what a variable holds are counted."""
         return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
 
+    def _find_held(self, values: dict[str, list[Any]], places: dict[str, int]) -> dict[str, int]:
+        """Return the arrays, and tuples of them, that can as well be held until the function returns.
+
+        Each is made once, at the place that comes with it, and nothing uses it, nor returns after it, but by
+        way of there.
+
+        Args:
+            values: What each variable is assigned.
+            places: Where it is assigned.
+        """
+        blocks = self.func_ir.blocks
+        deleted = {inst.value for block in blocks.values() for inst in block.find_insts(ir.Del)}
+        found = {
+            name: places[name]
+            for name in sorted(deleted - self._singly_assigned_vars - self._unowned)
+            if isinstance(self.typeof(name), (types.Array, types.BaseTuple))
+            and self._is_counted(name)
+            and len(values.get(name, ())) == 1
+        }
+        if not found:
+            return found
+        graph = analysis.compute_cfg_from_blocks(blocks)
+        inside = {offset for loop in graph.loops().values() for offset in loop.body}
+        before = graph.dominators()
+        ends = [offset for offset, block in blocks.items() if isinstance(block.terminator, ir.Return)]
+        users: dict[str, list[int]] = {name: [] for name in found}
+        for offset, names in analysis.compute_use_defs(blocks).usemap.items():
+            for name in found.keys() & set(names):
+                users[name].append(offset)
+
+        def leads(place: int, offset: int) -> bool:
+            return place < offset and place in before.get(offset, ())
+
+        for name, place in [*found.items()]:
+            if place in inside or place in ends:
+                del found[name]
+                continue
+            after = _reached(graph, place).intersection(ends)
+            if not all(leads(place, offset) for offset in (*users[name], *after)):
+                del found[name]
+        for end in ends:
+            names = [name for name, place in found.items() if leads(place, end)]
+            self._let_go[id(blocks[end].terminator)] = names
+        return found
+
     def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:
         """Return the arrays, and tuples of them, that need no count of references, for others outlive them.
 
-        They are arguments, items of such tuples, the views that a type `lends`, and rows of such arrays.
+        They are arguments, what is `held`, items of such tuples, the views that a type `lends`, and rows of
+        such arrays.
 
         Args:
             values: What each variable is assigned.
         """
         found = {name for name in values if isinstance(self.typeof(name), (types.Array, types.BaseTuple))}
 
+        def lasts(name: str) -> bool:
+            return name in found or name in self._held
+
         def lent(name: str, value: Any) -> bool:
             kind = self.typeof(name)
+            if name in self._held:
+                return False
             if isinstance(value, ir.Arg):
                 return self.typeof(f"arg.{value.name}") == kind
             if isinstance(value, ir.Var):
-                return value.name in found and self.typeof(value.name) == kind
+                return lasts(value.name) and self.typeof(value.name) == kind
             if not isinstance(value, ir.Expr) or value.op not in ("getattr", "getitem", "static_getitem"):
                 return False
             owner = self.typeof(value.value.name)
             if isinstance(owner, types.BaseTuple):
-                return value.value.name in found and self._place_in(kind, owner, value) is not None
+                return lasts(value.value.name) and self._place_in(kind, owner, value) is not None
             if value.op == "getattr":
                 return getattr(owner, "lends", False)
             index = value.index if value.op == "getitem" else value.index_var
-            if value.value.name not in found or index is None:
+            if not lasts(value.value.name) or index is None:
                 return False
             return self.fndesc.calltypes[value].return_type == kind and self._is_row(kind, owner, index)
 
@@ -192,30 +261,32 @@ class Lowering(lowering.Lower):
         return counted(self.context.data_model_manager, kind)
 
     def _has(self, kind: Any, fields: tuple[str, ...]) -> bool:
-        return _has(self.context.data_model_manager, kind, fields)
+        return has_fields(self.context.data_model_manager, kind, fields)
 
     def incref(self, typ: Any, val: Any) -> None:
         """Count one more reference."""
-        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
-            super().incref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        if isinstance(typ, types.Array) and self._has(typ, ARRAY):
+            super().incref(_REFERENCE, self.builder.extract_value(val, MEMINFO))
         elif self._counted(typ):
             super().incref(typ, val)
 
     def decref(self, typ: Any, val: Any) -> None:
         """Count one less."""
-        if isinstance(typ, types.Array) and self._has(typ, _ARRAY):
-            super().decref(_REFERENCE, self.builder.extract_value(val, _MEMINFO))
+        if isinstance(typ, types.Array) and self._has(typ, ARRAY):
+            super().decref(_REFERENCE, self.builder.extract_value(val, MEMINFO))
         elif self._counted(typ):
             super().decref(typ, val)
 
     def delvar(self, name: str) -> None:
         """End the life of a variable."""
-        if self._debugged or self._is_counted(name):
+        if self._debugged or (self._is_counted(name) and name not in self._held):
             super().delvar(name)
 
     def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
         """Give a variable a value."""
-        if self._debugged or self._is_counted(name):
+        if name in self._held:
+            self._blk_local_varmap[name] = value
+        elif self._debugged or self._is_counted(name):
             super().storevar(value, name, argidx)
         elif name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
@@ -249,6 +320,9 @@ class Lowering(lowering.Lower):
             else:
                 self.storevar(self.lower_assign(self.typeof(name), inst), name)
         else:
+            if type(inst) is ir.Return:
+                for name in self._let_go.get(id(inst), ()):
+                    self.decref(self.typeof(name), self.loadvar(name))
             super().lower_inst(inst)
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
@@ -285,11 +359,11 @@ class Lowering(lowering.Lower):
     def _integers(self, kind: Any, index: Any) -> int:
         """Return how many integers an index into an array of numbers consists of; 0 for others."""
         number = isinstance(kind, types.Array) and kind.dtype in (types.float64, types.int64)
-        if not number or kind.layout == "A" or not kind.aligned or not self._has(kind, _ARRAY):
+        if not number or kind.layout == "A" or not kind.aligned or not self._has(kind, ARRAY):
             return 0
         form = self.typeof(index.name)
-        count = 1 if _is_index(form) else 0
-        if isinstance(form, types.BaseTuple) and all(map(_is_index, form.types)):
+        count = 1 if is_index(form) else 0
+        if isinstance(form, types.BaseTuple) and all(map(is_index, form.types)):
             count = len(form)
         return 0 if self.context.enable_boundscheck or count > kind.ndim else count
 
@@ -311,7 +385,7 @@ class Lowering(lowering.Lower):
     def _place(self, kind: Any, array: Any, indices: list[Any]) -> Any:
         """Return where an item or a row of an array begins."""
         builder = self.builder
-        lengths = [builder.extract_value(array, (_SHAPE, k)) for k in range(kind.ndim)]
+        lengths = [builder.extract_value(array, (SHAPE, k)) for k in range(kind.ndim)]
         inside = [self._from_start(*pair) for pair in zip(indices, lengths, strict=False)]
         places = inside + [None] * (kind.ndim - len(inside))
         order = range(kind.ndim) if kind.layout == "C" else range(kind.ndim - 1, -1, -1)
@@ -321,7 +395,7 @@ class Lowering(lowering.Lower):
                 offset = builder.mul(offset, lengths[k])
             if places[k] is not None:
                 offset = places[k] if offset is None else builder.add(offset, places[k])
-        return builder.gep(builder.extract_value(array, _DATA), [offset])
+        return builder.gep(builder.extract_value(array, DATA), [offset])
 
     def _from_start(self, index: Any, length: Any) -> Any:
         """Return an index that counts from the start."""
@@ -344,11 +418,11 @@ class Lowering(lowering.Lower):
             self.context,
             builder,
             resty,
-            (builder.extract_value(array, _MEMINFO), builder.extract_value(array, _PARENT)),
-            builder.extract_value(array, _ITEMSIZE),
+            (builder.extract_value(array, MEMINFO), builder.extract_value(array, PARENT)),
+            builder.extract_value(array, ITEMSIZE),
             self._place(kind, array, indices),
-            [builder.extract_value(array, (_SHAPE, k)) for k in left],
-            [builder.extract_value(array, (_STRIDES, k)) for k in left],
+            [builder.extract_value(array, (SHAPE, k)) for k in left],
+            [builder.extract_value(array, (STRIDES, k)) for k in left],
         )
         if not self._to_unowned:
             self.incref(resty, row)
@@ -356,8 +430,8 @@ class Lowering(lowering.Lower):
 
     def _attribute(self, resty: Any, expr: Any) -> Any:
         kind = self.typeof(expr.value.name)
-        if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, _ARRAY):
-            return self.builder.extract_value(self.loadvar(expr.value.name), _SHAPE)
+        if expr.attr == "shape" and isinstance(kind, types.Array) and self._has(kind, ARRAY):
+            return self.builder.extract_value(self.loadvar(expr.value.name), SHAPE)
         return self._known_item(resty, expr)
 
     # ---- tuples
@@ -428,17 +502,23 @@ class Lowering(lowering.Lower):
 
     def _call(self, resty: Any, expr: Any) -> Any:
         called = getattr(self.typeof(expr.func.name), "typing_key", None)
-        if called not in (range, len, bool) or expr.kws or expr.vararg:
+        if expr.vararg:
             return None
         kinds = [self.typeof(one.name) for one in expr.args]
+        known = short_calls.signature(called, kinds, {name: self.typeof(one.name) for name, one in expr.kws})
+        if known is not None:
+            found = self._known_call(called, known.return_type, expr, kinds)
+            return self.context.cast(self.builder, found, known.return_type, resty)
+        if called not in (range, len, bool) or expr.kws:
+            return None
         if called is len:
-            if isinstance(kinds[0], types.Array) and kinds[0].ndim and self._has(kinds[0], _ARRAY):
-                return self.builder.extract_value(self.loadvar(expr.args[0].name), (_SHAPE, 0))
+            if isinstance(kinds[0], types.Array) and kinds[0].ndim and self._has(kinds[0], ARRAY):
+                return self.builder.extract_value(self.loadvar(expr.args[0].name), (SHAPE, 0))
         elif called is bool:
             if kinds[0] == types.boolean:
                 return self.loadvar(expr.args[0].name)
-        elif resty == types.range_state64_type and all(map(_is_index, kinds)):
-            numbers = [self._loaded(*pair) for pair in zip(expr.args, kinds, strict=True)]
+        elif resty == types.range_state64_type and all(map(is_index, kinds)):
+            numbers = self._numbers(expr.args, kinds)
             if len(numbers) == 1:
                 numbers.insert(0, _INTEGER(0))
             if len(numbers) == 2:
@@ -446,12 +526,40 @@ class Lowering(lowering.Lower):
             return aggregate(self.context, self.builder, resty, enumerate(numbers))
         return None
 
+    def _numbers(self, variables: Any, kinds: Any) -> list[Any]:
+        return [self._loaded(*pair) for pair in zip(variables, kinds, strict=True)]
+
+    def _known_call(self, called: Any, result: Any, expr: Any, kinds: list[Any]) -> Any:
+        """Lower a call whose types `short_calls` knows."""
+        if called is max or called is min:
+            return short_calls.extreme(self.builder, called, result, self._numbers(expr.args, kinds))
+        if called is int:
+            return self.context.cast(self.builder, self.loadvar(expr.args[0].name), kinds[0], result)
+        return self._new_array(result, self._indices(expr.args[0]), called is np.zeros)
+
+    def _new_array(self, kind: Any, shape: list[Any], zero: bool) -> Any:
+        """Return a new array."""
+        context, builder = self.context, self.builder
+        width = _INTEGER(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+        strides = [width]
+        for length in shape[:0:-1]:
+            strides.append(builder.mul(strides[-1], length))
+        size = builder.mul(strides[-1], shape[0])
+        align = context.get_preferred_array_alignment(kind.dtype)
+        meminfo = context.nrt.meminfo_alloc_aligned(builder, size, context.get_constant(types.uint32, align))
+        data = context.nrt.meminfo_data(builder, meminfo)
+        if zero:
+            cgutils.memset(builder, data, size, 0)
+        data = builder.bitcast(data, context.get_data_type(kind.dtype).as_pointer())
+        parent = context.get_constant_null(types.pyobject)
+        return view(context, builder, kind, (meminfo, parent), width, data, shape, strides[::-1])
+
     def _binary(self, resty: Any, expr: Any) -> Any:
         """Lower a sum, product, quotient or comparison of two numbers of one type."""
         fn = expr.fn if expr.op == "binop" else expr.immutable_fn
         left, right = self.typeof(expr.lhs.name), self.typeof(expr.rhs.name)
         builder = self.builder
-        if _is_index(left) and _is_index(right):
+        if is_index(left) and is_index(right):
             if isinstance(left, types.IntegerLiteral) and isinstance(right, types.IntegerLiteral):
                 return None
             lhs, rhs = self._loaded(expr.lhs, left), self._loaded(expr.rhs, right)

@@ -14,14 +14,17 @@ from types import BuiltinFunctionType
 from typing import Any
 from unittest.mock import patch
 
-from llvmlite.ir import Type
+from llvmlite.ir import IRBuilder, Type
+from llvmlite.ir.instructions import InsertValue
 from numba.core import base, event, ir, postproc, transforms
+from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.rewrites import rewrite_registry
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import Context
 
-from .lowering import counted
+from . import short_calls
+from .arguments import counted
 
 
 def _remembering_types(original: Callable[..., Any]) -> Callable[..., Any]:
@@ -29,6 +32,9 @@ def _remembering_types(original: Callable[..., Any]) -> Callable[..., Any]:
     known: dict[Any, Any] = {}
 
     def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        found = short_calls.signature(self.typing_key, args, kws) if _in_kernel[-1] else None
+        if found is not None:
+            return found
         if kws:
             return original(self, context, args, kws)
         key = id(self), tuple(args)
@@ -42,6 +48,46 @@ def _remembering_types(original: Callable[..., Any]) -> Callable[..., Any]:
         return found[0]
 
     return get_call_type
+
+
+_in_kernel = [False]
+"""Whether what is being compiled is a kernel, or one of numba's own functions that it calls."""
+
+
+def _telling_kernels(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `CompilerBase._compile_core` that tells what it compiles."""
+
+    def _compile_core(self: Any) -> Any:
+        _in_kernel.append(getattr(self, "makes_kernels", False))
+        try:
+            return original(self)
+        finally:
+            _in_kernel.pop()
+
+    return _compile_core
+
+
+def _remembering_packers(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `BaseContext.get_arg_packer` with a memory."""
+    known: dict[Any, Any] = {}
+
+    def get_arg_packer(self: Any, arguments: Any) -> Any:
+        key = self.data_model_manager, tuple(arguments)
+        found = known.get(key)
+        if found is None:
+            known[key] = found = original(self, arguments)
+        return found
+
+    return get_arg_packer
+
+
+def _remembering_declarations(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `BaseContext.declare_function` that looks first whether the module has the function."""
+
+    def declare_function(self: Any, module: Any, fndesc: Any) -> Any:
+        return module.globals.get(fndesc.mangled_name) or original(self, module, fndesc)
+
+    return declare_function
 
 
 def _remembering_sizes(original: Callable[..., int]) -> Callable[..., int]:
@@ -106,9 +152,33 @@ def _variables(original: Callable[..., Any]) -> Callable[..., Any]:
     return rec_list_vars
 
 
+def _seen_through(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `IRBuilder.extract_value` that finds what has just been put into a structure."""
+
+    def extract_value(self: Any, agg: Any, idx: Any, name: str = "") -> Any:
+        path = tuple(idx) if isinstance(idx, (list, tuple)) else (idx,)
+        while type(agg) is InsertValue:
+            place = tuple(agg.indices)
+            if place == path:
+                return agg.operands[1]
+            if place == path[: len(place)]:
+                agg, path = agg.operands[1], path[len(place) :]
+            elif path == place[: len(path)]:
+                break
+            else:
+                agg = agg.operands[0]
+        return original(self, agg, path, name)
+
+    return extract_value
+
+
 _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
     (BaseFunction, "get_call_type", _remembering_types(BaseFunction.get_call_type)),
     (Type, "get_abi_size", _remembering_sizes(Type.get_abi_size)),
+    (IRBuilder, "extract_value", _seen_through(IRBuilder.extract_value)),
+    (CompilerBase, "_compile_core", _telling_kernels(CompilerBase._compile_core)),
+    (base.BaseContext, "get_arg_packer", _remembering_packers(base.BaseContext.get_arg_packer)),
+    (base.BaseContext, "declare_function", _remembering_declarations(base.BaseContext.declare_function)),
     (base, "_has_loc", cache(base._has_loc)),
     (ir.Inst, "_rec_list_vars", _variables(ir.Inst._rec_list_vars)),
     (

@@ -135,21 +135,22 @@ def find_policy(name: str) -> Policy:
     return policy
 
 
-_compiled: set[str] = set()
+_compiled: set[Any] = set()
 
 
 def compile_policy(name: str, *others: Any) -> None:
-    """Compile or load all kernels of a policy when it is first asked for, and others with them.
+    """Compile or load all kernels of a policy when they are first asked for, and others with them.
 
     Args:
         name: Of the policy.
         others: Kernels that tell their types ahead.
     """
-    if name not in _compiled:
+    kernels = (*others, *find_policy(name).kernels())
+    if not _compiled.issuperset(kernels):
         from .._numeric.jit import compile_all
 
-        compile_all(*((kernel,) for kernel in (*others, *find_policy(name).kernels())))
-        _compiled.add(name)
+        compile_all(*((kernel,) for kernel in kernels))
+        _compiled.update(kernels)
 
 
 def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **options: Any) -> ManySolution:
