@@ -15,6 +15,7 @@ from pinimpact import (
     Plane,
     Status,
     UnstoppableApproachError,
+    contact_matrices,
     impact,
     impacts,
     solve_impact,
@@ -277,6 +278,34 @@ def test_a_leaning_arm_that_is_nearly_stretched_out_creeps_as_its_exact_numbers_
     hit = solve(Case("leaning", arm, 0.8, 0.5, "poisson"))
     assert hit.solution.status.name == exact.status
     assert hit.solution.impulse == pytest.approx(P, rel=1e-3)
+
+
+@pytest.mark.parametrize("joints", [3, 25])
+@pytest.mark.parametrize("lightest", [1.0, 1e-4])
+def test_what_a_planar_chain_is_formed_from_does_not_grow_with_its_joints(joints, lightest):
+    """Its W has rank two, which 25 joints must not hide, and what acts in its plane is no rounding."""
+    rng = np.random.default_rng(joints)
+    model, parent, turned = pin.Model(), 0, pin.rpy.rpyToMatrix(0.4, -1.1, 0.7)
+    for k, mass in enumerate(np.geomspace(1.0, lightest, joints)):
+        place = pin.SE3(turned, np.zeros(3)) if k == 0 else pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
+        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint {k}")
+        link = pin.Inertia(mass, np.array([0.2, 0.0, 0.0]), 0.02 * mass * np.eye(3))
+        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+    model.addFrame(
+        pin.Frame("tip", parent, pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0])), pin.FrameType.OP_FRAME)
+    )
+    contact = Contact("tip", Plane(normal=turned @ [0.6, 0.64, 0.48]), 0.3, 0.5)
+    q, v = rng.uniform(-2, 2, joints), rng.standard_normal(joints)
+    data = model.createData()
+    if contact_matrices(model, data, q, contact).velocity(v)[2] > 0:
+        v = -v
+    hit = impact(model, data, q, v, contact)
+    assert hit.solution.status == Status.SEPARATED
+    assert Flag.SINGULAR_DELASSUS in hit.solution.flags
+    assert Flag.NEAR_JUMP not in hit.solution.flags
+    size = hit.problem.velocity_scale
+    after = contact_matrices(model, data, q, contact).velocity(hit.v)
+    assert after == pytest.approx(hit.solution.velocity, abs=1e-12 * size)
 
 
 @pytest.mark.parametrize(

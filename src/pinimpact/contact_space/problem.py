@@ -44,8 +44,8 @@ class ImpactProblem:
         factor: (3, m) X with W = XXᵀ, for a robot J L⁻¹ with M = LᵀL. It has the small eigenvalues and the
             null space of W to twice as many digits; where W is nearly singular all that is small is taken
             from it. None: from W.
-        factor_scale: Size of the numbers that the factor was formed from; parts within 32 ε of it are zero.
-            None: that of the factor.
+        factor_scale: Size of the numbers that the factor was formed from; parts within 4 ε of it are zero.
+            None: not known; then eight times that of the factor.
         stiffness: Of n contacts, (n,) or a number > 0; only ratios count. None: all the same.
     """
 

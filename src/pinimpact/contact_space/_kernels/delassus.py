@@ -331,6 +331,16 @@ def clear(w11, w12, w13, w22, w23, w33, least):
     )
 
 
+FORMED = 4.0 * EPS
+"""Parts of a factor within this of the size that it was formed from are zero; rounding makes 0.2 ε of it."""
+
+FORMED_NOISE = 0.5 * EPS
+"""What rounding leaves of a part that is none."""
+
+UNKNOWN = 8.0
+"""Where that size is not known, so many times the factor's own."""
+
+
 @inner
 def triangle(x, y, z):
     """Return the lower triangle of X (3, m), XXᵀ = CCᵀ, for its rows x, y, z of 3: c₁₁ … c₃₃ row by row.
@@ -382,8 +392,8 @@ def of_factor(x, y, z, formed):
     c11, c21, c22, c31, c32, c33 = triangle(strong, weak, z)
     normal = math.sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
     size = math.sqrt(c11 * c11 + c22 * c22 + normal * normal)
-    formed = max(formed, size)
-    zero, noise = ZERO * formed, NOISE * formed
+    formed = max(formed if formed > 0.0 else UNKNOWN * size, size)
+    zero, noise = FORMED * formed, FORMED_NOISE * formed
     nought, one = 0.0, 1.0
     k1 = k2 = s = area = 0.0
     n3 = 1.0
@@ -419,7 +429,9 @@ def of_factor(x, y, z, formed):
     s = c33 * c33
     rank = np.int64(c11 > 0.0) + np.int64(c22 > 0.0) + np.int64(c33 > 0.0)
     # the null vectors are known to ZERO times this
-    spread = max(formed * size / area, one) if area > 0.0 else formed / size if size > 0.0 else one
+    spread = one
+    if size > 0.0:
+        spread = max(formed / UNKNOWN * (size / area if area > 0.0 else 1.0 / size), one)
     return (
         Delassus(
             rank, *(c11 * c11 + d1 * d1, c11 * c21 + d1 * d2, c11 * c31 + d1 * d3),

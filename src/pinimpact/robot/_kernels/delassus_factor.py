@@ -1,7 +1,8 @@
 """The triangular factor of W = YYᵀ, Y = J L⁻¹, and the size of the numbers that it is formed from.
 
 Rounding of J is ε of the lengths and axes that its columns are products of, seen from the world's origin;
-rounding of the solution of Lᵀ y = x is that of |Lᵀ||y|. Either reaches Y through L⁻ᵀ. (theory.md, 6)
+rounding of the solution of Lᵀ y = x is that of |Lᵀ||y|. Either reaches Y through L⁻ᵀ, from each velocity on
+its own. (theory.md, 6)
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
+from .tree import solve_transposed
 
 
 @inner
@@ -71,14 +73,14 @@ def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
         while j >= 0:
             sizes[j] += abs(lower[k, j]) * size
             j = parents[j]
+    errors = np.zeros((n, n))
+    for j in range(n):
+        errors[j, j] = sizes[j]
+    solve_transposed(lower, parents, errors)
     total = 0.0
-    for i in range(n - 1, -1, -1):
-        x = sizes[i] / lower[i, i]
-        total += x * x
-        j = parents[i]
-        while j >= 0:
-            sizes[j] += x * abs(lower[i, j])
-            j = parents[j]
+    for i in range(n):
+        for j in range(n):
+            total += errors[i, j] * errors[i, j]
     out[0] = _normalize(rows[0])
     out[1] = _take_out(rows[0], rows[1])
     out[2] = _normalize(rows[1])
