@@ -14,17 +14,13 @@ from .workspace import SceneWorkspace
 @ahead(SceneWorkspace, FLOAT_ROWS)
 @separate
 def turn_references(work, velocity):
-    """Let the remembered directions of slip follow the contact velocities (nc, 3).
-
-    Also where one has turned by a right angle or more, at a slip too slow for its end to be seen: friction
-    along a direction left behind would drive.
-    """
+    """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
     mode, reference = work.closed_mode, work.slip_reference
     for k in range(len(mode)):
         if mode[k] == SLIP:
             x, y = velocity[k, 0], velocity[k, 1]
             speed = math.hypot(x, y)
-            if speed > work.direction_speed:
+            if speed > work.direction_speed and x * reference[k, 0] + y * reference[k, 1] > 0.0:
                 reference[k, 0], reference[k, 1] = x / speed, y / speed
         assign(work.start_directions[k], reference[k])
         assign(work.end_directions[k], reference[k])
