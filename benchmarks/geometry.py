@@ -14,7 +14,7 @@ from benchmarks.timing import best_of, publish, row
 
 from pinimpact import Box, Contact, Plane, Scene, load_robot, simulate
 
-ROUNDS = 60
+ROUNDS = 20
 LOW = Plane(point=(0.0, 0.0, -0.6), name="low floor")
 BLOCK = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
 FLOOR = Plane(name="floor")
