@@ -296,6 +296,11 @@ def test_wrong_pairs_are_refused():
         Scene(cone, contacts=replace(on_block, geometry="cone"))
     with pytest.raises(InputError, match="rim_points: 2 given"):
         Shape("cone", rim_points=2)
+    swept = coal.Box(0.2, 0.2, 0.2)
+    swept.setSweptSphereRadius(0.05)
+    swept = shaped_body(swept, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    with pytest.raises(InputError, match=r"'crate' has a sphere of 0\.05 m swept around it"):
+        Scene(swept, contacts=on_block)
     with pytest.raises(InputError, match="a pinocchio Model has no collision shapes"):
         Scene(robot.model, contacts=on_block)
 

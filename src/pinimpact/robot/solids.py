@@ -80,6 +80,14 @@ _known: Remembered = {}
 def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_points: int | None) -> ConvexShape:
     """Return the convex shape of a collision shape; those of meshes are remembered."""
     solid, name = found.geometry, found.name
+    swept = solid.getSweptSphereRadius() if hasattr(solid, "getSweptSphereRadius") else 0.0
+    if swept > 0.0:
+        raise InputError(
+            f"geometry: {name!r} has a sphere of {swept:g} m swept around it, which meets planes alone; "
+            "set its swept-sphere radius to 0",
+            field="geometry",
+            value=name,
+        )
     if type(solid).__name__ in ("Cylinder", "Cone"):
         if rim_points is None:
             raise InputError(
