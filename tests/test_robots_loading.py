@@ -1,5 +1,6 @@
 """Robots by name and by file, and what is said where one cannot be had."""
 
+import gc
 import shutil
 import subprocess
 import sys
@@ -41,6 +42,11 @@ def urdf(tmp_path):
         return path
 
     return write
+
+
+def test_no_file_is_left_open():
+    pinimpact.load_robot(str(Path(__file__).parents[1] / "models" / "rod.urdf"))
+    gc.collect()  # what is left open warns now, and warnings are errors
 
 
 def test_names_of_example_robot_data():

@@ -158,8 +158,9 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
 def _kind_of(path: Path) -> str:
     """Return the outermost tag of an XML file, "" where there is none."""
     try:
-        for _, element in ElementTree.iterparse(path, events=("start",)):
-            return str(element.tag)
+        with open(path, "rb") as file:  # which iterparse leaves open where it does not come to the end
+            for _, element in ElementTree.iterparse(file, events=("start",)):
+                return str(element.tag)
     except ElementTree.ParseError:
         pass
     return ""
