@@ -19,6 +19,7 @@ LOW = Plane(point=(0.0, 0.0, -0.6), name="low floor")
 BLOCK = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
 FLOOR = Plane(name="floor")
 FALL = np.array([0.0, 0.7, 0.0, -1.75, 0.0, 1.57, 0.785, 0.0, 0.0])
+SWING = FALL * [1, -1, 1, 1, 1, 1, 1, 1, 1]
 
 
 def main() -> None:
@@ -36,14 +37,14 @@ def main() -> None:
             "swings, 1 s",
             swinging.contacts_from_geometry(LOW),
             swinging,
-            FALL * [1, -1, 1, 1, 1, 1, 1, 1, 1],
+            SWING,
             1.0,
         ),
         (
             "swings beside a block, 1 s",
             replace(swinging, geometry=robot.collision_model).contacts_from_geometry(BLOCK),
             swinging,
-            FALL * [1, -1, 1, 1, 1, 1, 1, 1, 1],
+            SWING,
             1.0,
         ),
         ("falls on the floor, 0.5 s", falling, alone, FALL, 0.5),

@@ -57,6 +57,14 @@ def until_it_jams(q, v):
     return end.t[-1], end.y[:3, -1], end.y[3:, -1]
 
 
+def stopped(q, v):
+    """Return the velocity of the rod once an impulse has stopped its tip."""
+    s, c = np.sin(q[2]), np.cos(q[2])
+    rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
+    response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
+    return v - response @ np.linalg.solve(rows @ response, rows @ v)
+
+
 @pytest.mark.parametrize(("angle", "rate"), [(0.3, 3.0), (0.5, 2.5), (0.6, 1.5)])
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9])
 def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
@@ -67,10 +75,7 @@ def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
     (jam,) = (note for note in trajectory.notes if "jam" in note.text)
     time, q, v = until_it_jams(q, v)
     assert jam.time == pytest.approx(time, abs=1e-5)
-    s, c = np.sin(q[2]), np.cos(q[2])
-    rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
-    response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
-    after = v - response @ np.linalg.solve(rows @ response, rows @ v)
+    after = stopped(q, v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
     assert [m.mode for m in trajectory.modes] == ["slip"]
 
@@ -95,10 +100,7 @@ def test_two_tips_jam_together_as_one_would():
     (jam,) = (note for note in trajectory.notes if "jam" in note.text)
     time, q, v = until_it_jams(q, v)
     assert jam.time == pytest.approx(time, abs=1e-5)
-    s, c = np.sin(q[2]), np.cos(q[2])
-    rows = np.array([[1.0, 0.0, -s], [0.0, 1.0, -c]])
-    response = rows.T / np.array([[1.0], [1.0], [INERTIA]])
-    after = v - response @ np.linalg.solve(rows @ response, rows @ v)
+    after = stopped(q, v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(in_space(q, after)[1], abs=1e-3)
 
 

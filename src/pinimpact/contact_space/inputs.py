@@ -14,6 +14,14 @@ FACTOR = 7
 """Numbers of a factor: c₁₁, c₂₁, c₂₂, c₃₁, c₃₂, c₃₃ of the lower triangular C with W = CCᵀ, and the size of
 the numbers that C was formed from."""
 
+
+def triangle_of(numbers: Array) -> Array:
+    """Return C (3, 3) from the numbers of a factor."""
+    triangle = np.zeros((3, 3))
+    triangle[np.tril_indices(3)] = numbers[:-1]
+    return triangle
+
+
 NO_FACTOR: Array = np.empty(0)
 """Instead of a factor that is not known."""
 

@@ -122,9 +122,13 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
         )
     else:
         tips = make(solid)
-    swept = solid.getSweptSphereRadius() if hasattr(solid, "getSweptSphereRadius") else 0.0
-    tips = tips._replace(radius=tips.radius + float(swept))
+    tips = tips._replace(radius=tips.radius + swept_radius(solid))
     return tips if rim_points is None else _with_points(tips, rim_points)
+
+
+def swept_radius(solid: Any) -> float:
+    """Return the radius of the sphere that coal sweeps around a shape [m]."""
+    return float(solid.getSweptSphereRadius()) if hasattr(solid, "getSweptSphereRadius") else 0.0
 
 
 def check_rim_points(value: Any) -> None:

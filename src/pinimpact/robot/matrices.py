@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..contact_space.inputs import FACTOR
+from ..contact_space.inputs import FACTOR, triangle_of
 from ._kernels import contact_kinematics
 from ._kernels.delassus_factor import delassus_factor
 from ._kernels.responses import half_solve, respond
@@ -140,11 +140,10 @@ def contact_matrices(
     delassus, response, held_response, lower, y = _responses(model, cache, mass, rows, anchors, free)
     factor = scale = None
     if not anchors:
-        numbers, triangle = np.empty(FACTOR), np.zeros((3, 3))
+        numbers = np.empty(FACTOR)
         x1, x2, x3 = geometry.point.tolist()
         delassus_factor(lower, cache.parents, columns, signs * free, x1, x2, x3, y, numbers)
-        triangle[np.tril_indices(3)], scale = numbers[:-1], float(numbers[-1])
-        factor = triangle
+        factor, scale = triangle_of(numbers), float(numbers[-1])
     return ContactMatrices(
         point=geometry.point,
         gap=geometry.gap,

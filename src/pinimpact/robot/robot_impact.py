@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array
-from ..contact_space.inputs import FACTOR, NO_FACTOR
+from ..contact_space.inputs import FACTOR, NO_FACTOR, triangle_of
 from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
@@ -48,9 +48,7 @@ def _factor(numbers: Array) -> tuple[Array | None, float | None]:
     """Return a factor of W and its scale as an `ImpactProblem` has them."""
     if not numbers.any():
         return None, None
-    triangle = np.zeros((3, 3))
-    triangle[np.tril_indices(3)] = numbers[:-1]
-    return triangle, float(numbers[-1])
+    return triangle_of(numbers), float(numbers[-1])
 
 
 class Hit:

@@ -49,15 +49,19 @@ class ShapePair:
         return 2 if min(len(one.shape.vertices) for one in (self.a, self.b)) == 1 else 4
 
     @property
+    def basis(self) -> Contact:
+        """A contact of a point of A, of no place as yet, with the coefficients and the name."""
+        return replace(
+            self.contact, geometry=None, rim_points=None, frame=0, plane=Plane(), shape=self.a.name
+        )
+
+    @property
     def bounding(self) -> Contact:
         """A sphere around A that meets one around B, as a contact of a single point."""
         point = self.a.in_frame.act(self.a.shape.center)
         center = self.b.in_frame.act(self.b.shape.center)
         return replace(
-            self.contact,
-            geometry=None,
-            rim_points=None,
-            shape=self.a.name,
+            self.basis,
             frame=self.a.frame,
             offset=tuple(point.tolist()),
             radius=self.a.shape.reach,
@@ -100,9 +104,7 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     pair = shape_pair(robot, contact)
     count = pair.most_points
     far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
-    basis = replace(
-        contact, geometry=None, rim_points=None, frame=0, plane=far, shape=pair.a.name, pair=contact
-    )
+    basis = replace(pair.basis, plane=far, pair=contact)
     label = contact.label
     return tuple(replace(basis, name=f"{label} {k + 1}" if k else label) for k in range(count))
 
@@ -258,6 +260,5 @@ def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) 
     placed = pair.placed(data)
     found = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
-    basis = replace(contact, geometry=None, rim_points=None, frame=0, plane=Plane(), shape=pair.a.name)
     points = touches(*placed, found.normal, TIE * size + max(found.value, 0.0))
-    return [point_contact(pair, data, placed, found.normal, touch, basis).instant for touch in points]
+    return [point_contact(pair, data, placed, found.normal, touch, pair.basis).instant for touch in points]

@@ -21,6 +21,7 @@ from .collision_shapes import (
     remembered,
     shape_frame,
     shape_tips,
+    swept_radius,
 )
 from .convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
 from .names import frame_id, model_of
@@ -80,7 +81,7 @@ _known: Remembered = {}
 def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_points: int | None) -> ConvexShape:
     """Return the convex shape of a collision shape; those of meshes are remembered."""
     solid, name = found.geometry, found.name
-    swept = solid.getSweptSphereRadius() if hasattr(solid, "getSweptSphereRadius") else 0.0
+    swept = swept_radius(solid)
     if swept > 0.0:
         raise InputError(
             f"geometry: {name!r} has a sphere of {swept:g} m swept around it, which meets planes alone; "

@@ -267,10 +267,12 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
-        apart = self._apart.over(step, peak)
+        apart = None
+        if not all(watched.points for watched in self._pairs):
+            apart = self._apart.over(step, peak)
         for number, watched in enumerate(self._pairs):
             if not watched.points:
-                if apart[number]:
+                if apart is not None and apart[number]:
                     continue
                 found = self._touch(watched, number, step, end)
                 meeting = Meeting(found.time, number, False) if found.touches else None

@@ -219,9 +219,8 @@ class SimulationState:
         if group is None:
             return []
         self.change_velocity(v)
-        slipping = ", ".join(self.names[i] for i, slides in zip(touching, slips, strict=True) if slides)
         self.note(
-            f"Slip at {slipping} drives the surface in and no forces hold what touches: "
+            f"Slip at {self._names(touching, slips)} drives the surface in and no forces hold what touches: "
             "an impact without collision."
         )
         return self._take_over_group(group)
@@ -230,6 +229,9 @@ class SimulationState:
         """Return those of contacts and limits that are chosen and not held."""
         contacts, bilateral = len(self.dynamics.contacts), self.dynamics.work.bilateral
         return [i for i in np.flatnonzero(chosen).tolist() if i >= contacts or not bilateral[i]]
+
+    def _names(self, touching: list[int], chosen: NDArray[np.bool_]) -> str:
+        return ", ".join(self.names[i] for i, is_chosen in zip(touching, chosen, strict=True) if is_chosen)
 
     def _slipping(self, touching: list[int], v: Array, modes: Array) -> NDArray[np.bool_]:
         """Return which of what touches slips, at a velocity (nv,), where modes are known."""
@@ -391,7 +393,7 @@ class SimulationState:
         group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, CLEAR * singular)
         if group is None:
             return False
-        slipping = ", ".join(self.names[i] for i, slides in zip(touching, slips, strict=True) if slides)
+        slipping = self._names(touching, slips)
         self.note(f"Slip at {slipping} makes the forces grow without bound: they jam, in an impact.")
         resolved = self._take_over_group(group)
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]

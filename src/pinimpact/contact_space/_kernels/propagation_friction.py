@@ -146,7 +146,7 @@ def settle(system, state, series):
     if not root and _begins(system, state, unit, weight, series):
         return unknown_after(system, state, unit, weight)
     if _fits(system, state, cap, unknown, forces, scale):
-        if _has_room(system, state, forces):
+        if _within_bounds(system, state, forces, ROOM):
             return unknown, inverse, weight
         _keep_from_bounds(system, state, forces)
         return unknown_after(system, state, unit, weight)
@@ -309,20 +309,16 @@ def _fits(system, state, cap, unknown, forces, scale):
         f = forces[3 * j + 2]
         if state.normal[j] == HELD and not -FIT * scale <= f <= cap[j] + FIT * scale:
             return False
-        if state.tangent[j] == STUCK:
-            bound = system.friction[j] * f
-            if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound * (1.0 + FIT):
-                return False
-    return True
+    return _within_bounds(system, state, forces, 1.0 + FIT)
 
 
 @inner
-def _has_room(system, state, forces):
-    """Return whether friction that holds keeps well within its bounds."""
+def _within_bounds(system, state, forces, part):
+    """Return whether friction that holds keeps within a part of its bounds."""
     for j in range(len(system.friction)):
         if state.tangent[j] == STUCK:
-            bound = ROOM * system.friction[j] * forces[3 * j + 2]
-            if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound:
+            bound = system.friction[j] * forces[3 * j + 2]
+            if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound * part:
                 return False
     return True
 
@@ -403,6 +399,22 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
 
 
 @inner
+def _holding(system, state, forces):
+    """Return the contacts whose friction holds and matters, and the largest bound of friction."""
+    n, strongest, count = len(system.friction), 0.0, 0
+    for j in range(n):
+        if state.tangent[j] == STUCK or state.tangent[j] == BOUND:
+            strongest = max(strongest, system.friction[j] * forces[3 * j + 2])
+    at = np.empty(n, dtype=np.int64)
+    for j in range(n):
+        holds = state.tangent[j] == STUCK or state.tangent[j] == BOUND
+        if holds and system.friction[j] * forces[3 * j + 2] > WEAK * strongest:
+            at[count] = j
+            count += 1
+    return at[:count].copy(), strongest
+
+
+@inner
 def _keep_from_bounds(system, state, forces):
     """Let the friction of contacts that hold the same keep as far from its bounds as it can. (14.4)
 
@@ -411,17 +423,8 @@ def _keep_from_bounds(system, state, forces):
         forces: (3n,) with friction that lets nothing move.
     """
     w, friction = system.w, system.friction
-    n = len(friction)
-    at = np.empty(n, dtype=np.int64)
-    count, strongest = 0, 0.0
-    for j in range(n):
-        if state.tangent[j] == STUCK or state.tangent[j] == BOUND:
-            strongest = max(strongest, friction[j] * forces[3 * j + 2])
-    for j in range(n):
-        holds = state.tangent[j] == STUCK or state.tangent[j] == BOUND
-        if holds and friction[j] * forces[3 * j + 2] > WEAK * strongest:
-            at[count] = j
-            count += 1
+    at, strongest = _holding(system, state, forces)
+    count = len(at)
     size = 2 * count
     block, none, least, null = np.empty((size, size)), np.zeros(size), np.empty(size), np.empty((size, size))
     for a in range(size):
@@ -457,16 +460,10 @@ def _hold_plane(system, state, forces):
     """
     w, friction = system.w, system.friction
     n = len(friction)
-    at = np.empty(n, dtype=np.int64)
-    count, strongest, softest = 0, 0.0, 0.0
-    for j in range(n):
-        if state.tangent[j] == STUCK:
-            strongest = max(strongest, friction[j] * forces[3 * j + 2])
-    for j in range(n):
-        if state.tangent[j] == STUCK and friction[j] * forces[3 * j + 2] > WEAK * strongest:
-            at[count] = j
-            count += 1
-            softest = max(softest, w[3 * j, 3 * j] + w[3 * j + 1, 3 * j + 1])
+    at, strongest = _holding(system, state, forces)
+    count, softest = len(at), 0.0
+    for j in at:
+        softest = max(softest, w[3 * j, 3 * j] + w[3 * j + 1, 3 * j + 1])
     if count == 0:
         return 0.0
     before = np.empty(2 * count)
