@@ -3,7 +3,8 @@
 What is checked of each answer: that there is one; v₃⁺ ≥ 0; P in the friction cone; M(v⁺ − v) = Jᵀ P with M
 and J formed here; the law's energy; no impulse along the axis of parallel joints that stand upright; the same
 joint velocities and impulse, within eight times what roundings of the robot's numbers change, where base and
-plane are turned together. What is in doubt then is held against multiple precision.
+plane are turned together. What is in doubt then is held against multiple precision, and so is an impulse
+along such an axis if it leans by a few roundings, which may be felt.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ NOISE = 1e-11
 TRIALS = (2, 40)
 """How often the sensitivity is measured: for every impact, and for one that would be in doubt without."""
 ALONG = np.array([1.0, 0.0, 0.0])
+SIDEWAYS = "sideways out of noise"
 
 
 @dataclass
@@ -226,9 +228,9 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
         "energy grows": ((law == "energetic") | (group.restitution == 0))
         & (gained > noise * spread * energy + rounding * np.sqrt(energy)),
     }
-    if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:
+    if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:  # 0, or a few roundings of the base
         axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of its joints: nothing moves along it
-        wrong["sideways out of noise"] = np.abs(P @ axis) > noise * size
+        wrong[SIDEWAYS] = np.abs(P @ axis) > noise * size
     return wrong
 
 
@@ -249,6 +251,8 @@ def check(rng: np.random.Generator, group: Group, report: Report) -> None:
     wrong = mechanics(group, hits)
     if abs(group.tilt) < RESOLVED:  # both answers are right
         wrong["refused"] &= group.tilt == 0.0
+    if group.tilt != 0.0 and SIDEWAYS in wrong:  # a tilt of a few roundings may be felt
+        doubtful |= wrong.pop(SIDEWAYS)
     for what, rows in wrong.items():
         report.violations += [(what, group.one(k)) for k in np.flatnonzero(rows)]
     for k in np.flatnonzero(doubtful):
