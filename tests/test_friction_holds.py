@@ -60,6 +60,30 @@ def test_a_joint_with_dry_friction_under_a_swinging_force(seed):
     assert np.diff(trajectory.energy.joints).max() <= 1e-12
 
 
+def test_a_tip_that_comes_to_stick_sets_a_dry_joint_in_motion():
+    """The joint is pushed forwards, but turns backwards until its dry friction and the push stop it."""
+    model, parent = pin.Model(), 0
+    for kind in (pin.JointModelPZ(), pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
+        parent = model.addJoint(parent, kind, pin.SE3.Identity(), kind.shortname())
+    model.appendBodyToJoint(3, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.appendBodyToJoint(4, pin.Inertia(1e-12, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+    place = pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", 4, 0, place, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction = np.array([0.0, 0.0, 0.0, 0.01])
+    scene = Scene(model, [Contact("tip", Plane(), friction=0.5)], control=lambda t, q, v: [0, 0, 0, 0.02])
+    speed = 9e-6  # slow enough to count as rest where a motion begins
+    trajectory = simulate(scene, np.zeros(4), [0.0, 0.0, speed, 0.0], 1e-3)
+    inertia = 1e-3 + 0.1**2
+    rate = -0.1 * speed / inertia  # I ω − ℓ m v is not changed by an impulse at the tip
+    turned = -rate * inertia / (0.02 + 0.01)
+    for t in (0.3 * turned, 0.9 * turned, 2.0 * turned, 1e-3):
+        push = 0.03 if t < turned else 0.01
+        v = trajectory.at(t)[1]
+        assert v[3] == pytest.approx(push * (t - turned) / inertia, rel=1e-7)
+        assert v[2] == pytest.approx(-0.1 * v[3], rel=1e-7)
+
+
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
 def test_a_point_that_a_swinging_force_moves_again_and_again(rtol):
     load = Swing(0.3, 10.0, 0.0, 0.25)

@@ -51,28 +51,28 @@ def set_modes(work, t, q, v, slow):
     candidates, modes = np.zeros(touching + n, dtype=np.int64), np.zeros(touching + n, dtype=np.int64)
     for i in range(touching):
         candidates[i] = slow[i]
-    for j in range(n):
-        if dry[j] > 0.0:
-            slow_enough = abs(v[j]) <= work.stick_speed
-            rests = slow_enough and not sliding[j] * v[j] > dry[j] * work.certain_speed
-            candidates[touching + j] = rests
-            sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    jamming, converged, energy = -1, True, 0.0
-    if len(nonzero(candidates)) > 0:
-        stopped = math.inf
-        for _ in range(ROUNDS):
-            if not stopped > NOTHING * work.stick_speed:
-                break
-            jamming, converged, gained, stopped = find_modes(
-                work, t, q, v, candidates, modes, reference, breaking
-            )
-            energy += gained
-            if jamming >= 0 or work.callback_failed:
-                return jamming, converged, energy
+    jamming, converged, energy, stopped = -1, True, 0.0, math.inf
+    for _ in range(ROUNDS):
+        if not stopped > NOTHING * work.stick_speed:
+            break
+        for j in range(n):  # what has been stopped may have set other joints in motion
+            if dry[j] > 0.0:
+                slow_enough = abs(v[j]) <= work.stick_speed
+                rests = slow_enough and not sliding[j] * v[j] > dry[j] * work.certain_speed
+                candidates[touching + j] = rests
+                sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
+        if len(nonzero(candidates)) == 0:
+            break
+        jamming, converged, gained, stopped = find_modes(
+            work, t, q, v, candidates, modes, reference, breaking
+        )
+        energy += gained
+        if jamming >= 0 or work.callback_failed:
+            return jamming, converged, energy
     for j in range(n):
         if breaking[j] != 0.0:
-            sliding[j] = -math.copysign(dry[j], breaking[j])
+            sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
     assign(work.modes, modes)
     close(work, reference)
     return jamming, converged, energy
@@ -176,7 +176,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             taken += 1
     gained = stop_along(rows[:taken], speeds[:taken], work.minverse, v)
     for j in range(n):
-        if breaking[j] * v[j] > 0.0:
+        if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
             v[j] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest
 
