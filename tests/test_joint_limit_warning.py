@@ -70,3 +70,11 @@ def test_scenes_without_joint_limits_do_not_mind(panda):
         warnings.simplefilter("error")
         trajectory = pinimpact.simulate(scene, q, V, 0.2)
     assert trajectory.impacts
+
+
+def test_a_contact_by_geometry_is_told_of_where_it_is_called():
+    robot = pinimpact.load_robot("panda")
+    contact = pinimpact.Contact(geometry="panda_hand_0", plane=TABLE)
+    with pytest.warns(JointLimitWarning) as told:
+        pinimpact.impact(robot, robot.model.createData(), degrees(), V, contact)
+    assert [warning.filename for warning in told] == [__file__]

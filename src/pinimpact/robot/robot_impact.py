@@ -242,6 +242,7 @@ def impact(
     if contact.geometry is not None:
         nearest = touching_points if is_pair(robot, contact) else touching_tips
         tips = nearest(robot, data, q, contact)
+        data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=4)
         one_or_many: Any = tips[0] if len(tips) == 1 else tips
         return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
     if contact.rim > 0.0:
