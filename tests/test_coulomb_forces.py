@@ -144,3 +144,51 @@ def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
         counts.append(len(expected))
     assert {0, 1}.issubset(counts)
     assert max(counts) > 1
+
+
+def slip_held_by_joints(seed, joints):
+    """One contact that slips, on joints with dry friction that would jam it if they all held."""
+    rng = np.random.default_rng(seed)
+    while True:
+        rows = rng.normal(size=(3 + joints, 3 + joints + 2))
+        delassus = rows @ rows.T
+        free = 10.0 * rng.normal(size=3 + joints)
+        free[2] = -abs(free[2])
+        mu = rng.uniform(0.3, 3.0)
+        push = np.zeros(3 + joints)
+        push[0], push[2] = -mu, 1.0
+        alone = delassus[2] @ push
+        held = delassus[3:, 3:]
+        jammed = alone - delassus[2, 3:] @ np.linalg.solve(held, delassus[3:] @ push)
+        if alone > 0.1 and jammed < -0.01:
+            return delassus, free, mu, push
+
+
+@pytest.mark.parametrize(
+    ("joints", "seeds"), [(1, [102, 109, 114]), (3, [165, 204, 428]), (8, [145, 157, 300]), (12, [55, 332])]
+)
+def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints, seeds):
+    """The gap accelerates down without a force and up with a large one, so some force is right."""
+    for seed in [*seeds, *range(10)]:
+        delassus, free, mu, push = slip_held_by_joints(seed, joints)
+        bound = np.random.default_rng(seed).uniform(0.1, 5.0, size=joints)
+        x = np.empty(3 + joints)
+        accuracy = solve(
+            delassus,
+            free,
+            np.array([[0.7, 0.0]]),
+            np.array([mu]),
+            np.zeros(1, dtype=np.bool_),
+            -bound,
+            bound,
+            x,
+        )
+        assert accuracy <= 1e-10
+        a = delassus @ x + free
+        near = 1e-8 * (1.0 + np.abs(x).max() + np.abs(a).max())
+        assert x[:3] == pytest.approx(push[:3] * x[2], abs=near)
+        assert min(x[2], a[2]) >= -near
+        assert abs(x[2] * a[2]) <= near
+        for force, rate, most in zip(x[3:], a[3:], bound, strict=True):
+            assert abs(force) <= most + near
+            assert abs(rate) <= near or force == pytest.approx(-np.sign(rate) * most, abs=near)

@@ -63,3 +63,10 @@ class SimulationError(PinimpactError, RuntimeError):
     ) -> None:
         super().__init__(message, field=field, value=value)
         self.partial = partial
+
+
+class LockedPostureError(SimulationError):
+    """Friction locks a contact in a direction in which nothing moves it, though it is carried on.
+
+    Rigid bodies have neither forces nor impulses there. (theory.md, 13)
+    """

@@ -23,7 +23,13 @@ from ..robot._kernels.responses import coupled
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.joint_limits import JointLimit
-from ..robot.matrices import ManyMatrices, checked_matrices, contact_geometry, contact_matrices
+from ..robot.matrices import (
+    ContactMatrices,
+    ManyMatrices,
+    checked_matrices,
+    contact_geometry,
+    contact_matrices,
+)
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
 from .dynamics import SceneDynamics
@@ -393,7 +399,7 @@ class SceneImpacts:
             stop: Whether to stop its slip outright, since such an impact has not.
         """
         contact = self._dynamics.contacts[i]
-        matrices = contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
+        matrices = self.matrices_of(q, contact)
         velocity = matrices.velocity(v)
         velocity[2] = 0.0
         e = contact.restitution_at(0.0)
@@ -409,6 +415,10 @@ class SceneImpacts:
         else:
             p = solve_impact(problem).impulse
         return Impact(v + matrices.response @ p, False, partial(_given, problem, p @ matrices.axes))
+
+    def matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
+        """Return the matrices of a contact, with what the scene holds and locks."""
+        return contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..errors import InputError, SimulationError
+from ..errors import InputError, LockedPostureError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
@@ -18,6 +19,7 @@ from ._kernels.approach import APART, ARRIVING, TOUCHING
 from ._kernels.contact_forces import FREE, SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
+from .locked_posture import locked_direction
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
 from .scene import STANDARD_GRAVITY, Scene
@@ -153,6 +155,9 @@ class SimulationState:
         Args:
             arriving: The contacts or limit whose gap is known to close now.
             starting: Whether the motion starts now, so that all that touches has just closed its gap.
+
+        Raises:
+            SimulationError: Impacts without collision do not settle, or friction locks a contact.
         """
         where, slow = self._where, self._slow
         where[:] = APART
@@ -187,6 +192,7 @@ class SimulationState:
                 )
             struck = self._without_forces(before, modes, jammed, jams > MOST_JAMS)
             if not struck:
+                self._refuse_locked(before, modes)
                 self.note("The forces of the closed contacts were not found to the usual accuracy.")
                 break
             resolved += struck
@@ -224,6 +230,37 @@ class SimulationState:
             "an impact without collision."
         )
         return self._take_over_group(group)
+
+    def _refuse_locked(self, v: Array, modes: Array) -> None:
+        """Stop where friction locks the only contact that touches, if nothing is held or at rest beside it.
+
+        Args:
+            v: (nv,) velocity before modes were looked for.
+            modes: Those that held.
+
+        Raises:
+            LockedPostureError: See above.
+        """
+        work, touching = self.dynamics.work, self._closed(self._slow)
+        alone = len(touching) == 1 and touching[0] < work.contacts and not work.bilateral.any()
+        if not alone or work.dry_friction.any() or self._slipping(touching, v, modes).any():
+            return
+        contact = self.dynamics.contacts[touching[0]]
+        matrices = self._impacts.matrices_of(self.q, contact)
+        acceleration = self.dynamics.free_motion_at(self.t, self.q, v, touching).acceleration[0]
+        friction = contact.sustained_friction
+        u = locked_direction(matrices.delassus, acceleration, friction)
+        if u is not None:
+            x, y, z = (u @ matrices.axes).tolist()
+            least = math.hypot(u[0], u[1]) / u[2]
+            raise LockedPostureError(
+                f"contacts: at t = {self.t:.6g} s {contact.label!r} is locked by friction: in this posture "
+                f"nothing moves it along ({x:.3g}, {y:.3g}, {z:.3g}), its friction of {friction:g} holds it "
+                "there, and the motion carries it on, so rigid bodies have neither forces nor impulses; "
+                f"friction below {least:.3g}, or a joint limit short of this posture, lets it go on",
+                field="contacts",
+                value=contact,
+            )
 
     def _closed(self, chosen: NDArray[np.int64]) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""

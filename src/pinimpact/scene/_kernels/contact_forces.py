@@ -15,6 +15,7 @@ from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, products
+from ..._numeric.semidefinite import factor
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
@@ -125,6 +126,19 @@ def set_up_equations(work, acceleration):
             system[a, a] = largest
             target[a] = 0.0
     return least
+
+
+@ahead(SceneWorkspace)
+@separate
+def rows_independent(work):
+    """Return whether the rows of what is closed are, so that forces without friction are unique."""
+    rows, minverse = work.equation_rows, work.minverse
+    size, n = rows.shape
+    response, gram = np.empty((size, n)), np.empty((size, size))
+    for a in range(size):
+        apply_symmetric(minverse, rows[a], response[a])
+    products(rows, response, gram)
+    return factor(gram, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
 
 
 @ahead(SceneWorkspace)

@@ -268,10 +268,11 @@ def modes_of_contacts(
 @inner
 def goes_on_slipping(work, i, x, y):
     """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, however slowly."""
-    if math.hypot(x, y) > work.stick_speed:
+    speed = math.hypot(x, y)
+    if speed > work.stick_speed:
         return True
-    index, mode, reference = work.closed_index, work.closed_mode, work.slip_reference
+    index, mode = work.closed_index, work.closed_mode
     for k in range(len(index)):
         if index[k] == i and mode[k] == SLIP:
-            return reference[k, 0] * x + reference[k, 1] * y > work.certain_speed
+            return speed > work.certain_speed  # also where it has turned away from the direction last known
     return False

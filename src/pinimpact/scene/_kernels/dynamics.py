@@ -26,6 +26,9 @@ FAR = 0.1
 LEAST_EFFECTIVE = 1e-9
 """Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
 
+SLIPPING = 1e-14
+"""Part of the largest pivot below which pivots of slip that nears its singularity count as zero."""
+
 
 @inner
 def set_state(work, q, v):
@@ -225,6 +228,8 @@ def evaluate(work, t, out):
     if work.forces_unique or rubs:  # else it says nothing new, and there is no jam
         rank = RANK if work.forces_unique else contact_forces.SINGULAR_STILL
         orientation = solve(system, target, work.solution, rank)
+    if orientation == 0 and rubs and contact_forces.rows_independent(work):
+        orientation = solve(system, target, work.solution, SLIPPING)  # it is slip that is singular, or near
     work.forces_unique = orientation != 0
     if orientation == 0:
         work.forces_unique = contact_forces.solve_least_norm(work) and not rubs

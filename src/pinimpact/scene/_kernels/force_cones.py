@@ -4,7 +4,8 @@ With a dual cone in place of the law, f minimises ½ fᵀWf + fᵀ(a⁰ + s) in 
 contact at rest: a convex program for given s, repeated with the s that it gives. (Acary, Cadoux, Lemaréchal,
 Malick, A formulation of the linear discrete Coulomb friction problem via convex optimization, 2011.) Friction
 of contacts that slip is carried over from one program to the next. From what is open, sticks and slips then
-Newton's method goes to rounding. It is also tried first, from each choice of which slipping contacts close.
+Newton's method goes to rounding. It is also tried first, from each choice of which slipping contacts close,
+and last from what Lemke's pivots find, see `force_pivots`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ..._numeric.jit import separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import flags, repeated
 from ..._numeric.products import apply
+from .force_pivots import forces_by_pivots
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
 """Types: W, accelerations, velocities of slip, friction, held, bounds, and the forces."""
@@ -268,7 +270,17 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             moved = max(moved, abs(corrected[a] - before[a]))
         if moved == 0.0:  # the same program again
             break
-    return worst
+    low, high = np.empty(ns), np.empty(ns)
+    for i in range(ns):
+        low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+    if not forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
+        return worst
+    for a in range(size):
+        x[a] = f[a] * scale_f[a]
+    worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    return polish(
+        delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
+    )
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)

@@ -32,13 +32,22 @@ def value(work, k, t):
 value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_root(value)
 
 
+@inner
+def has_turned(work, k, velocity):
+    """Whether slip that is not along the direction last known is across rather than against it."""
+    reference = work.slip_reference
+    across = abs(reference[k, 0] * velocity[k, 1] - reference[k, 1] * velocity[k, 0])
+    return across > max(work.direction_speed, -along(work, k, velocity))
+
+
 @ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
     """Return the first time before `end` at which a slip ends, infinite if none; and which.
 
     Minus infinity asks for a shorter step: where the speed along vanishes there is slip across, so within the
-    step the direction has turned too far to be followed.
+    step the direction has turned too far to be followed. Slip whose direction a step before has left behind
+    ends at the start, to be given another one.
     """
     mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
     start, last = work.step_start, work.step_start + work.step_length
@@ -54,9 +63,10 @@ def first(work, end):
                 continue
             start_speed = value_at(work, k, start)[0]
             if start_speed <= 0.0:
-                # either a step before has left it there, for it was next to nothing, or friction drives
-                nothing = math.hypot(velocity[k, 0], velocity[k, 1]) <= BEHIND * work.stick_speed
-                return (start if nothing and work.previous_length > 0.0 else -math.inf), k
+                # either a step before has left it there, or friction drives
+                speed = math.hypot(velocity[k, 0], velocity[k, 1])
+                nothing = speed <= BEHIND * work.stick_speed and work.previous_length > 0.0
+                return (start if nothing or speed > work.certain_speed else -math.inf), k
             found = root(work, k, start, last, start_speed, end_speed)
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
@@ -64,12 +74,13 @@ def first(work, end):
             speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
             error = min(work.atol + work.rtol * speed, 0.1 * work.stick_speed)
             found = first_fall(work, k, end, max(BEHIND * work.stick_speed, error))
-            across = math.hypot(work.end_velocity[k, 0], work.end_velocity[k, 1])
-            if found == math.inf and end_speed <= 0.0 and across > work.stick_speed:
-                return -math.inf, k
+            if found == math.inf and end_speed <= 0.0 and has_turned(work, k, work.end_velocity):
+                against = value_at(work, k, start)[0] <= 0.0
+                speed = math.hypot(velocity[k, 0], velocity[k, 1])
+                return (start if against and speed > 0.5 * work.direction_speed else -math.inf), k
         if found < end:
             value_at(work, k, found)
-            if math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
+            if found > start and math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
                 return -math.inf, k
             time, end, which = found, found, k
     return time, which

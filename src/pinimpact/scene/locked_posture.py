@@ -1,0 +1,74 @@
+"""Postures in which friction locks a contact that the motion carries on. (theory.md, 13)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-13
+"""Part of the largest eigenvalue of W below which the robot does not move the contact at all."""
+
+CARRIED = 1e-6
+"""Part of the contact's acceleration that it has at least in the direction in which nothing moves it."""
+
+REAL = 1e-6
+"""Imaginary part of a root that counts as none, and by how much its equation may be missed."""
+
+
+def locked_direction(delassus: Array, acceleration: Array, friction: float) -> Array | None:
+    """Return the direction in which a contact at rest is locked though it accelerates; None if it is not.
+
+    With u the null vector of W no force changes uᵀa = uᵀa⁰ < 0, so the contact cannot stick. It does not open
+    where a⁰₃ < 0, and slides only along a direction for which Coulomb's law has a force N ≥ 0: with
+    x = a_b/k, a = (−k, kx, 0) in axes along and across u_t, these are roots of a quartic.
+
+    Args:
+        delassus: (3, 3) W of the contact, which is the only thing that touches.
+        acceleration: (3,) a⁰, without contact forces, of a contact at rest.
+        friction: Coefficient of friction.
+
+    Returns:
+        (3,) u in contact axes, u₃ > 0; None wherever a force may exist.
+    """
+    weights, basis = np.linalg.eigh(delassus)
+    u = basis[:, 0] * math.copysign(1.0, basis[2, 0])
+    tangent = math.hypot(u[0], u[1])
+    if weights[0] > SINGULAR * weights[2] or weights[1] <= SINGULAR * weights[2]:
+        return None
+    if not tangent < friction * u[2] or acceleration[2] >= 0.0:
+        return None
+    carried = float(u @ acceleration)
+    if not carried < -CARRIED * float(np.abs(acceleration).max()):
+        return None
+    if tangent > CARRIED and _may_slide(
+        delassus, acceleration, friction, u[:2] / tangent, -carried / tangent
+    ):
+        return None
+    return u
+
+
+def _may_slide(delassus: Array, acceleration: Array, friction: float, along: Array, k: float) -> bool:
+    """Whether a force lets the contact slide off with −k along a tangent, and anything across."""
+    axes = np.array([[along[0], along[1], 0.0], [-along[1], along[0], 0.0], [0.0, 0.0, 1.0]])
+    w = axes @ delassus @ axes.T
+    _, across, fall = (axes @ acceleration).tolist()
+    # force N (μ/r, −μx/r, 1), r² = 1 + x²; N (w33 r + push) = −fall r, and the row across: even r + odd = 0
+    push = Polynomial([friction * w[2, 0], -friction * w[2, 1]])
+    turn = Polynomial([friction * w[1, 0], -friction * w[1, 1]])
+    left = Polynomial([across, -k])
+    even = left * w[2, 2] - fall * w[1, 2]
+    odd = left * push - fall * turn
+    for root in (even**2 * Polynomial([1.0, 0.0, 1.0]) - odd**2).roots():
+        x = float(root.real)
+        if abs(root.imag) > REAL * (1.0 + abs(x)):
+            continue
+        r = math.hypot(1.0, x)
+        size = abs(even(x)) * r + abs(odd(x))
+        if abs(even(x) * r + odd(x)) <= REAL * size and w[2, 2] * r + push(x) > 0.0:
+            return True
+    return False

@@ -1,0 +1,91 @@
+"""Whether a trajectory obeys Coulomb's law between its samples, seen from its states and forces alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from pinimpact import Scene, Trajectory
+from pinimpact.robot.surfaces import contact_axes
+
+TIMES = 60
+
+SHORT = 1e-9
+"""Time [s] so short that forces on the way to infinity, before a jam, may be past it."""
+
+
+def unlawful(scene: Scene, trajectory: Trajectory, rtol: float, seed: int) -> str:
+    """Return what of a run breaks Coulomb's law at times drawn at random, or nothing.
+
+    Contacts are frames over planes at rest: none sinks in; none pulls; none pushes from afar; friction keeps
+    to its cone, and where a contact slips it is opposite to the slip. A contact that slips faster than the
+    tolerance sees loses no velocity at an instant without an impact at which nothing closes.
+    """
+    rng = np.random.default_rng(seed)
+    model, data = scene.model, scene.model.createData()
+    closed = [m for m in trajectory.modes if m.mode in ("slip", "stick") and m.end > m.start + SHORT]
+    chosen = rng.permutation(len(closed))[:TIMES]
+    times = [
+        rng.uniform(0.0, trajectory.t[-1], TIMES),
+        [rng.uniform(closed[k].start, closed[k].end) for k in chosen],
+    ]
+    times = np.sort(np.concatenate(times))
+    forces = {c.label: trajectory.forces_world(c.label, times) for c in scene.contacts}
+    weight = 9.81 * pin.computeTotalMass(model)
+    atol, slow = 1e-2 * rtol, 0.1 * scene.rest
+    for k, t in enumerate(times):
+        q, v = trajectory.at(t)
+        pin.forwardKinematics(model, data, q, v)
+        error = 10.0 * (atol + rtol * np.abs(v).max())
+        for contact in scene.contacts:
+            normal, point = np.array(contact.plane.normal), np.array(contact.plane.point)
+            frame = model.getFrameId(contact.frame)
+            gap = normal @ (pin.updateFramePlacement(model, data, frame).translation - point)
+            speed = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
+            axes = contact_axes(normal)
+            (*tangent, push), slip = axes @ forces[contact.label][k], (axes @ speed)[:2]
+            size = np.linalg.norm(slip)
+            most, near = contact.sustained_friction * push, (1e-7 + 10.0 * rtol) * (weight + abs(push))
+            where = f"{contact.label} at {t:.6g} s"
+            if gap < -1e-7 - error:
+                return f"{where} sinks in by {-gap:.3g} m"
+            if push < -near:
+                return f"{where} pulls with {-push:.3g} N"
+            if push > near and gap > 1e-7 + error:
+                return f"{where} pushes with {push:.3g} N from {gap:.3g} m"
+            if np.linalg.norm(tangent) > most + near:
+                return (
+                    f"{where} has friction of {np.linalg.norm(tangent):.6g} N where {most:.6g} N is the most"
+                )
+            if push > near and size > slow + error:
+                missed = np.linalg.norm(tangent + most * slip / size)
+                if missed > near + most * error / size:
+                    return (
+                        f"{where} slips at {size:.3g} m/s with friction off by {missed:.3g} N of {most:.3g} N"
+                    )
+    return lost(scene, trajectory, rtol)
+
+
+def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
+    """Return which contact that slips loses velocity at an instant without an impact, or nothing."""
+    model, data = scene.model, scene.model.createData()
+    struck = {impact.time for impact in trajectory.impacts}
+    t, v = trajectory.t, trajectory.v
+    for k in np.flatnonzero((t[1:] == t[:-1]) & (v[1:] != v[:-1]).any(axis=1)):
+        began = [m for m in trajectory.modes if m.start == t[k]]
+        if t[k] in struck or any(
+            all(m.end != t[k] or m.source != b.source for m in trajectory.modes) for b in began
+        ):
+            continue
+        slips = {m.source for m in trajectory.modes if m.mode == "slip" and m.start < t[k] <= m.end}
+        pin.computeJointJacobians(model, data, trajectory.q[k])
+        error = 20.0 * (1e-2 * rtol + rtol * np.abs(v[k]).max())
+        for contact in scene.contacts:
+            if contact.label in slips:
+                jacobian = pin.getFrameJacobian(
+                    model, data, model.getFrameId(contact.frame), pin.LOCAL_WORLD_ALIGNED
+                )[:3]
+                before, change = np.linalg.norm(jacobian @ v[k]), np.linalg.norm(jacobian @ (v[k + 1] - v[k]))
+                if before > error and change > error:
+                    return f"{contact.label} at {t[k]:.9g} s loses {change:.3g} of {before:.3g} m/s, unstruck"
+    return ""
