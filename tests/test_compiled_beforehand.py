@@ -88,7 +88,7 @@ GROUPS = (
 set_up = lambda scene, q: simulate(scene, q, np.zeros(scene.model.nv), 1e-6)
 floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
 set_up(Scene(ball(), [floor]), [0, 0, 1.0, *UP])
-assert not names(there()) & {"propagate", "impulses_together", "coupled"}  # one alone has no need of them
+assert not names(there()) & {"propagate", "impulses_together", "taking_part"}  # one alone has no need of them
 
 def struck(scene, q, v, duration):  # by several at once, with nothing compiled but at the set-up
     set_up(scene, q)

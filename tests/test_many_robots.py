@@ -6,7 +6,7 @@ import pytest
 
 import pinimpact
 from pinimpact import Contact, InputError, Plane, Scene, simulate
-from pinimpact.robot._kernels.responses import coupled
+from pinimpact.robot._kernels.responses import taking_part
 from pinimpact.robot.matrices import checked_matrices
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
@@ -133,9 +133,35 @@ def test_who_feels_whom(seed):
     w += 1e-15 * rng.normal(size=w.shape)
     w = 0.5 * (w + w.T)
     found = np.empty(n, dtype=np.int64)
-    coupled(w, 4, found)
+    assert taking_part(w, np.zeros(n), -np.ones(n), 0.0, 4, found)
     reached = np.linalg.matrix_power(feels.astype(int), n)[4] > 0
     np.testing.assert_array_equal(found != 0, reached)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.6])
+def test_what_is_only_lifted_has_no_part(e):
+    # against the solution of all: velocities are the same without it, and it has no impulse
+    rng, left_out = np.random.default_rng(3), 0
+    for _ in range(30):
+        n = 3
+        points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.full(n, -0.1)])
+        rows = np.concatenate([np.hstack([np.eye(3), -pin.skew(point)]) for point in points])
+        w = rows @ np.diag(1.0 / np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.03])) @ rows.T
+        v = (rows @ rng.normal(size=6)).reshape(n, 3)
+        v[0, 2], v[1:, 2] = -1.0, 0.0
+        mu, found = np.full(n, rng.uniform(0.0, 0.6)), np.empty(n, dtype=np.int64)
+        assert taking_part(w, mu, v[:, 2].copy(), 1e-12, 0, found)
+        part = np.flatnonzero(found)
+        if len(part) == n:
+            continue
+        left_out += 1
+        whole = pinimpact.solve_impact(pinimpact.ImpactProblem(w, v, mu, e, "energetic"))
+        places = (3 * part[:, None] + np.arange(3)).ravel()
+        some = pinimpact.ImpactProblem(w[np.ix_(places, places)], v[part], mu[part], e, "energetic")
+        solution = pinimpact.solve_impact(some)
+        np.testing.assert_allclose(whole.impulse[part], solution.impulse, rtol=0, atol=1e-10)
+        assert np.abs(whole.impulse[found == 0]).max() < 1e-12
+    assert left_out >= 5
 
 
 def test_a_standing_quadruped_that_is_struck(quadruped):

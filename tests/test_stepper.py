@@ -265,3 +265,39 @@ def test_impacts_are_counted_step_by_step():
     for _ in range(60):
         stepper.step(np.zeros(6), 0.01)
     assert len(stepper.trajectory.impacts) > 3
+
+
+SWING, FAST = np.array([1.0]), np.array([2.0])
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """A pendulum under gravity, its motion to rounding, and to what accuracy steppers follow it."""
+    model = pendulum()
+    exact = simulate(Scene(model), SWING, FAST, 2.0, rtol=1e-13, atol=1e-15)
+
+    def errors(steps, rtol):
+        """Return the largest errors of q at the ends of steps and within them, and evaluations per step."""
+        stepper = Stepper(Scene(model), SWING, FAST, rtol=rtol, atol=rtol)
+        for _ in range(steps):
+            stepper.step(np.zeros(1), 2.0 / steps)
+        found = stepper.trajectory
+        ends, within = 2.0 / steps * np.arange(1, steps), 2.0 / steps * (np.arange(2, steps) + 0.4)
+        at = [max(abs(found.at(t)[0] - exact.at(t)[0]).max() for t in times) for times in (ends, within)]
+        return *at, found.statistics["evaluations"] / steps
+
+    return errors
+
+
+def test_short_steps_are_of_order_five(swing):
+    coarse, fine = swing(10, 1.0), swing(40, 1.0)
+    assert 4.5 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 6.5
+    assert 3.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 6.5
+    assert fine[2] < 9.0
+
+
+@pytest.mark.parametrize("steps", [8, 200, 1000])
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8, 1e-11])
+def test_steps_of_any_length_keep_to_the_tolerance(swing, steps, rtol):
+    ends, within, _ = swing(steps, rtol)
+    assert max(ends, within) < 30.0 * rtol

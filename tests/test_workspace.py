@@ -158,6 +158,27 @@ def test_it_cannot_be_copied_pickled_or_moved():
         work.append(0)
 
 
+def test_kernels_tell_workspaces_apart_without_asking_python(monkeypatch):
+    # numba would take two classes of bytearrays for one, and ask Python about the second at every call
+    class Other(Workspace):
+        """Another declaration."""
+
+        length = size("of nothing")
+
+    @numba.njit
+    def length(work):
+        return work.length
+
+    @numba.njit
+    def columns(work):
+        return work.columns
+
+    one, other = sample(), Other({"length": 7}, {})
+    assert (columns(one), length(other)) == (3, 7)
+    monkeypatch.setattr(type(columns), "typeof_pyval", None)
+    assert (columns(one), length(other)) == (3, 7)
+
+
 def test_its_type_changes_with_the_declaration():
     class Other(Workspace):
         """The same fields in another order."""

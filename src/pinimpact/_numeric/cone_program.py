@@ -159,7 +159,7 @@ def longest_step(lines, sizes, lam, d):
 def cholesky(matrix):
     """Replace a positive definite matrix by its factor; a pivot lost to rounding counts as a large one."""
     n = len(matrix)
-    whole = np.empty(n)
+    whole, column = np.empty(n), np.empty(n)
     largest = 1e-300
     for i in range(n):
         whole[i] = matrix[i, i]
@@ -172,9 +172,11 @@ def cholesky(matrix):
         matrix[k, k] = root
         for i in range(k + 1, n):
             matrix[i, k] /= root
-        for j in range(k + 1, n):
-            for i in range(j, n):
-                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            column[i] = matrix[i, k]
+        for i in range(k + 1, n):
+            part = column[i]
+            for j in range(k + 1, i + 1):
+                matrix[i, j] -= part * column[j]
 
 
 @inner
@@ -216,6 +218,34 @@ def outside(lines, sizes, x):
         worst = max(worst, math.sqrt(norm) - x[start])
         start += size
     return worst
+
+
+@inner
+def add_squares(rows, out):
+    """Add rowsᵀ rows, for rows (m, n) of which many numbers are zero, to the lower triangle of out (n, n)."""
+    m, n = rows.shape
+    places = np.empty(n, dtype=np.int64)
+    for k in range(m):
+        count = 0
+        for j in range(n):
+            if rows[k, j] != 0.0:
+                places[count] = j
+                count += 1
+        for a in range(count):
+            i = places[a]
+            part = rows[k, i]
+            for b in range(a + 1):
+                out[i, places[b]] += part * rows[k, places[b]]
+
+
+@inner
+def add_transposed(rows, x, out):
+    """Add rowsᵀ x, for rows (m, n), to out (n,)."""
+    m, n = rows.shape
+    for k in range(m):
+        part = x[k]
+        for i in range(n):
+            out[i] += rows[k, i] * part
 
 
 @ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
@@ -262,10 +292,10 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             total = c[i]
             for j in range(n):
                 total += P[i, j] * x[j]
-            for j in range(m):
-                total += G[j, i] * z[j]
             rx[i] = total
-            missing = max(missing, abs(total))
+        add_transposed(G, z, rx)
+        for i in range(n):
+            missing = max(missing, abs(rx[i]))
         for i in range(m):
             total = s[i] - h[i]
             for j in range(n):
@@ -290,10 +320,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
                 scaled[i, j] = work[i]
         for i in range(n):
             for j in range(i + 1):
-                total = P[i, j]
-                for k in range(m):
-                    total += scaled[k, i] * scaled[k, j]
-                lower[i, j] = total
+                lower[i, j] = P[i, j]
+        add_squares(scaled, lower)
         cholesky(lower)
         centring = 0.0
         for corrected in range(2):
@@ -310,10 +338,8 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             for i in range(m):
                 reduced[i] = -work[i] - right[i]
             for j in range(n):
-                total = -rx[j]
-                for i in range(m):
-                    total += scaled[i, j] * reduced[i]
-                dx[j] = total
+                dx[j] = -rx[j]
+            add_transposed(scaled, reduced, dx)
             substitute(lower, dx)
             for i in range(m):
                 total = -reduced[i]

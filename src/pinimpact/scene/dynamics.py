@@ -363,7 +363,7 @@ def _compile(work: SceneWorkspace, policy: str | None) -> None:
 
 def _of_groups(policy: str) -> tuple[tuple[Any, ...], ...]:
     """Return the kernels that impacts at one instant need."""
-    return (responses.coupled,), *((kernel,) for kernel in find_policy(policy).kernels())
+    return (responses.taking_part,), *((kernel,) for kernel in find_policy(policy).kernels())
 
 
 def _of_drives(work: SceneWorkspace, q: Array, v: Array) -> tuple[tuple[Any, ...], ...]:

@@ -20,6 +20,9 @@ NODES = 7
 """Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
 
 
+_NONE = np.empty(0)
+
+
 class ClosedSet(NamedTuple):
     """What was closed during a smooth motion, and what else its forces depend on beside the state.
 
@@ -61,20 +64,21 @@ class ClosedSet(NamedTuple):
         """
         if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
             return None
-        slips = work.closed_mode == SLIP
-        rubs = bool((slips & (work.closed_friction > 0.0)).any())
+        index, modes, friction = work.closed_index, work.closed_mode.tolist(), work.closed_friction.tolist()
+        slips = SLIP in modes
+        rubs = slips and any(m == SLIP and mu > 0.0 for m, mu in zip(modes, friction, strict=True))
         return cls(
             work.modes.copy(),
             work.sliding_friction.copy(),
             work.drive_side.copy(),
             work.control_force.copy(),
-            work.contact_constants[work.closed_index],
+            work.contact_constants[index],
             work.direction_speed,
-            bool(slips.any()),
+            slips,
             work.forces_unique,
-            work.inner_forces.copy() if rubs else np.empty(0),
-            work.contact_joints[work.closed_index],
-            work.velocity_signs[work.closed_index],
+            work.inner_forces.copy() if rubs else _NONE,
+            work.contact_joints[index],
+            work.velocity_signs[index],
             swapped,
         )
 

@@ -19,7 +19,7 @@ from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
 from ..errors import PinimpactError, SimulationError, UnstoppableApproachError
-from ..robot._kernels.responses import coupled
+from ..robot._kernels.responses import taking_part
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.joint_limits import JointLimit
@@ -230,7 +230,10 @@ class SceneImpacts:
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
     def resolve_group(self, q: Array, v: Array, first: int, touching: Sequence[int]) -> GroupImpact | None:
-        """Resolve the impact of all that touches and feels what collides; None if nothing does.
+        """Resolve the impact of all that touches and takes part in it; None for a contact on its own.
+
+        Where others feel a contact but are lifted by it, and so take no part, it is not on its own if it
+        restores something: the law is the energetic one then.
 
         Args:
             q: (nq,) configuration.
@@ -239,21 +242,22 @@ class SceneImpacts:
             touching: All that touch, `first` among them, contacts before limits.
         """
         every, matrices = self._matrices(q, touching)
-        feels = np.empty(len(touching), dtype=np.int64)
-        coupled(matrices.delassus, touching.index(first), feels)
-        chosen = feels.nonzero()[0]
-        if len(chosen) == 1:
+        velocity, surface = matrices.velocity(v), matrices.surface_velocity
+        friction = np.array([0.0 if contact is None else contact.friction for contact in every])
+        least = self._dynamics.work.least_approach
+        parts = np.empty(len(touching), dtype=np.int64)
+        place, rates = touching.index(first), velocity[:, 2].copy()
+        felt = taking_part(matrices.delassus, friction, rates, least, place, parts)
+        chosen = parts.nonzero()[0]
+        struck = [every[k] for k in chosen.tolist()]
+        if len(chosen) == 1 and (not felt or self._is_plastic(struck[0])):
             return None
-        delassus, velocity, response = matrices.delassus, matrices.velocity(v), matrices.response
-        surface = matrices.surface_velocity
+        e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
+        delassus, response = matrices.delassus, matrices.response
         if len(chosen) < len(touching):
             places = (3 * chosen[:, None] + np.arange(3)).ravel()
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
-            velocity, surface = velocity[chosen], surface[chosen]
-        struck = [every[k] for k in chosen.tolist()]
-        rates = velocity[:, 2].tolist()
-        e = [self._restitution(c, rate) for c, rate in zip(struck, rates, strict=True)]
-        friction = np.array([0.0 if contact is None else contact.friction for contact in struck])
+            velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
         solved = self._solve(self.policy, struck, (delassus, velocity, friction, surface), e)
         sources = [touching[k] for k in chosen.tolist()]
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
@@ -366,6 +370,12 @@ class SceneImpacts:
             *(delassus, velocity, friction, restitution, law, surface), stiffness=stiffness
         )
         return Solved(solution, resting, ImpactGroup(problem, name))
+
+    def _is_plastic(self, contact: Contact | None) -> bool:
+        """Whether a contact, or a limit, restores nothing whatever its law, and nothing is held or locked."""
+        if self._held or self._locked:
+            return False
+        return (self._limit_restitution if contact is None else contact.restitution) == 0.0
 
     def _restitution(self, contact: Contact | None, rate: float) -> float:
         """Return the restitution of a contact, or of a limit, in an impact at many."""

@@ -63,6 +63,9 @@ MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
 not help either it is taken, and told."""
 
+HIGH_ORDER = 10
+"""Steps for which the order stays high where a low one has not been accurate enough."""
+
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -228,6 +231,7 @@ class Motion:
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
         self._length = 0.0
+        self._cut_short, self._low_order_from = False, 0
         self._ahead_at = self._modes_anew_at = -math.inf
         self._changes: deque[float] = deque(maxlen=CROWD)
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
@@ -304,7 +308,8 @@ class Motion:
                 "bounce",
                 "ended_by",
             ),
-            *("_length", "_ahead_at", "_modes_anew_at", "_counted", "_consistent", "_closed"),
+            *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_counted"),
+            *("_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -444,10 +449,15 @@ class Motion:
                 method = step_radau
             elif trial * work.drive_rate > step_drives.STIFF:
                 method = step_drives
+            low_order = method is step_dop853 and trial == left and self._cut_short
+            work.low_order = low_order = low_order and self.steps >= self._low_order_from
             error = method.attempt(work, t, trial, self.rtol, self.atol)
             self.dynamics.check()
             if error > 1.0:
                 self.rejected += 1
+                if low_order:
+                    self._low_order_from = self.steps + HIGH_ORDER
+                    continue
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue
             if state.rims_jump(work.q0, work.q1):
@@ -509,7 +519,8 @@ class Motion:
             self.bounce = math.inf
         self._sample()
         longer = trial * work.growth
-        return max(longer, natural) if trial == left else longer
+        self._cut_short = trial == left
+        return max(longer, natural) if self._cut_short else longer
 
     def _note_driving(self, power: float) -> None:
         """Tell of friction that does positive work, once."""

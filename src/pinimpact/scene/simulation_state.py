@@ -138,7 +138,7 @@ class SimulationState:
         self.impact_energy = other.impact_energy
         self.impacts, self.notes = other.impacts.copy(), other.notes.copy()
         self.shapes.take_over(other.shapes)
-        self.modes.ended, self.modes.present = other.modes.ended.copy(), other.modes.present.copy()
+        self.modes.take_over(other.modes)
 
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..._numeric.elimination import solve
 from ..._numeric.jit import inner
-from ..._numeric.least_norm import least_norm
+from ..._numeric.least_norm import least_norm, least_norms
 from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
 
 Array = NDArray[np.float64]
@@ -179,14 +179,13 @@ def force_inverse(system, state, unit, unknown, weight, inverse):
                 gx, gy = friction_share(system, state, unit, j)
                 entry += w[row, 3 * j] * gx + w[row, 3 * j + 1] * gy
             scaled[a, b] = roots[a] * entry * roots[b]
-    right, x = np.zeros(m), np.empty(m)
-    null = np.empty((0, m))
+    units, columns = np.zeros((m, m)), np.empty((m, m))
     for b in range(m):
-        right[b] = 1.0
-        least_norm(scaled, right, RANK, x, null)
-        right[b] = 0.0
+        units[b, b] = 1.0
+    least_norms(scaled, units, RANK, columns, np.empty((0, m)))
+    for b in range(m):
         for a in range(m):
-            inverse[a, b] = roots[a] * x[a] * roots[b]
+            inverse[a, b] = roots[a] * columns[b, a] * roots[b]
 
 
 @inner
@@ -396,11 +395,15 @@ def _integrate(system, state, series, k, pace, root):
     v, indentation, force = series.v, series.indentation, series.force
     source, factor = (k - 1, 2.0 * pace * pace / (k + 1.0)) if root else (k, pace / (k + 1.0))
     for i in range(3 * n):
-        total = 0.0
-        if source >= 0:
-            for a in range(3 * n):
-                total += w[i, a] * force[source, a]
-        v[k + 1, i] = total * factor
+        v[k + 1, i] = 0.0
+    if source >= 0:
+        for a in range(3 * n):  # W is symmetric, and many are open
+            push = force[source, a]
+            if push != 0.0:
+                for i in range(3 * n):
+                    v[k + 1, i] += w[a, i] * push
+    for i in range(3 * n):
+        v[k + 1, i] *= factor
     for j in range(n):
         if state.normal[j] == HELD:
             indentation[k + 1, j] = 0.0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, INTEGERS, ahead
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
 from .tree import factor, solve, solve_transposed
 
@@ -59,18 +61,28 @@ COUPLED = 1e-12
 """Part of what two contacts feel of themselves below which they do not feel each other."""
 
 
-@ahead(FLOAT_ROWS, int, INTEGERS)
+@ahead(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
 @jit
-def coupled(delassus, first, found):
-    """Tell which of n contacts feel `first`, or what feels it: 1 in `found` (n,).
+def taking_part(delassus, friction, rates, least, first, found):
+    """Tell which of n contacts take part in an impact at `first`: 1 in `found` (n,).
+
+    That is what approaches and feels another of them, and what an impulse of another can press. The rest is
+    lifted by every impulse within the cones of friction, so it has none itself.
 
     Args:
         delassus: (3n, 3n) W.
+        friction: (n,) μ.
+        rates: (n,) normal velocities.
+        least: A speed of approach that is none.
         first: One of them.
         found: Takes the answer.
+
+    Returns:
+        Whether any of these feels another contact at all.
     """
     n = len(found)
     own = np.empty(n)
+    feels = False
     for i in range(n):
         own[i] = _largest(delassus, i, i)
         found[i] = 1 if i == first else 0
@@ -79,12 +91,19 @@ def coupled(delassus, first, found):
     while count > 0:
         count -= 1
         i = waiting[count]
+        x, y, z = 3 * i, 3 * i + 1, 3 * i + 2
         for j in range(n):
             size = _largest(delassus, i, j)
-            if found[j] == 0 and size * size > COUPLED * COUPLED * own[i] * own[j]:
+            if found[j] != 0 or not size * size > COUPLED * COUPLED * own[i] * own[j]:
+                continue
+            feels = True
+            of_normal = delassus[3 * j + 2]
+            lift = of_normal[z] - friction[i] * math.hypot(of_normal[x], of_normal[y])
+            if rates[j] < -least or lift < 0.0:
                 found[j] = 1
                 waiting[count] = j
                 count += 1
+    return feels
 
 
 @inner

@@ -18,7 +18,7 @@ from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.jit import separate
 from ..._numeric.least_norm import least_norm
-from ..._numeric.loops import flags, repeated
+from ..._numeric.loops import assign, flags, repeated
 from ..._numeric.products import apply
 from .force_pivots import forces_by_pivots
 
@@ -33,6 +33,12 @@ POLISH = 8
 
 MOST_CHOSEN = 8
 """Contacts that slip of which all choices are tried."""
+
+ACCURATE, USABLE = 1e-11, 1e-10
+"""Residuals of forces: one at which to stop, and one that will do where it falls no more."""
+
+PATIENCE = 4
+"""Programs without half the residual after which it does that."""
 
 STEADY = 0.9
 """Cosine of two changes of s from which on they go the same way: past where a solution has just ceased to
@@ -216,6 +222,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     corrected = np.zeros(size)  # what is added to the free accelerations
     lifts, changes, reach = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
     worst, undecided = math.inf, repeated(nc, AS_FORCES_SAY)
+    best, best_x, since = math.inf, np.empty(size), 0
     for outer in range(OUTER):
         for k in range(n):
             c[k] = f0[which[k]] + corrected[which[k]]
@@ -238,8 +245,14 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             worst = polish(
                 delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
             )
-            if worst <= 1e-11:
-                return worst
+            since += 1
+            if worst < best:
+                since = 0 if worst < 0.5 * best else since
+                best = worst
+                assign(best_x, x)
+            if best <= ACCURATE or (best <= USABLE and since >= PATIENCE):
+                assign(x, best_x)
+                return best
             # go on from the convex program's own answer
             for a in range(size):
                 x[a] = f[a] * scale_f[a]
@@ -273,14 +286,17 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     low, high = np.empty(ns), np.empty(ns)
     for i in range(ns):
         low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-    if not forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
-        return worst
-    for a in range(size):
-        x[a] = f[a] * scale_f[a]
-    worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-    return polish(
-        delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
-    )
+    if forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
+        for a in range(size):
+            x[a] = f[a] * scale_f[a]
+        worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        worst = polish(
+            delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
+        )
+    if best < worst:
+        worst = best
+        assign(x, best_x)
+    return worst
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)

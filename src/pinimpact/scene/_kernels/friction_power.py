@@ -6,8 +6,8 @@ import math
 
 from ..._numeric.jit import inner
 from .contact_forces import SLIP
-from .dop853 import STAGES
 from .radau import STAGES as TURNING
+from .step_dop853 import LAST, method
 
 ROUNDING = 1e-9
 """Part of the power of a contact or joint that is rounding."""
@@ -45,7 +45,7 @@ def friction_drives(work, explicit):
                 given = max(given, against * abs(sliding[j]))
     if (rubbing or joints) and end > start + h:
         largest = most = of_joints = most_of_joints = -math.inf
-        for i in range(1, 1 + (STAGES if explicit else TURNING)):
+        for i in range(1, 1 + (LAST[method(work)] if explicit else TURNING)):
             power, damped = rates[i, 2 * n + 2], rates[i, 2 * n + 1]
             largest, most = max(largest, power), max(most, abs(power))
             of_joints, most_of_joints = max(of_joints, damped), max(most_of_joints, abs(damped))

@@ -177,11 +177,11 @@ def set_growth(work, h, error):
     The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
     after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
     """
-    error = max(error, 1e-7)
-    factor = min(5.0, 0.9 * error**-0.125)
+    error, power = max(error, 1e-7), 0.2 if work.low_order else 0.125
+    factor = min(5.0, 0.9 * error**-power)
     if work.previous_length > 0.0:
         trend = 0.9 * h / work.previous_length
-        factor = min(factor, trend * (max(work.previous_error, 1e-2) / error**2) ** 0.125)
+        factor = min(factor, trend * (max(work.previous_error, 1e-2) / error**2) ** power)
     work.previous_length, work.previous_error = h, error
     work.growth = max(factor, 0.2)
 

@@ -1,4 +1,9 @@
-"""One step of the Dormand-Prince method in a chart about its start, with its dense output."""
+"""One step of a method of Dormand and Prince in a chart about its start, with its dense output.
+
+Of order 8; or of order 5, with half of the evaluations, where a step is short since something ends it early,
+as the next sample of a control does: `work.low_order`. Both are one code with two sets of coefficients, the
+first of each for order 8.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ import numpy as np
 from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign
+from . import dopri5
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
@@ -16,8 +22,38 @@ from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too
 from .samples import record_sample
 from .workspace import SceneWorkspace
 
-SAMPLES = np.array([0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5])
+SAMPLES = np.array(
+    [
+        [0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5],
+        [0, 1, 2, 3, 4, -1, 5, -1, -1, -1, -1, -1, -1, -1, -1, -1],
+    ]
+)
 """Which sample of the step a stage is, see `samples`."""
+
+SAMPLE_COUNTS = np.array([7, 6])
+
+LAST = np.array([STAGES, dopri5.STAGES])
+"""The stage at the end of the step."""
+
+
+def _both(high, low):
+    """Return the coefficients of both methods, in arrays of one shape."""
+    found = np.zeros((2, *high.shape))
+    found[0] = high
+    found[1][tuple(map(slice, low.shape))] = low
+    return found
+
+
+ALL_NODES = _both(NODES, dopri5.NODES)
+STEPS = _both(STEP, dopri5.STEP)
+ERRORS = _both(ERROR, np.array([0.0 * dopri5.ERROR, dopri5.ERROR]))
+DENSES = _both(DENSE, dopri5.DENSE[None])
+
+
+@inner
+def method(work):
+    """Return which coefficients are those of the step."""
+    return 1 if work.low_order else 0
 
 
 @jit
@@ -27,32 +63,34 @@ def attempt(work, t, h, rtol, atol):
     reactions = work.stage_reactions
     work.step_turns = False
     n, closed = len(v0), work.closed_contacts + work.closed_scalars > 0
-    for i in range(1, STAGES + 1):
+    which = method(work)
+    last = LAST[which]
+    for i in range(1, last + 1):
         set_stage(work, i, h)
         if gone_astray(work.xi, work.v):
             return math.inf
-        if i == STAGES:
+        if i == last:
             if turned_too_far(work.joint_charts, work.xi):
                 return math.inf
             assign(work.q1, work.q)
             assign(v1, work.v)
-        evaluate(work, t + NODES[i] * h, rates[i, n:])
+        evaluate(work, t + ALL_NODES[which, i] * h, rates[i, n:])
         if work.callback_failed:
             return math.inf
         if closed:
             for m in range(n):
                 reactions[i, m] = rates[i, n + m] - work.acceleration[m]
-            if SAMPLES[i] > 0:
-                record_sample(work, SAMPLES[i], NODES[i])
+            if SAMPLES[which, i] > 0:
+                record_sample(work, SAMPLES[which, i], ALL_NODES[which, i])
     magnitudes(work.joint_charts, work.q0, work.tolerance_sizes)
-    error = error_norm(h, rates[: STAGES + 1], v0, v1, work.tolerance_sizes, rtol, atol)
+    error = error_norm(h, ERRORS[which], rates[: last + 1], v0, v1, work.tolerance_sizes, rtol, atol)
     if closed:
-        error = max(error, reaction_error(h, reactions, v0, v1, rtol, atol))
+        error = max(error, reaction_error(h, ERRORS[which], reactions[: last + 1], v0, v1, rtol, atol))
     return error if error == error else math.inf
 
 
 @inner
-def reaction_error(h, reactions, v0, v1, rtol, atol):
+def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
     """Return the error over the tolerance of the velocity that what is closed takes away in the step.
 
     What rests does not move whatever pulls at it, so the error of the motion does not see a load that the
@@ -62,11 +100,10 @@ def reaction_error(h, reactions, v0, v1, rtol, atol):
     e3 = e5 = 0.0
     for m in range(n):
         a = b = largest = 0.0
-        for j in range(STAGES + 1):
+        for j in range(len(reactions)):
             largest = max(largest, abs(reactions[j, m]))
-            if j < ERROR.shape[1]:
-                a += ERROR[0, j] * reactions[j, m]
-                b += ERROR[1, j] * reactions[j, m]
+            a += weights[0, j] * reactions[j, m]
+            b += weights[1, j] * reactions[j, m]
         scale = 1.0 / (atol + rtol * max(abs(v0[m]), abs(v1[m]), abs(h) * largest))
         e3 += (a * scale) ** 2
         e5 += (b * scale) ** 2
@@ -80,11 +117,11 @@ def reaction_error(h, reactions, v0, v1, rtol, atol):
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
-    n = len(v0)
+    n, weights = len(v0), STEPS[method(work), i]
     for m in range(n):
         a = b = 0.0
         for j in range(i):
-            c = STEP[i, j]
+            c = weights[j]
             a += c * rates[j, m]
             b += c * rates[j, n + m]
         xi[m] = h * a
@@ -94,16 +131,15 @@ def set_stage(work, i, h):
 
 
 @inner
-def error_norm(h, rates, v0, v1, sizes, rtol, atol):
+def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
     """Return the error of the step over the tolerance, root mean square over ξ and v."""
     n = len(v0)
     e3 = e5 = 0.0
     for m in range(2 * n):
         a = b = 0.0
-        for j in range(rates.shape[0]):
-            if j < ERROR.shape[1]:
-                a += ERROR[0, j] * rates[j, m]
-                b += ERROR[1, j] * rates[j, m]
+        for j in range(len(rates)):
+            a += weights[0, j] * rates[j, m]
+            b += weights[1, j] * rates[j, m]
         size = sizes[m] if m < n else max(abs(v0[m - n]), abs(v1[m - n]))
         scale = 1.0 / (atol + rtol * size)
         e3 += (a * scale) ** 2
@@ -117,34 +153,36 @@ def error_norm(h, rates, v0, v1, sizes, rtol, atol):
 def complete(work, t, h):
     """Fill the dense output of the step last attempted, and the bounds of its rates."""
     rates, out = work.stage_rates, work.dense_coefficients
-    n = len(work.v0)
-    rate_bounds(rates, STAGES + 1, n, work.rate_bounds)
-    for i in range(STAGES + 1, DENSE_STAGES):
+    n, which = len(work.v0), method(work)
+    last = LAST[which]
+    used = DENSE_STAGES if which == 0 else last + 1
+    rate_bounds(rates, last + 1, n, work.rate_bounds)
+    for i in range(last + 1, used):
         set_stage(work, i, h)
         evaluate(work, t + NODES[i] * h, rates[i, n:])
-        record_sample(work, SAMPLES[i], NODES[i])
-    work.samples = 7
+        record_sample(work, SAMPLES[0, i], NODES[i])
+    work.samples = SAMPLE_COUNTS[which]
     for m in range(rates.shape[1]):
         total = 0.0
-        for j in range(12):
-            total += STEP[12, j] * rates[j, m]
+        for j in range(last):
+            total += STEPS[which, last, j] * rates[j, m]
         out[0, m] = h * total
         out[1, m] = h * (rates[0, m] - total)
-        out[2, m] = h * (2.0 * total - rates[0, m] - rates[12, m])
+        out[2, m] = h * (2.0 * total - rates[0, m] - rates[last, m])
         for k in range(4):
             value = 0.0
-            for j in range(16):
-                value += DENSE[k, j] * rates[j, m]
+            for j in range(used):
+                value += DENSES[which, k, j] * rates[j, m]
             out[3 + k, m] = h * value
 
 
 @inner
 def begin_next(work):
     """Take the end of the step last attempted as the start of the next one."""
-    rates, v0 = work.stage_rates, work.v0
+    rates, v0, last = work.stage_rates, work.v0, LAST[method(work)]
     assign(work.q0, work.q1)
     assign(v0, work.v1)
-    assign(rates[0], rates[STAGES])
+    assign(rates[0], rates[last])
     for m in range(len(v0)):
         rates[0, m] = v0[m]
-        work.stage_reactions[0, m] = work.stage_reactions[STAGES, m]
+        work.stage_reactions[0, m] = work.stage_reactions[last, m]

@@ -51,6 +51,9 @@ def widest_margin(work, moving, found):
     unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
+    margin, decided = margin_at(work, x, null, free)
+    if decided and margin <= 0.0:
+        return margin
     n = free + 1
     lines, cones = count_bounds(work)
     lines += 1
@@ -73,6 +76,37 @@ def widest_margin(work, moving, found):
             for j in range(free):
                 found[a] += unit * y[j] * null[j, a]
     return unit * y[free]
+
+
+@inner
+def margin_at(work, x, null, free):
+    """Return how far forces x keep from their bounds, and whether none of null (free, size) can change that.
+
+    They cannot where the bound that x is the nearest to is that of a force which they leave as it is.
+    """
+    modes, mu, lower, upper = work.closed_mode, work.closed_friction, work.scalar_lower, work.scalar_upper
+    least, first, stop = math.inf, 0, 0
+    a = 0
+    for k in range(len(modes)):
+        rows = 1 if modes[k] == SLIP else 3
+        margin = math.inf
+        if modes[k] == SLIP:
+            margin = x[a]
+        elif modes[k] == STICK:
+            margin = mu[k] * x[a + 2] - math.hypot(x[a], x[a + 1])
+        if margin < least:
+            least, first, stop = margin, a, a + rows
+        a += rows
+    for m in range(len(lower)):
+        margin = min(x[a] - lower[m], upper[m] - x[a])
+        if margin < least:
+            least, first, stop = margin, a, a + 1
+        a += 1
+    moves = 0.0
+    for c in range(free):
+        for b in range(first, stop):
+            moves = max(moves, abs(null[c, b]))
+    return least, moves <= FELT
 
 
 @inner
