@@ -76,3 +76,29 @@ def test_a_jam_right_beside_an_unstable_direction_is_seen():
     assert max(errors) < 1e-13
     assert "JAM" in exact.flags
     assert Flag.JAM in answer.flags
+
+
+AT_THE_PEAK = """
+1.1924616605908076 0.6342174031408756 0.5284050232229097 1.3638662558752335
+0.11139302613225338 0.2624651768112818 1.2745331843750023 2.2871409803202147
+-0.07661988029762966 0.5523044127133673 0.29091868425726297
+0.8462185869784062 -0.04389759774858728 -0.1794941932178106 0.29916199980732855
+0.2744836194677121 0.293275076877481 0.44598469946433106 0.4668826876491037
+-0.03856907536834633 1.367956355754944 0.7934452179231882
+0.3170817795350993 -0.10098760653135368 -0.17553006429975546 0.2331015848683462
+0.09874069830181705 0.12181715341577441 -1.1184405346364288 -1.649875086744738
+-0.275056566442104 1.1030991538307608 0.6838503641035102
+"""
+"""Upper triangles of W; v, μ and e."""
+
+
+@pytest.mark.parametrize("numbers", np.array(AT_THE_PEAK.split(), dtype=float).reshape(-1, 11))
+def test_restitution_that_begins_to_jam_where_a_series_begins(numbers):
+    """v₃ is at its peak there, dv₃/dP₃ a rounding of zero of either sign; and v₃ falls to zero."""
+    W = np.zeros((3, 3))
+    W[np.triu_indices(3)] = numbers[:6]
+    W += np.triu(W, 1).T
+    *errors, answer, exact = compare(W, tuple(numbers[6:9]), *numbers[9:], "poisson")
+    assert max(errors) < 1e-13
+    assert "SECOND_COMPRESSION" in exact.flags
+    assert Flag.SECOND_COMPRESSION in answer.flags

@@ -6,9 +6,8 @@ import math
 
 from ..._numeric.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
-from .slip_equations import within_reach
 from .slip_series import beginning, first_root, halley, point, settled
-from .slip_works import normal_work
+from .slip_works import works
 
 
 @inlined
@@ -22,7 +21,8 @@ def measure(series, work_series, counts, aim, x):
     rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
     if counts == WORK:
         now = v3 + dv3
-        return normal_work(series, work_series, x, normal) - aim, slope * now, bend + slope * rate / now
+        work, _ = works(series, work_series, x, normal, False)
+        return work - aim, slope * now, bend + slope * rate / now
     turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
     return (
         (v3 - aim) + dv3,
@@ -82,15 +82,15 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
 
 
 @inner
-def seek_near(series, work_series, counts, aim, x, last):
+def seek_near(series, work_series, counts, aim, x, near):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
     Returns:
-        x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
+        x, or 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
     """
     mu, c, bl, bp, v3, h = series.mu, series.c, series.bl, series.bp, series.v3, series.shape.h
     for _ in range(8):
-        if not (x > 0.0 and within_reach(x, last, h)):
+        if not 0.0 < x <= near:
             return 0.0
         now, slope, bend = measure(series, work_series, counts, aim, x)
         step = halley(now, slope, bend)
@@ -98,7 +98,10 @@ def seek_near(series, work_series, counts, aim, x, last):
         x += step
         if converged:
             end = h * x
-            monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end, end) == end
-            falls = counts != VELOCITY and c < mu * bl and v3 + point(series, x)[3] < 0.0
+            k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+            monotone = first_root(k0, k1, k2, end, end) == end
+            # where v₃ has its extremum at x = 0 only rounding tells its rate there
+            jams = k0 + 0.5 * end * (k1 + 0.5 * end * k2) < 0.0
+            falls = counts != VELOCITY and jams and v3 + point(series, x)[3] < 0.0
             return x if monotone and not falls else 0.0
     return 0.0
