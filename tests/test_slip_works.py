@@ -78,6 +78,16 @@ def test_a_jam_right_beside_an_unstable_direction_is_seen():
     assert Flag.JAM in answer.flags
 
 
+@pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
+def test_slip_that_nearly_stops_and_grows_for_long(law):
+    """From 1e-12 of its speed on it grows along an invariant direction, by e²⁵."""
+    W = np.array([[2.22671806, 0.62533745, 0.49161481], [0.62533745, 0.65433648, -0.489925], [0, 0, 0]])
+    W[2] = 0.49161481, -0.489925, 1.46109873
+    *errors, _, exact = compare(W, (-0.58910619, 0.04872736, -1.1814261), 0.60673176, 0.9, law, digits=40)
+    assert max(errors) < 1e-11
+    assert not exact.flags
+
+
 AT_THE_PEAK = """
 1.1924616605908076 0.6342174031408756 0.5284050232229097 1.3638662558752335
 0.11139302613225338 0.2624651768112818 1.2745331843750023 2.2871409803202147

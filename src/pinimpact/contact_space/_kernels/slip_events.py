@@ -6,8 +6,11 @@ import math
 
 from ..._numeric.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
-from .slip_series import beginning, first_root, halley, point, settled
+from .slip_series import beginning, first_root, halley, leap, point, settled
 from .slip_works import works
+
+HASTE = 60
+"""Trials after which a bracket is halved."""
 
 
 @inlined
@@ -35,7 +38,7 @@ def measure(series, work_series, counts, aim, x):
 def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
-    Halley's iteration inside a bracket.
+    An iteration of third order inside a bracket.
 
     Args:
         f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs, or the second is zero.
@@ -47,19 +50,21 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     if f_high == 0.0:
         return high
     low, top = 0.0, high
-    x = 0.5
+    # with v₃ taken as linear in P₃; it may rise from zero, and the root be smaller than `high` by any factor
+    v3 = series.v3
+    span = -f_low
     if counts == WORK:
-        # with v₃ taken as linear; it may rise from zero, and the root be smaller than `high` by any factor
-        v3 = series.v3
         span = -2.0 * f_low / (v3 + math.sqrt(max(0.0, v3 * v3 - 2.0 * rate * f_low)))
-        slope, bend = beginning(series)
-        x = halley(-span, slope, bend)
-        end = high if high < math.inf else 0.5
-        if not (0.0 < x < end):
-            x = end
-    elif math.isfinite(f_high) and high < math.inf:
-        x = high * (f_low / (f_low - f_high))
-    for _ in range(100):
+    elif counts == VELOCITY:
+        span = -f_low / rate
+    slope, bend = beginning(series)
+    # where slip settles, P₃ comes to grow like e^{−aL}
+    x = leap(-span, slope, max(bend, -series.shape.exponent) if high == math.inf else bend)
+    if not 0.0 < x < high:
+        x = 0.5
+        if high < math.inf:
+            x = high * (f_low / (f_low - f_high)) if math.isfinite(f_high) else high
+    for i in range(120):
         now, slope, bend = measure(series, work_series, counts, aim, x)
         if now == 0.0:
             return x
@@ -67,9 +72,9 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
             top = x
         else:
             low = x
-        step = halley(now, slope, bend)
+        step = leap(now, slope, bend)
         new = x + step
-        if not (low < new < top):
+        if not (low < new < top and i < HASTE):
             if top - low <= 2.0**-52 * top:
                 return x
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0

@@ -79,6 +79,15 @@ def halley(f, slope, bend):
 
 
 @inner
+def leap(f, slope, bend):
+    """Return the step to zero for a slope that is an exponential, as around an invariant direction."""
+    bent = -bend * f / slope
+    if bent == 0.0 or not -0.99 < bent < math.inf:
+        return halley(f, slope, bend)
+    return math.log1p(bent) / bend
+
+
+@inner
 def settled(step, x, f, slope):
     """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
     return abs(step) <= 2e-6 * x and abs(f) <= 4e-6 * x * abs(slope)
