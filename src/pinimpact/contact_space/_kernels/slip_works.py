@@ -103,16 +103,20 @@ def _along_half_angle(series, flow, push, x, rubbing):
     j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     terms = len(coefficients) - 1
     first, nodes = (0, FEW) if terms <= FEW_TERMS else (FEW, MANY)
-    # four sums at a time hide each other's latency
+    # the sums of even and odd powers at four nodes hide each other's latency; `terms` is even
     for i in range(first, first + nodes, 4):
         x0, x1, x2, x3 = (
             x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3],
         )  # fmt: skip
+        y0, y1, y2, y3 = x0 * x0, x1 * x1, x2 * x2, x3 * x3
         s0 = s1 = s2 = s3 = coefficients[terms]
-        for k in range(1, terms + 1):
-            term = coefficients[terms - k]
-            s0, s1, s2, s3 = s0 * x0 + term, s1 * x1 + term, s2 * x2 + term, s3 * x3 + term
-        flow[i], flow[i + 1], flow[i + 2], flow[i + 3] = s0, s1, s2, s3
+        u0 = u1 = u2 = u3 = 0.0
+        for k in range(2, terms + 1, 2):
+            even, odd = coefficients[terms - k], coefficients[terms - k + 1]
+            s0, s1, s2, s3 = s0 * y0 + even, s1 * y1 + even, s2 * y2 + even, s3 * y3 + even
+            u0, u1, u2, u3 = u0 * y0 + odd, u1 * y1 + odd, u2 * y2 + odd, u3 * y3 + odd
+        flow[i], flow[i + 1] = s0 + x0 * u0, s1 + x1 * u1
+        flow[i + 2], flow[i + 3] = s2 + x2 * u2, s3 + x3 * u3
     rubbed = 0.0
     for i in range(first, first + nodes):
         at = x * _ABSCISSAE[i]
@@ -139,7 +143,7 @@ def _along_half_angle(series, flow, push, x, rubbing):
 
 @inner
 def _expand_square(friction, shape):
-    """Fill `friction` with the coefficients of U for a series around an invariant direction. (4.10)
+    """Fill `friction` with the coefficients of U around an invariant direction. (4.10)
 
     Returns:
         how many there are after the first, and the size of the last of them, over the sum of all.
