@@ -88,6 +88,15 @@ def test_slip_that_nearly_stops_and_grows_for_long(law):
     assert not exact.flags
 
 
+@pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
+def test_creep_where_friction_is_exactly_critical(law):
+    """Slip settles to a speed of 1e-24, so that the impulse is linear in L, and L grows to 1e23."""
+    W = np.array([[0.25, 0.0, 0.078125], [0.0, 1.0, 0.75], [0.078125, 0.75, 1.5869140625]])
+    v = (1.693409114936625e-24, 2.571876674319261e-24, -0.573393427157283)
+    *errors, _, _ = compare(W, v, 0.8125, 1.0, law)
+    assert max(errors) < 1e-14
+
+
 AT_THE_PEAK = """
 1.1924616605908076 0.6342174031408756 0.5284050232229097 1.3638662558752335
 0.11139302613225338 0.2624651768112818 1.2745331843750023 2.2871409803202147

@@ -75,11 +75,9 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
         step = leap(now, slope, bend)
         new = x + step
         if not (low < new < top and i < HASTE):
-            if top - low <= 2.0**-52 * top:
+            if top < math.inf and top - low <= 2.0**-52 * top:
                 return x
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
-        elif new > 2.0 * x + 2.0:
-            new = 2.0 * x + 2.0
         elif settled(step, x, now, slope):
             return new
         x = new
