@@ -78,6 +78,14 @@ def test_a_jam_right_beside_an_unstable_direction_is_seen():
     assert Flag.JAM in answer.flags
 
 
+@pytest.mark.parametrize("law", ["poisson", "energetic"])
+def test_works_where_the_square_is_one_term(law):
+    """U = G²π is constant around this invariant direction, E G is not."""
+    W = np.array([[5.0, -2.0, -3.0], [-2.0, 5.0, -3.0], [-3.0, -3.0, 6.0]])
+    *errors, _, _ = compare(W, (1.0, -0.5, -1.0), 0.5, 1.0, law)
+    assert max(errors) < 1e-14
+
+
 @pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
 def test_slip_that_nearly_stops_and_grows_for_long(law):
     """From 1e-12 of its speed on it grows along an invariant direction, by e²⁵."""

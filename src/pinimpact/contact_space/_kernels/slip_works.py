@@ -142,51 +142,21 @@ def _along_half_angle(series, flow, push, x, rubbing):
 
 
 @inner
-def _expand_square(friction, shape):
-    """Fill `friction` with the coefficients of U around an invariant direction. (4.10)
-
-    Returns:
-        how many there are after the first, and the size of the last of them, over the sum of all.
-    """
-    q1, q2, q3 = shape.q1, shape.q2, shape.q3
-    c0, c1, c2 = 2.0 * shape.w0 + q1, 2.0 * shape.w1 + 3.0 * q2, 2.0 * shape.w2 + 5.0 * q3
-    u0, u1, u2 = 1.0, 0.0, 0.0
-    total = friction[0] = 1.0
-    order, last = ORDER, 0.0
-    for k in range(ORDER):
-        share = RECIPROCAL[k + 1]
-        new = (c1 * u1 + c2 * u2) * share + (c0 * share) * u0
-        if abs(new) < VANISHES:
-            new = 0.0
-        c0 -= q1
-        c1 -= q2
-        c2 -= q3
-        u2, u1, u0 = u1, u0, new
-        friction[k + 1] = new
-        total += new
-        last = max(abs(u0), max(abs(u1), abs(u2)))
-        if last <= VANISHING * total:
-            order = k + 1
-            break
-    return order, last / total
-
-
-@inner
-def _expand_around(series, normal, friction, quotients, order, rubbing, f0, f1, f2, f3, f4):
-    """Make the coefficients of the works around an invariant direction from those of U. (4.7)
+def _expand_around(series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4):
+    """Make the coefficients of the works around an invariant direction. (4.7)–(4.10)
 
     Args:
-        order: How many there are of these after the first.
         rubbing: Whether the work of friction is wanted.
 
     Returns:
-        the rest, the push, the share, and at which powers v₃ and the works have a logarithm, or nearly.
+        the rest, the push, the share, at which powers v₃ and the works have a logarithm, or nearly; how many
+        coefficients of U there are after the first, and the size of the last over the sum of all.
     """
     g, reciprocals, shape = series.coefficients, series.reciprocals, series.shape
     q1, q2, q3 = shape.q1, shape.q2, shape.q3
     w0, w1, w2, exponent = shape.w0, shape.w1, shape.w2, shape.exponent
     rest, push, power = series.v3, 0.0, 1.0
-    terms, work_terms = len(g) + 4, order + 7
+    terms = len(g) + 4
     pole, work_pole = np.int64(-1), np.int64(-1)
     # v₃ = rest + push·fill + e^{−aL}E; quotients: H = Gπ
     g0 = g1 = g2 = g3 = g4 = 0.0
@@ -198,13 +168,27 @@ def _expand_around(series, normal, friction, quotients, order, rubbing, f0, f1, 
         if reciprocals[k] == 0.0 and abs(exponent + k) < 0.5:
             push, pole = rate, np.int64(k)
         quotients[k] = g0 + (q1 * g1 + (q2 * g2 + q3 * g3))
-    for k in range(terms, work_terms):
+    for k in range(terms, WORK_TERMS):
         quotients[k] = 0.0
-    # normal: E G
+    # friction: U; normal: E G
+    c0, c1, c2 = 2.0 * w0 + q1, 2.0 * w1 + 3.0 * q2, 2.0 * w2 + 5.0 * q3
+    order, last, total, size = ORDER, 0.0, 0.0, 0.0
     x1 = x2 = x3 = x4 = 0.0
     u0 = u1 = u2 = u3 = u4 = 0.0
-    for k in range(order + 1):
-        u4, u3, u2, u1, u0 = u3, u2, u1, u0, friction[k]
+    for k in range(ORDER + 1):
+        part = RECIPROCAL[k]
+        ahead = (c1 * u1 + c2 * u2) * part + (c0 * part) * u0
+        if k == 0:
+            ahead = 1.0
+        else:
+            c0 -= q1
+            c1 -= q2
+            c2 -= q3
+        if abs(ahead) < VANISHES:
+            ahead = 0.0
+        u4, u3, u2, u1, u0 = u3, u2, u1, u0, ahead
+        friction[k] = ahead
+        total += ahead
         z = exponent + k
         new = (w1 - q2 * (z - 2.0)) * x2 + (w2 - q3 * (z - 3.0)) * x3
         new -= f0 * u0 + (f1 * u1 + f2 * u2) + (f3 * u3 + f4 * u4)
@@ -216,6 +200,12 @@ def _expand_around(series, normal, friction, quotients, order, rubbing, f0, f1, 
             new = _before(series, pole, f0, f1, f2, f3, f4)
         x3, x2, x1 = x2, x1, new
         normal[k] = new
+        size += abs(new)
+        last = max(abs(u0), max(abs(u1), abs(u2)))
+        if k >= terms and last <= VANISHING * total and abs(x1) + abs(x2) + abs(x3) <= VANISHING * size:
+            order = k
+            break
+    work_terms = order + 7
     # quotients: Q; normal: all of it, integrated
     hh = shape.h * shape.h
     h2, h4 = 2.0 * hh, hh * hh
@@ -251,7 +241,7 @@ def _expand_around(series, normal, friction, quotients, order, rubbing, f0, f1, 
                 friction[work_terms], friction[k] = work, 0.0
             else:
                 friction[k] = work / (2.0 * exponent + k)
-    return rest, push, share, pole, work_pole
+    return rest, push, share, pole, work_pole, order, last / total
 
 
 @inner
@@ -284,9 +274,8 @@ def expand_works(series, work_series, rubbing):
     if shape.exponent < -LATE - 0.5:
         none, late = np.int64(-1), np.int64(LATE + 1)
         return WorkSeries(normal, friction, quotients, 0.0, 0.0, 0.0, late, none, math.inf)
-    order, last = _expand_square(friction, shape)
-    rest, push, share, pole, work_pole = _expand_around(
-        series, normal, friction, quotients, order, rubbing, f0, f1, f2, f3, f4
+    rest, push, share, pole, work_pole, order, last = _expand_around(
+        series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
     )
     size, terms = order + 8, len(series.coefficients) + 4
     return WorkSeries(
