@@ -76,3 +76,56 @@ def test_a_jam_right_beside_an_unstable_direction_is_seen():
     assert max(errors) < 1e-13
     assert "JAM" in exact.flags
     assert Flag.JAM in answer.flags
+
+
+@pytest.mark.parametrize("law", ["poisson", "energetic"])
+def test_works_where_the_square_is_one_term(law):
+    """U = G²π is constant around this invariant direction, E G is not."""
+    W = np.array([[5.0, -2.0, -3.0], [-2.0, 5.0, -3.0], [-3.0, -3.0, 6.0]])
+    *errors, _, _ = compare(W, (1.0, -0.5, -1.0), 0.5, 1.0, law)
+    assert max(errors) < 1e-14
+
+
+@pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
+def test_slip_that_nearly_stops_and_grows_for_long(law):
+    """From 1e-12 of its speed on it grows along an invariant direction, by e²⁵."""
+    W = np.array([[2.22671806, 0.62533745, 0.49161481], [0.62533745, 0.65433648, -0.489925], [0, 0, 0]])
+    W[2] = 0.49161481, -0.489925, 1.46109873
+    *errors, _, exact = compare(W, (-0.58910619, 0.04872736, -1.1814261), 0.60673176, 0.9, law, digits=40)
+    assert max(errors) < 1e-11
+    assert not exact.flags
+
+
+@pytest.mark.parametrize("law", ["poisson", "energetic", "newton"])
+def test_creep_where_friction_is_exactly_critical(law):
+    """Slip settles to a speed of 1e-24, so that the impulse is linear in L, and L grows to 1e23."""
+    W = np.array([[0.25, 0.0, 0.078125], [0.0, 1.0, 0.75], [0.078125, 0.75, 1.5869140625]])
+    v = (1.693409114936625e-24, 2.571876674319261e-24, -0.573393427157283)
+    *errors, _, _ = compare(W, v, 0.8125, 1.0, law)
+    assert max(errors) < 1e-14
+
+
+AT_THE_PEAK = """
+1.1924616605908076 0.6342174031408756 0.5284050232229097 1.3638662558752335
+0.11139302613225338 0.2624651768112818 1.2745331843750023 2.2871409803202147
+-0.07661988029762966 0.5523044127133673 0.29091868425726297
+0.8462185869784062 -0.04389759774858728 -0.1794941932178106 0.29916199980732855
+0.2744836194677121 0.293275076877481 0.44598469946433106 0.4668826876491037
+-0.03856907536834633 1.367956355754944 0.7934452179231882
+0.3170817795350993 -0.10098760653135368 -0.17553006429975546 0.2331015848683462
+0.09874069830181705 0.12181715341577441 -1.1184405346364288 -1.649875086744738
+-0.275056566442104 1.1030991538307608 0.6838503641035102
+"""
+"""Upper triangles of W; v, μ and e."""
+
+
+@pytest.mark.parametrize("numbers", np.array(AT_THE_PEAK.split(), dtype=float).reshape(-1, 11))
+def test_restitution_that_begins_to_jam_where_a_series_begins(numbers):
+    """v₃ is at its peak there, dv₃/dP₃ a rounding of zero of either sign; and v₃ falls to zero."""
+    W = np.zeros((3, 3))
+    W[np.triu_indices(3)] = numbers[:6]
+    W += np.triu(W, 1).T
+    *errors, answer, exact = compare(W, tuple(numbers[6:9]), *numbers[9:], "poisson")
+    assert max(errors) < 1e-13
+    assert "SECOND_COMPRESSION" in exact.flags
+    assert Flag.SECOND_COMPRESSION in answer.flags

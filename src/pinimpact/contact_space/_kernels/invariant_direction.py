@@ -11,7 +11,7 @@ import math
 
 from ..._numeric.jit import inner
 from .delassus import EPS
-from .slip_equations import RECIPROCAL, TERMS, Shape, along_slip, in_frame, polynomials
+from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
 
 VANISHES = 1e-250
 """Coefficients below this are zero: close to the smallest doubles arithmetic is slow."""
@@ -55,8 +55,9 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
         leaving: Whether slip leaves that direction, and does not converge to it.
 
     Returns:
-        whether the series converges up to the present direction; up to which y; the invariant direction (2);
-        p₁ and b∥/ω, b⊥/ω there; the size of the terms of m₀; and the `Shape`.
+        whether the series converges up to the present direction; how many coefficients there are after the
+        first; up to which y it converges; the invariant direction (2); p₁ and b∥/ω, b⊥/ω there; the size of
+        the terms of m₀; and the `Shape`.
     """
     scale = 1.0 / (1.0 + root * root)
     cos, sin = (1.0 - root * root) * scale, 2.0 * root * scale
@@ -85,6 +86,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     g0, g1, g2 = 1.0, 0.0, 0.0
     total, here, power = 1.0, 1.0, 1.0
     coefficients[0] = 1.0
+    count, last = TERMS, 0.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
         rest = (c1 * g1 + c2 * g2) * share
@@ -99,18 +101,23 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
         total += new
         power *= start
         here += new * power
-    last, most = abs(g0) + abs(g1) + abs(g2), 1.0
+        last = abs(g0) + abs(g1) + abs(g2)
+        if last <= VANISHING * min(here, total):  # from here on they decay, for (4.1) holds
+            count = k + 1
+            break
+    most = 1.0
     if leaving and last > EPS * here:
         most = math.exp(math.log(EPS * here / last) * (1.0 / TERMS))
     good = good and total < math.inf and (start < 0.75 * most if leaving else last <= EPS * total)
     if good:
-        for k in range(TERMS + 5):
+        for k in range(count + 5):
             z = exponent + k
             reciprocals[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
     # 1/(H(1 + t²)) at x = 0
     speed = 1.0 / (here * (1.0 + start * (q1 + start * (q2 + start * q3))) * (1.0 + root * root))
     return (
         good,
+        count,
         most,
         d1,
         d2,

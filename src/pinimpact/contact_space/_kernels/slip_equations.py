@@ -17,6 +17,11 @@ from ..._numeric.jit import inner
 from .delassus import EPS
 
 TERMS = 32
+"""Of a series at most; fewer are made where fewer count."""
+
+VANISHING = 2.0**-57
+"""Terms of this size that follow each other end a series whose coefficients decay."""
+
 RECIPROCAL = np.array([0.0] + [1.0 / k for k in range(1, 2 * TERMS)])
 
 
@@ -115,11 +120,14 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
 
 
 @inner
-def expand(coefficients, p0, polynomials):
+def expand(coefficients, p0, polynomials, near):
     """Fill `coefficients` with those of S(x)/S(0). (3.10), (3.11)
 
+    Args:
+        near: How far the series is wanted: it ends where its terms vanish there.
+
     Returns:
-        the size of the last terms, and the `Shape`.
+        how many coefficients there are after the first, the size of the last, and the `Shape`.
     """
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials
     h = 0.5 * p0
@@ -130,6 +138,11 @@ def expand(coefficients, p0, polynomials):
     c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
     s0, s1, s2, s3 = 1.0, 0.0, 0.0, 0.0
     coefficients[0] = 1.0
+    count, last = TERMS, 0.0
+    # other roots of p are so far that the terms go on to decay once four of them have vanished
+    far = near * (abs(q1) + near * (abs(q2) + near * (abs(q3) + near * abs(q4)))) <= 0.5
+    vanishing = VANISHING if far else -1.0
+    fourth, power = near * near * (near * near), 1.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
         rest = (c1 * s1 + (c2 * s2 + c3 * s3)) * share
@@ -141,8 +154,13 @@ def expand(coefficients, p0, polynomials):
         s3, s2, s1 = s2, s1, s0
         s0 = new
         coefficients[k + 1] = new
-    last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
-    return last, Shape(h, 1.0, 1.0, 0.0, 1.0, 1.0, q1, q2, q3, w0, w1, w2, q4, w3)
+        if k & 3 == 3:
+            power *= fourth
+            last = max(max(abs(s0), abs(s1)), max(abs(s2), abs(s3)))
+            if last * power <= vanishing:
+                count = k + 1
+                break
+    return count, last, Shape(h, 1.0, 1.0, 0.0, 1.0, 1.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
 @inner
@@ -155,21 +173,11 @@ def reach(last, h):
 
 
 @inner
-def within_reach(x, last, h):
-    """Return whether x ≤ reach(last, h), without its logarithm."""
-    power = x * x
-    power *= power
-    power *= power
-    power *= power
-    return last * (power * power) <= 0.5 * EPS and abs(h * x) <= 1.0
-
-
-@inner
 def moments(coefficients, x):
     """Return S(x) and ∫₀ˣ S xʲ dx for j = 0 … 4."""
     power = 1.0
     value = n0 = n1 = n2 = n3 = n4 = 0.0
-    for k in range(TERMS + 1):
+    for k in range(len(coefficients)):
         term = coefficients[k] * power
         power *= x
         value += term

@@ -6,9 +6,11 @@ import math
 
 from ..._numeric.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
-from .slip_equations import within_reach
-from .slip_series import beginning, first_root, halley, point, settled
-from .slip_works import normal_work
+from .slip_series import beginning, first_root, halley, leap, point, settled
+from .slip_works import works
+
+HASTE = 60
+"""Trials after which a bracket is halved."""
 
 
 @inlined
@@ -22,7 +24,8 @@ def measure(series, work_series, counts, aim, x):
     rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
     if counts == WORK:
         now = v3 + dv3
-        return normal_work(series, work_series, x, normal) - aim, slope * now, bend + slope * rate / now
+        work, _ = works(series, work_series, x, normal, False)
+        return work - aim, slope * now, bend + slope * rate / now
     turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
     return (
         (v3 - aim) + dv3,
@@ -35,7 +38,7 @@ def measure(series, work_series, counts, aim, x):
 def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
-    Halley's iteration inside a bracket.
+    An iteration of third order inside a bracket.
 
     Args:
         f_low, f_high: The quantity less its aim at 0 and at `high`; of opposite signs, or the second is zero.
@@ -47,19 +50,21 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     if f_high == 0.0:
         return high
     low, top = 0.0, high
-    x = 0.5
+    # with v₃ taken as linear in P₃; it may rise from zero, and the root be smaller than `high` by any factor
+    v3 = series.v3
+    span = -f_low
     if counts == WORK:
-        # with v₃ taken as linear; it may rise from zero, and the root be smaller than `high` by any factor
-        v3 = series.v3
         span = -2.0 * f_low / (v3 + math.sqrt(max(0.0, v3 * v3 - 2.0 * rate * f_low)))
-        slope, bend = beginning(series)
-        x = halley(-span, slope, bend)
-        end = high if high < math.inf else 0.5
-        if not (0.0 < x < end):
-            x = end
-    elif math.isfinite(f_high) and high < math.inf:
-        x = high * (f_low / (f_low - f_high))
-    for _ in range(100):
+    elif counts == VELOCITY:
+        span = -f_low / rate
+    slope, bend = beginning(series)
+    # where slip settles, P₃ comes to grow like e^{−aL}
+    x = leap(-span, slope, max(bend, -series.shape.exponent) if high == math.inf else bend)
+    if not 0.0 < x < high:
+        x = 0.5
+        if high < math.inf:
+            x = high * (f_low / (f_low - f_high)) if math.isfinite(f_high) else high
+    for i in range(120):
         now, slope, bend = measure(series, work_series, counts, aim, x)
         if now == 0.0:
             return x
@@ -67,14 +72,12 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
             top = x
         else:
             low = x
-        step = halley(now, slope, bend)
+        step = leap(now, slope, bend)
         new = x + step
-        if not (low < new < top):
-            if top - low <= 2.0**-52 * top:
+        if not (low < new < top and i < HASTE):
+            if top < math.inf and top - low <= 2.0**-52 * top:
                 return x
             new = 0.5 * (low + top) if top < math.inf else 2.0 * x + 1.0
-        elif new > 2.0 * x + 2.0:
-            new = 2.0 * x + 2.0
         elif settled(step, x, now, slope):
             return new
         x = new
@@ -82,15 +85,15 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
 
 
 @inner
-def seek_near(series, work_series, counts, aim, x, last):
+def seek_near(series, work_series, counts, aim, x, near):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
     Returns:
-        x, or 0 where the iteration leaves the reach of the series, or v₃ is not monotone up to x.
+        x, or 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
     """
     mu, c, bl, bp, v3, h = series.mu, series.c, series.bl, series.bp, series.v3, series.shape.h
     for _ in range(8):
-        if not (x > 0.0 and within_reach(x, last, h)):
+        if not 0.0 < x <= near:
             return 0.0
         now, slope, bend = measure(series, work_series, counts, aim, x)
         step = halley(now, slope, bend)
@@ -98,7 +101,10 @@ def seek_near(series, work_series, counts, aim, x, last):
         x += step
         if converged:
             end = h * x
-            monotone = first_root(c - mu * bl, -2.0 * mu * bp, c + mu * bl, end, end) == end
-            falls = counts != VELOCITY and c < mu * bl and v3 + point(series, x)[3] < 0.0
+            k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+            monotone = first_root(k0, k1, k2, end, end) == end
+            # where v₃ has its extremum at x = 0 only rounding tells its rate there
+            jams = k0 + 0.5 * end * (k1 + 0.5 * end * k2) < 0.0
+            falls = counts != VELOCITY and jams and v3 + point(series, x)[3] < 0.0
             return x if monotone and not falls else 0.0
     return 0.0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._numeric.jit import inlined, inner
-from .slip_equations import TERMS, Shape, moments
+from .slip_equations import Shape, moments
 
 SETTLED = 38.0
 """e^{−SETTLED} is below rounding."""
@@ -24,8 +24,8 @@ class SlipSeries(NamedTuple):
 
     Attributes:
         around_invariant: Which of the two series it is.
-        coefficients: Its coefficients.
-        reciprocals: 1/(a + k), for a series around an invariant direction.
+        coefficients: Its coefficients, as many as count.
+        reciprocals: 1/(a + k), for a series around an invariant direction; four more.
         shape: Its constants.
         scale: The speed at x = 0 over ω.
         mu, c: Friction, and W₃₃.
@@ -79,6 +79,15 @@ def halley(f, slope, bend):
 
 
 @inner
+def leap(f, slope, bend):
+    """Return the step to zero for a slope that is an exponential, as around an invariant direction."""
+    bent = -bend * f / slope
+    if bent == 0.0 or not -0.99 < bent < math.inf:
+        return halley(f, slope, bend)
+    return math.log1p(bent) / bend
+
+
+@inner
 def settled(step, x, f, slope):
     """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
     return abs(step) <= 2e-6 * x and abs(f) <= 4e-6 * x * abs(slope)
@@ -121,7 +130,8 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
     part = start * part + rising * drop
     fill3 = part * reciprocals[3]
     value = n0 = n1 = n2 = n3 = n4 = 0.0
-    for k in range(TERMS + 1):
+    terms = len(coefficients) - 1
+    for k in range(terms + 1):
         rising *= y
         part = start * part + rising * drop
         fill4 = part * reciprocals[k + 4]
@@ -136,17 +146,17 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
         fill0, fill1, fill2, fill3 = fill1, fill2, fill3, fill4
     if exponent < 0.5:
         # the one k at which a + k is close to zero was left out
-        k = min(int(0.5 - exponent), TERMS + 4)
+        k = min(int(0.5 - exponent), terms + 4)
         if k > 0 and reciprocals[k] != 0.0:
             k -= 1
         z = exponent + k
         if reciprocals[k] == 0.0:
             fill0 = fill(z, k, start, span)
-            n0 += coefficients[k] * fill0 if k <= TERMS else 0.0
-            n1 += coefficients[k - 1] * fill0 if 1 <= k <= TERMS + 1 else 0.0
-            n2 += coefficients[k - 2] * fill0 if 2 <= k <= TERMS + 2 else 0.0
-            n3 += coefficients[k - 3] * fill0 if 3 <= k <= TERMS + 3 else 0.0
-            n4 += coefficients[k - 4] * fill0 if 4 <= k <= TERMS + 4 else 0.0
+            n0 += coefficients[k] * fill0 if k <= terms else 0.0
+            n1 += coefficients[k - 1] * fill0 if 1 <= k <= terms + 1 else 0.0
+            n2 += coefficients[k - 2] * fill0 if 2 <= k <= terms + 2 else 0.0
+            n3 += coefficients[k - 3] * fill0 if 3 <= k <= terms + 3 else 0.0
+            n4 += coefficients[k - 4] * fill0 if 4 <= k <= terms + 4 else 0.0
     return y, value, n0, n1, n2, n3, n4
 
 

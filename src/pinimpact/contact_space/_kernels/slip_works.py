@@ -1,20 +1,21 @@
-"""The works of turning slip as series: once made, each value is one sum. (theory.md, 3.5 and 4)"""
+"""The works of turning slip: by collocation; around an invariant direction as series. (theory.md, 3.5, 4)"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._numeric.jit import inlined, inner
+from ..._numeric.jit import inner
 from .delassus import EPS
 from .invariant_direction import VANISHES
-from .slip_equations import RECIPROCAL, TERMS
+from .slip_equations import RECIPROCAL, VANISHING
 from .slip_series import SETTLED, fill, passed, point
 
 ORDER = 40
-"""Of the series of works: they converge a little later than those of slip."""
+"""Of the series of works at most: they converge a little later than those of slip."""
 
 WORK_TERMS = ORDER + 7
 """Coefficients of the series of works around a direction: six more, for (1 + t²)³."""
@@ -28,13 +29,33 @@ LATE = 6
 CONVERGED = 16.0 * EPS
 """Size up to which the last terms of U leave the works whole, for integrals divide them by their numbers."""
 
-_GAUSS = np.polynomial.legendre.leggauss(12)
-_ABSCISSAE = 0.5 * (_GAUSS[0] + 1.0)
-_WEIGHTS = 0.5 * _GAUSS[1]
+FEW, MANY = 8, 12
+"""Nodes of Gauss' rules for series in the half-angle: the first is right to rounding for a series of up to
+FEW_TERMS terms, the second as far as any goes."""
+
+FEW_TERMS = 20
+
+
+def _collocation(nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the nodes θ of Gauss' rule on (0, 1), its weights, and what integrates from 0 to each node."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    values = np.polynomial.legendre.legvander(x, nodes)
+    rising = np.empty((nodes, nodes))  # ∫ of each Legendre polynomial up to each node
+    rising[:, 0] = x + 1.0
+    for k in range(1, nodes):
+        rising[:, k] = (values[:, k + 1] - values[:, k - 1]) / (2 * k + 1)
+    shares = values[:, :nodes] * (np.arange(nodes) + 0.5) * w[:, None]
+    return 0.5 * (x + 1.0), 0.5 * w, 0.5 * rising @ shares.T
+
+
+# the two rules, one after the other
+_RULES = _collocation(FEW), _collocation(MANY)
+_ABSCISSAE, _WEIGHTS = (np.concatenate([rule[part] for rule in _RULES]) for part in (0, 1))
+_INTEGRALS = np.concatenate([np.pad(rule[2], ((0, 0), (0, MANY - len(rule[0])))) for rule in _RULES])
 
 
 class WorkSeries(NamedTuple):
-    """The works on a `SlipSeries`.
+    """The works on a `SlipSeries` around an invariant direction; scratch on another.
 
     Attributes:
         normal, friction: Coefficients of the two works, integrated; those of the terms that are logarithms,
@@ -68,154 +89,159 @@ def no_works(scratch):
 
 
 @inner
-def _expand(normal, friction, rubbing, shape, v3, f0, f1, f2, f3, f4):
-    """Fill `normal` with the coefficients of Z (1 + t²)², and `friction` with U (1 + t²)³, both integrated.
+def _along_half_angle(series, flow, push, x, rubbing):
+    """Return the works over (0, x) of a series in the half-angle, by Gauss' collocation. (3.17)
 
-    (3.16) to (3.18); `rubbing` says whether the second is wanted.
-
-    Returns:
-        the size of the last coefficients of U.
+    Args:
+        flow, push: Scratch for dP₃/dx and dv₃/dx at the nodes, over the series' unit.
+        rubbing: Whether the work of friction is wanted.
     """
-    w0, w1, w2, w3 = shape.w0, shape.w1, shape.w2, shape.w3
-    q1, q2, q3, q4 = shape.q1, shape.q2, shape.q3, shape.q4
-    c0, c1, c2, c3 = w0, w1 + q2, w2 + 2.0 * q3, w3 + 3.0 * q4
-    d0, d1, d2, d3 = w0 + q1, w1 + 2.0 * q2, w2 + 3.0 * q3, w3 + 4.0 * q4
-    hh = shape.h * shape.h
-    h2, h4 = 2.0 * hh, hh * hh
-    z0, z1, z2, z3, z4 = v3, 0.0, 0.0, 0.0, 0.0
-    u0, u1, u2, u3, u4 = 1.0, 0.0, 0.0, 0.0, 0.0
-    friction[0] = 1.0
-    for k in range(ORDER):
-        share = RECIPROCAL[k + 1]
-        normal[k] = (z0 + (h2 * z2 + h4 * z4)) * share
-        force = (f1 * u1 + f2 * u2) + (f3 * u3 + f4 * u4)
-        ahead = ((c1 * z1 + (c2 * z2 + c3 * z3)) + (f0 * u0 + force)) * share + (c0 * share) * z0
-        new = (((c1 + d1) * u1 + ((c2 + d2) * u2 + (c3 + d3) * u3)) * share) + ((c0 + d0) * share) * u0
-        c0 -= q1
-        c1 -= q2
-        c2 -= q3
-        c3 -= q4
-        z4, z3, z2, z1, z0 = z3, z2, z1, z0, ahead
-        u4, u3, u2, u1, u0 = u3, u2, u1, u0, new
-        friction[k + 1] = new
-    normal[ORDER] = (z0 + (h2 * z2 + h4 * z4)) * RECIPROCAL[ORDER + 1]
-    if rubbing:
-        e2, e4, e6 = 3.0 * hh, 3.0 * h4, h4 * hh
-        for k in range(ORDER, 5, -1):
-            rubbed = (friction[k] + e2 * friction[k - 2]) + (e4 * friction[k - 4] + e6 * friction[k - 6])
-            friction[k] = rubbed * RECIPROCAL[k + 1]
-        friction[5] = (friction[5] + (e2 * friction[3] + e4 * friction[1])) * RECIPROCAL[6]
-        friction[4] = (friction[4] + (e2 * friction[2] + e4 * friction[0])) * RECIPROCAL[5]
-        friction[3] = (friction[3] + e2 * friction[1]) * RECIPROCAL[4]
-        friction[2] = (friction[2] + e2 * friction[0]) * RECIPROCAL[3]
-        friction[1] *= RECIPROCAL[2]
-    return max(max(abs(u0), abs(u1)), max(abs(u2), abs(u3)))
-
-
-@inner
-def _expand_square(friction, shape):
-    """Fill `friction` with the coefficients of U for a series around an invariant direction. (3.16)
-
-    Returns:
-        the size of the last of them, over the sum of all.
-    """
-    q1, q2, q3 = shape.q1, shape.q2, shape.q3
-    c0, c1, c2 = 2.0 * shape.w0 + q1, 2.0 * shape.w1 + 3.0 * q2, 2.0 * shape.w2 + 5.0 * q3
-    u0, u1, u2 = 1.0, 0.0, 0.0
-    total = friction[0] = 1.0
-    for k in range(ORDER):
-        share = RECIPROCAL[k + 1]
-        new = (c1 * u1 + c2 * u2) * share + (c0 * share) * u0
-        if abs(new) < VANISHES:
-            new = 0.0
-        c0 -= q1
-        c1 -= q2
-        c2 -= q3
-        u2, u1, u0 = u1, u0, new
-        friction[k + 1] = new
-        total += new
-    return max(abs(u0), max(abs(u1), abs(u2))) / total
+    coefficients, shape, mu, c, bl, bp = (
+        series.coefficients, series.shape, series.mu, series.c, series.bl, series.bp,
+    )  # fmt: skip
+    h, q1, q2, q3, q4 = shape.h, shape.q1, shape.q2, shape.q3, shape.q4
+    j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    terms = len(coefficients) - 1
+    first, nodes = (0, FEW) if terms <= FEW_TERMS else (FEW, MANY)
+    # the sums of even and odd powers at four nodes hide each other's latency; `terms` is even
+    for i in range(first, first + nodes, 4):
+        x0, x1, x2, x3 = (
+            x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3],
+        )  # fmt: skip
+        y0, y1, y2, y3 = x0 * x0, x1 * x1, x2 * x2, x3 * x3
+        s0 = s1 = s2 = s3 = coefficients[terms]
+        u0 = u1 = u2 = u3 = 0.0
+        for k in range(2, terms + 1, 2):
+            even, odd = coefficients[terms - k], coefficients[terms - k + 1]
+            s0, s1, s2, s3 = s0 * y0 + even, s1 * y1 + even, s2 * y2 + even, s3 * y3 + even
+            u0, u1, u2, u3 = u0 * y0 + odd, u1 * y1 + odd, u2 * y2 + odd, u3 * y3 + odd
+        flow[i], flow[i + 1] = s0 + x0 * u0, s1 + x1 * u1
+        flow[i + 2], flow[i + 3] = s2 + x2 * u2, s3 + x3 * u3
+    rubbed = 0.0
+    for i in range(first, first + nodes):
+        at = x * _ABSCISSAE[i]
+        t = h * at
+        chord = 1.0 + t * t
+        slope = flow[i] * chord
+        if rubbing:
+            fall = 1.0 + at * (q1 + at * (q2 + at * (q3 + at * q4)))
+            rubbed += _WEIGHTS[i] * (slope * slope * chord * fall)
+        flow[i] = _WEIGHTS[i] * slope * chord
+        push[i - first] = slope * (j0 + t * (j1 + t * j2))
+    size = shape.unit * series.scale * x
+    normal = 0.0
+    for i in range(first, first + nodes, 4):
+        s0 = s1 = s2 = s3 = 0.0
+        for j in range(nodes):
+            term = push[j]
+            s0, s1 = s0 + _INTEGRALS[i, j] * term, s1 + _INTEGRALS[i + 1, j] * term
+            s2, s3 = s2 + _INTEGRALS[i + 2, j] * term, s3 + _INTEGRALS[i + 3, j] * term
+        normal += flow[i] * (series.v3 + size * s0) + flow[i + 1] * (series.v3 + size * s1)
+        normal += flow[i + 2] * (series.v3 + size * s2) + flow[i + 3] * (series.v3 + size * s3)
+    return size * normal, -mu * series.speed * shape.factor * size * rubbed
 
 
 @inner
 def _expand_around(series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4):
-    """Make the coefficients of the works around an invariant direction from those of U. (4.7)
+    """Make the coefficients of the works around an invariant direction. (4.7)–(4.10)
 
     Args:
         rubbing: Whether the work of friction is wanted.
 
     Returns:
-        the rest, the push, the share, and at which powers v₃ and the works have a logarithm, or nearly.
+        the rest, the push, the share, at which powers v₃ and the works have a logarithm, or nearly; how many
+        coefficients of U there are after the first, and the size of the last over the sum of all.
     """
     g, reciprocals, shape = series.coefficients, series.reciprocals, series.shape
     q1, q2, q3 = shape.q1, shape.q2, shape.q3
     w0, w1, w2, exponent = shape.w0, shape.w1, shape.w2, shape.exponent
     rest, push, power = series.v3, 0.0, 1.0
+    terms = len(g) + 4
     pole, work_pole = np.int64(-1), np.int64(-1)
     # v₃ = rest + push·fill + e^{−aL}E; quotients: H = Gπ
     g0 = g1 = g2 = g3 = g4 = 0.0
-    for k in range(TERMS + 5):
-        g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k <= TERMS else 0.0
+    for k in range(terms):
+        g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k < len(g) else 0.0
         rate = f0 * g0 + (f1 * g1 + f2 * g2) + (f3 * g3 + f4 * g4)
         rest += rate * reciprocals[k] * power
         power *= shape.start
         if reciprocals[k] == 0.0 and abs(exponent + k) < 0.5:
             push, pole = rate, np.int64(k)
         quotients[k] = g0 + (q1 * g1 + (q2 * g2 + q3 * g3))
-    for k in range(TERMS + 5, WORK_TERMS):
+    for k in range(terms, WORK_TERMS):
         quotients[k] = 0.0
-    # normal: E G
+    # friction: U; normal: E G
+    c0, c1, c2 = 2.0 * w0 + q1, 2.0 * w1 + 3.0 * q2, 2.0 * w2 + 5.0 * q3
+    order, last, total, size = ORDER, 0.0, 0.0, 0.0
     x1 = x2 = x3 = x4 = 0.0
     u0 = u1 = u2 = u3 = u4 = 0.0
     for k in range(ORDER + 1):
-        u4, u3, u2, u1, u0 = u3, u2, u1, u0, friction[k]
+        part = RECIPROCAL[k]
+        ahead = (c1 * u1 + c2 * u2) * part + (c0 * part) * u0
+        if k == 0:
+            ahead = 1.0
+        else:
+            c0 -= q1
+            c1 -= q2
+            c2 -= q3
+        if abs(ahead) < VANISHES:
+            ahead = 0.0
+        u4, u3, u2, u1, u0 = u3, u2, u1, u0, ahead
+        friction[k] = ahead
+        total += ahead
         z = exponent + k
         new = (w1 - q2 * (z - 2.0)) * x2 + (w2 - q3 * (z - 3.0)) * x3
         new -= f0 * u0 + (f1 * u1 + f2 * u2) + (f3 * u3 + f4 * u4)
         if 0 <= pole <= k:
             new += push * quotients[k - pole]
-        inverse = reciprocals[k] if k < TERMS + 5 else 1.0 / z
+        inverse = reciprocals[k] if k < terms else 1.0 / z
         new = new * inverse + ((w0 - q1 * (z - 1.0)) * inverse) * x1
         if k == pole:
             new = _before(series, pole, f0, f1, f2, f3, f4)
         x3, x2, x1 = x2, x1, new
         normal[k] = new
+        size += abs(new)
+        last = max(abs(u0), max(abs(u1), abs(u2)))
+        if k >= terms and last <= VANISHING * total and abs(x1) + abs(x2) + abs(x3) <= VANISHING * size:
+            order = k
+            break
+    work_terms = order + 7
     # quotients: Q; normal: all of it, integrated
     hh = shape.h * shape.h
     h2, h4 = 2.0 * hh, hh * hh
     share = 0.0
     if pole >= 0:
         g0 = g1 = g2 = g3 = g4 = 0.0
-        for k in range(TERMS + 5):
-            g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k <= TERMS else 0.0
+        for k in range(terms):
+            g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k < len(g) else 0.0
             weight = g0 + (h2 * g2 + h4 * g4)
             quotients[k] = weight * reciprocals[k]
             if k == pole:
                 share = weight
-    normal[WORK_TERMS] = friction[WORK_TERMS] = 0.0
+    normal[work_terms] = friction[work_terms] = 0.0
     x0 = x1 = x2 = x3 = 0.0
-    for k in range(WORK_TERMS):
-        x4, x3, x2, x1, x0 = x3, x2, x1, x0, normal[k] if k <= ORDER else 0.0
+    for k in range(work_terms):
+        x4, x3, x2, x1, x0 = x3, x2, x1, x0, normal[k] if k <= order else 0.0
         work = x0 + (h2 * x2 + h4 * x4)
         if 0 <= pole <= k:
             work += push * quotients[k - pole]
         z = 2.0 * exponent + k
         if abs(z) < 0.5:
             work_pole = np.int64(k)
-            normal[WORK_TERMS], normal[k] = work, 0.0
+            normal[work_terms], normal[k] = work, 0.0
         else:
             normal[k] = work / z
     if rubbing:
         e2, e4, e6 = 3.0 * hh, 3.0 * h4, h4 * hh
         u0 = u1 = u2 = u3 = u4 = u5 = 0.0
-        for k in range(WORK_TERMS):
-            u6, u5, u4, u3, u2, u1, u0 = u5, u4, u3, u2, u1, u0, friction[k] if k <= ORDER else 0.0
+        for k in range(work_terms):
+            u6, u5, u4, u3, u2, u1, u0 = u5, u4, u3, u2, u1, u0, friction[k] if k <= order else 0.0
             work = u0 + e2 * u2 + (e4 * u4 + e6 * u6)
             if k == work_pole:
-                friction[WORK_TERMS], friction[k] = work, 0.0
+                friction[work_terms], friction[k] = work, 0.0
             else:
                 friction[k] = work / (2.0 * exponent + k)
-    return rest, push, share, pole, work_pole
+    return rest, push, share, pole, work_pole, order, last / total
 
 
 @inner
@@ -225,14 +251,19 @@ def _before(series, pole, f0, f1, f2, f3, f4):
     total = 0.0
     g0 = g1 = g2 = g3 = g4 = 0.0
     for k in range(pole):
-        g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k]
-        total -= (f0 * g0 + f1 * g1 + f2 * g2 + f3 * g3 + f4 * g4) * reciprocals[k] * g[pole - k]
+        g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k < len(g) else 0.0
+        if pole - k < len(g):
+            total -= (f0 * g0 + f1 * g1 + f2 * g2 + f3 * g3 + f4 * g4) * reciprocals[k] * g[pole - k]
     return total
 
 
 @inner
 def expand_works(series, work_series, rubbing):
-    """Make the `WorkSeries` of a `SlipSeries`; `rubbing` says that the work of friction is wanted too."""
+    """Make the `WorkSeries` of a `SlipSeries` around an invariant direction.
+
+    Args:
+        rubbing: Whether the work of friction is wanted too.
+    """
     normal, friction, quotients = work_series.normal, work_series.friction, work_series.quotients
     shape, mu, c, bl, bp = series.shape, series.mu, series.c, series.bl, series.bp
     size = shape.unit * series.scale
@@ -240,68 +271,56 @@ def expand_works(series, work_series, rubbing):
     hh = h * h
     j0, j1, j2 = size * (c - mu * bl), size * (-2.0 * mu * bp), size * (c + mu * bl)
     f0, f1, f2, f3, f4 = j0, j1 * h, (j0 + j2) * hh, j1 * hh * h, j2 * hh * hh
-    rest = push = share = 0.0
-    pole = work_pole = np.int64(-1)
-    if series.around_invariant:
-        last = _expand_square(friction, shape)
-        rest, push, share, pole, work_pole = _expand_around(
-            series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
-        )
-    else:
-        last = _expand(normal, friction, rubbing, shape, series.v3, f0, f1, f2, f3, f4)
-    return WorkSeries(normal, friction, quotients, rest, push, share, pole, work_pole, last)
+    if shape.exponent < -LATE - 0.5:
+        none, late = np.int64(-1), np.int64(LATE + 1)
+        return WorkSeries(normal, friction, quotients, 0.0, 0.0, 0.0, late, none, math.inf)
+    rest, push, share, pole, work_pole, order, last = _expand_around(
+        series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
+    )
+    size, terms = order + 8, len(series.coefficients) + 4
+    return WorkSeries(
+        normal[:size], friction[:size], quotients[:terms], rest, push, share, pole, work_pole, last
+    )
 
 
-@inlined
-def normal_work(series, work_series, x, span):
-    """Return the normal work over (0, x), where P₃ grows by `span`. (3.18), (4.8)"""
+@inner
+def works(series, work_series, x, span, rubbing):
+    """Return the normal work over (0, x), where P₃ grows by `span`, and that of friction if it is wanted."""
+    if not series.around_invariant:
+        return _along_half_angle(series, work_series.normal, work_series.quotients, x, rubbing)
     normal, shape = work_series.normal, series.shape
     size = shape.unit * series.scale
-    if not series.around_invariant:
-        if not _converges(work_series, x):
-            return quadrature(series, x)[0]
-        return size * x * _sum(normal, ORDER, x)
     exponent, start = shape.exponent, shape.start
     length = shape.sign * x
     y, drop, power, part = passed(exponent, start, length)
+    converges = _converges(work_series, max(start, y))
     short = x * max(1.0, abs(exponent)) < SHORT
-    if short or work_series.pole > LATE or not _converges(work_series, max(start, y)):
-        return quadrature(series, x)[0]
-    work = _filled(normal, work_series.work_pole, exponent, start, length, y, drop, power, part)
-    if work_series.pole >= 0:
-        k = work_series.pole
-        whole = fill(exponent + k, k, start, length)
-        quotient = _sum(work_series.quotients, TERMS + 4, y)
-        work += work_series.push * whole * (0.5 * work_series.share * whole - power * quotient)
-    return work_series.rest * span + size * work
+    if short or work_series.pole > LATE or not converges:
+        work, rubbed = quadrature(series, x)
+    else:
+        work = size * _filled(normal, work_series.work_pole, exponent, start, length, y, drop, power, part)
+        if work_series.pole >= 0:
+            k = work_series.pole
+            whole = fill(exponent + k, k, start, length)
+            quotient = _sum(work_series.quotients, y)
+            work += size * (work_series.push * whole * (0.5 * work_series.share * whole - power * quotient))
+        work += work_series.rest * span
+        rubbed = 0.0
+    if rubbing and converges:
+        rubbed = _filled(
+            work_series.friction, work_series.work_pole, exponent, start, length, y, drop, power, part
+        )
+        rubbed *= -series.mu * series.speed * shape.factor * size
+    return work, rubbed
 
 
 @inner
-def friction_work(series, work_series, x):
-    """Return the friction work over (0, x). (3.18), (4.8)"""
-    friction, shape = work_series.friction, series.shape
-    size = -series.mu * series.speed * shape.factor * shape.unit * series.scale
-    if not series.around_invariant:
-        if not _converges(work_series, x):
-            return quadrature(series, x)[1]
-        return size * x * _sum(friction, ORDER, x)
-    length = shape.sign * x
-    y, drop, power, part = passed(shape.exponent, shape.start, length)
-    if not _converges(work_series, max(shape.start, y)):
-        return quadrature(series, x)[1]
-    pole, exponent, start = work_series.work_pole, shape.exponent, shape.start
-    return size * _filled(friction, pole, exponent, start, length, y, drop, power, part)
-
-
-@inner
-def _sum(coefficients, degree, x):
-    """Return the value of a polynomial of an even degree."""
-    xx = x * x
-    even, odd = coefficients[degree], 0.0
-    for k in range(degree - 2, -1, -2):
-        even = even * xx + coefficients[k]
-        odd = odd * xx + coefficients[k + 1]
-    return even + x * odd
+def _sum(coefficients, x):
+    """Return the value of a polynomial."""
+    total, degree = 0.0, len(coefficients) - 1
+    for k in range(degree + 1):
+        total = total * x + coefficients[degree - k]
+    return total
 
 
 @inner
@@ -313,12 +332,13 @@ def _filled(coefficients, pole, exponent, start, length, y, drop, power, part):
     part *= 1.0 + power
     rising = power * power
     total = 0.0
-    for k in range(WORK_TERMS):
+    terms = len(coefficients) - 1
+    for k in range(terms):
         total += coefficients[k] * part
         part = start * part + rising * drop
         rising *= y
     if pole >= 0:
-        total += coefficients[WORK_TERMS] * fill(2.0 * exponent + pole, pole, start, length)
+        total += coefficients[terms] * fill(2.0 * exponent + pole, pole, start, length)
     return total
 
 
@@ -336,17 +356,15 @@ def _converges(work_series, x):
 
 @inner
 def quadrature(series, x):
-    """Integrate the works over (0, x) by Gauss' nodes."""
+    """Integrate the works over (0, x) around an invariant direction by Gauss' nodes."""
     mu, v3, speed, exponent = series.mu, series.v3, series.speed, series.shape.exponent
     normal = friction = low = 0.0
     # from here on the direction is settled or nothing is left: the rest is straight
-    end = min(x, SETTLED / max(1.0, exponent)) if series.around_invariant else x
+    end = min(x, SETTLED / max(1.0, exponent))
     while low < end:
-        width = end - low
-        if series.around_invariant:
-            # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
-            width = min(width, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
-        for i in range(_ABSCISSAE.size):
+        # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
+        width = min(end - low, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
+        for i in range(FEW, FEW + MANY):
             _, _, _, dv3, ratio, _, slope, _ = point(series, low + width * _ABSCISSAE[i])
             share = _WEIGHTS[i] * width * slope
             normal += share * (v3 + dv3)

@@ -24,10 +24,13 @@ from .invariant_direction import expand_around_root, nearby_root
 from .ledger import CLOSE_TO_JUMP
 from .moves import NO_FORCE, Move, State, Units, jams
 from .recording import record_series
-from .slip_equations import Polynomials, Shape, expand, reach, within_reach
+from .slip_equations import TERMS, Polynomials, Shape, expand, reach
 from .slip_events import seek, seek_near
 from .slip_series import SlipSeries, first_root, halley, point
-from .slip_works import expand_works, friction_work, no_works, normal_work
+from .slip_works import expand_works, no_works, works
+
+NEAR = 1.0625
+"""How far a series is made for an event, over the guess of where it lies, mostly right to a percent."""
 
 FURTHEST = 100.0
 """Growth of slip, as an exponent, up to which one series follows it as it leaves an invariant direction."""
@@ -60,13 +63,13 @@ def turning_move(
     mu, c, s, endless_slip, counts = problem.mu, problem.c, problem.s, problem.endless_slip, problem.counts
     t1, m0 = polynomials.p1, polynomials.m0
     event, flags = NO_EVENT, NO_FLAG
-    span = along = across = ratio = t = v3_end = 0.0
+    span = along = across = ratio = t = v3_end = work = rubbed = 0.0
     jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     scale = speed * units.per
     d1, d2, n1, x = s1, s2, 0.0, 0.0
     restoring = phase == RESTITUTION
-    around_invariant = expanded = known = event != NO_EVENT  # False, but no literal: see `codes`
-    last, terms = 0.0, 1.0
+    around_invariant = whole_series = event != NO_EVENT  # False, but no literal: see `codes`
+    last, terms, count = 0.0, 1.0, 0
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     work_series = no_works(work_terms)
     series = SlipSeries(around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed)
@@ -85,14 +88,17 @@ def turning_move(
     elif rate > 0.0:
         guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
     if guess > 0.0 and guess * max(abs(turn), abs(t1)) < 1.0:
-        expanded = True
-        last, shape = expand(coefficients, turn, polynomials)
+        near = NEAR * guess
+        count, last, shape = expand(coefficients, turn, polynomials, near)
         series = SlipSeries(
-            around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed
+            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu, c, bl, bp, v3),
+            speed,
         )
-        if sought == WORK and within_reach(guess, last, shape.h):
-            work_series, known = expand_works(series, work_series, traced), expanded
-        x = seek_near(series, work_series, sought, aim, guess, last)
+        whole_series = count == TERMS
+        if whole_series:
+            near = reach(last, shape.h)
+        if guess <= near:
+            x = seek_near(series, work_series, sought, aim, guess, near)
         if x > 0.0:
             event = LAW_MET if restoring else COMPRESSION_ENDS
 
@@ -102,8 +108,8 @@ def turning_move(
         root = nearby_root(turn, polynomials)
         leaving = root != 0.0 and t1 > 0.0
         if root != 0.0:
-            expanded = known = False
-            around_invariant, end, e1, e2, n1, el, ep, terms, shape = expand_around_root(
+            whole_series = False
+            around_invariant, count, end, e1, e2, n1, el, ep, terms, shape = expand_around_root(
                 coefficients, reciprocals, units.weak,
                 units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root, leaving,
             )  # fmt: skip
@@ -129,15 +135,18 @@ def turning_move(
             jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
         else:
             # ... or some way towards it
-            if not expanded:
-                last, shape = expand(coefficients, turn, polynomials)
+            if not whole_series:
+                count, last, shape = expand(coefficients, turn, polynomials, math.inf)
             whole = reach(last, shape.h)
             end = shape.h * whole
             x = first_root(jam0, jam1, jam2, end, end) / shape.h
             peaks = x < whole
         series = SlipSeries(
-            around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed
+            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu, c, bl, bp, v3),
+            speed,
         )
+        if around_invariant and (traced or counts == WORK):
+            work_series = expand_works(series, work_series, traced)
         endless = x == math.inf and shape.exponent <= 0.0
         if endless:
             span = math.inf
@@ -169,14 +178,11 @@ def turning_move(
         # what the sum of impulse or work brings before that
         if restoring and counts != VELOCITY:
             total = math.inf
-            if counts == WORK:
-                if not known:
-                    work_series, known = expand_works(series, work_series, traced), restoring
-                if not endless:
-                    reached = span if event == NO_EVENT else point(series, x)[0]
-                    total = normal_work(series, work_series, x, reached)
-            elif not endless:
+            if not endless:
                 total = span if event == NO_EVENT else point(series, x)[0]
+                if counts == WORK:
+                    total, _ = works(series, work_series, x, total, False)
+                    work = total
             if total >= left:
                 event = LAW_MET
                 x = seek(series, work_series, counts, left, -left, total - left, x, rate)
@@ -188,13 +194,8 @@ def turning_move(
         span, along, across, dv3, ratio, t, _, _ = point(series, x)
         v3_end = v3 + dv3
 
-    work = rubbed = 0.0
-    if traced or (counts == WORK and event != LAW_MET):
-        if not known:
-            work_series = expand_works(series, work_series, traced)
-        work = normal_work(series, work_series, x, span)
-    if traced:
-        rubbed = friction_work(series, work_series, x)
+    if traced or (counts == WORK and not restoring):
+        work, rubbed = works(series, work_series, x, span, traced)
     if path.shape[0] > 0:
         points = record_series(path, points, series, x, d1, d2, p1, p2, p3)
     p1 += d1 * along - d2 * across
