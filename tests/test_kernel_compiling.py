@@ -95,7 +95,12 @@ def python(package: Path, code: str = CALL, **variables: str) -> subprocess.Comp
         os.environ, PYTHONPATH=str(package.parent), NUMBA_CACHE_DIR=str(package.parent / "cache"), **variables
     )
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        timeout=300.0,
     )
 
 
@@ -294,6 +299,40 @@ def test_types_told_wrongly_do_no_harm(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, float)")
     edit(team / "scene" / "_kernels" / "entry.py", "@ahead(float)", "@ahead(bool)")
     assert of_team(team, CALL)[0] == [7.0, 130.0, -3.0]
+
+
+SHARED = """
+import tempfile
+from pathlib import Path
+from numba.core import event
+from pinimpact._numeric import ahead, company
+from pinimpact.scene._kernels import entry
+jobs = ahead.jobs([(entry.first, ahead.types_ahead(entry.first))])
+[shifted] = [job for job in jobs if job.name == "shifted"]
+company.present = company.Company(Path(tempfile.mkdtemp()))
+assert company.present.claim(shifted)
+with event.install_recorder("numba:compile") as record:
+    company.present.share(jobs)
+    company.present = None
+    assert not entry.first.overloads
+    print(entry.first(3.0))
+print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start])
+"""
+
+
+def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
+    leaf = team / "scene" / "_kernels" / "leaf.py"
+    edit(leaf, "@ahead(float)", "@ahead(float, result=float)")
+    # "first" is compiled while another, who never gets to it, has claimed what it calls
+    assert python(team, SHARED).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
+    assert call(team)[0] == [7.0, 130.0, -3.0]
+
+
+def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
+    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=int)")
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        python(team)
+    assert "shifted: returns float64, not int64 as told ahead" in raised.value.stderr
 
 
 def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
