@@ -187,7 +187,7 @@ company._HELP = '''
 import os, pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
 from {} import Company
-_, folder = pickle.load(sys.stdin.buffer)
+_, folder, _ = pickle.load(sys.stdin.buffer)
 for job in pickle.load(sys.stdin.buffer):
     Company(folder).claim(job)
 os._exit(3)
@@ -390,6 +390,29 @@ def with_references(n):
         last, spare = one, total
         total = Pair(spare.kept + last.factor * last.kept, last.factor)
     return total.kept, total.factor
+
+
+@jit
+def refined(n):
+    total = 0
+    step = 0
+    for k in range(n):
+        last = total + step
+        total = last
+        step = 0.5 * k
+    return total, last
+
+
+def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
+    assert refined(5) == (3.0, 3.0)
+    assert refined.signatures[0][0] == numba.int64
+    assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
+
+
+def test_what_is_kept_is_loaded_without_what_compiles(package: Path) -> None:
+    imported = "\nimport sys\nprint('numba.np.linalg' in sys.modules)"
+    assert python(package, CALL + imported).stdout.endswith("True\n")
+    assert python(package, CALL + imported).stdout.endswith("False\n")
 
 
 def test_memory_is_released_once() -> None:

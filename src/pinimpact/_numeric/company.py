@@ -3,8 +3,9 @@
 Whoever waits for kernels has helpers, one for each further processor, as long as it takes. All go
 through one list of kernels whose argument types are known ahead, first what most has to follow on. Whoever
 comes to a kernel that nobody has begun claims it, by a file, compiles it, and leaves it in the cache; whoever
-needs what another has claimed waits for it, or, where the type of its result is told, calls its symbol. Nothing depends on a helper: what it does not leave in the cache, for
-whatever reason, the process that waits compiles itself, and it ends its helpers when it is done or stopped.
+needs what another has claimed waits for it, or, where the type of its result is told, calls its symbol.
+Nothing depends on a helper: what it does not leave in the cache, for whatever reason, the process that waits
+compiles itself, and it ends its helpers when it is done or stopped.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numba
 
 from .ahead import Job, result_ahead
 from .linking import stand_in, to_be_kept_only
-from .sources import PACKAGE, ROOT
+from .sources import PACKAGE, ROOT, memory
 from .waiting import COUNT, LOG
 
 T = TypeVar("T")
@@ -200,7 +201,7 @@ def _helper(folder: Path, jobs: Sequence[Job]) -> subprocess.Popen[bytes]:
     assert helper.stdin is not None
     paths = [str(ROOT.parent), *(path for path in sys.path if path)]
     with suppress(OSError):  # it has died already
-        for one in (paths, (numba.config.CACHE_DIR, folder), list(jobs)):
+        for one in (paths, (numba.config.CACHE_DIR, folder, memory.known), list(jobs)):
             pickle.dump(one, helper.stdin)
         helper.stdin.flush()
     return helper
@@ -210,9 +211,11 @@ def help_out() -> None:
     """Be a helper: compile what nobody has claimed, until all is claimed or nobody waits any more."""
     global present
     source = sys.stdin.buffer
-    numba.config.CACHE_DIR, folder = pickle.load(source)
+    numba.config.CACHE_DIR, folder, known = pickle.load(source)
+    memory.known.update(known)
     jobs = pickle.load(source)
     gc.disable()  # see `linking`; it ends before that matters
+    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba's; no kernel calls it
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
     present = Company(folder)
     present.share(jobs)

@@ -28,6 +28,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching, compiler, dispatcher
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import rtsys
 
 from . import company
 from .ahead import Job, jobs, result_ahead, types_ahead
@@ -218,6 +219,12 @@ class _CacheImpl(caching.CompileResultCacheImpl):
 
 class _DiskCache(caching.FunctionCache):
     _impl_class = _CacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a kernel, without all that numba imports first, which is for what compiles."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple()  # the stamp covers the code
