@@ -95,7 +95,12 @@ def python(package: Path, code: str = CALL, **variables: str) -> subprocess.Comp
         os.environ, PYTHONPATH=str(package.parent), NUMBA_CACHE_DIR=str(package.parent / "cache"), **variables
     )
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        timeout=300.0,
     )
 
 
@@ -182,7 +187,7 @@ company._HELP = '''
 import os, pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
 from {} import Company
-_, folder = pickle.load(sys.stdin.buffer)
+_, folder, _ = pickle.load(sys.stdin.buffer)
 for job in pickle.load(sys.stdin.buffer):
     Company(folder).claim(job)
 os._exit(3)
@@ -296,6 +301,40 @@ def test_types_told_wrongly_do_no_harm(team: Path) -> None:
     assert of_team(team, CALL)[0] == [7.0, 130.0, -3.0]
 
 
+SHARED = """
+import tempfile
+from pathlib import Path
+from numba.core import event
+from pinimpact._numeric import ahead, company
+from pinimpact.scene._kernels import entry
+jobs = ahead.jobs([(entry.first, ahead.types_ahead(entry.first))])
+[shifted] = [job for job in jobs if job.name == "shifted"]
+company.present = company.Company(Path(tempfile.mkdtemp()))
+assert company.present.claim(shifted)
+with event.install_recorder("numba:compile") as record:
+    company.present.share(jobs)
+    company.present = None
+    assert not entry.first.overloads
+    print(entry.first(3.0))
+print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start])
+"""
+
+
+def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
+    leaf = team / "scene" / "_kernels" / "leaf.py"
+    edit(leaf, "@ahead(float)", "@ahead(float, result=float)")
+    # "first" is compiled while another, who never gets to it, has claimed what it calls
+    assert python(team, SHARED).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
+    assert call(team)[0] == [7.0, 130.0, -3.0]
+
+
+def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
+    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=int)")
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        python(team)
+    assert "shifted: returns float64, not int64 as told ahead" in raised.value.stderr
+
+
 def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
     forbidden = TEAM + "def _helper(*_): raise AssertionError\ncompany._helper = _helper\n"
     plain = python(team, forbidden + CALL, NUMBA_DISABLE_JIT="1")
@@ -351,6 +390,29 @@ def with_references(n):
         last, spare = one, total
         total = Pair(spare.kept + last.factor * last.kept, last.factor)
     return total.kept, total.factor
+
+
+@jit
+def refined(n):
+    total = 0
+    step = 0
+    for k in range(n):
+        last = total + step
+        total = last
+        step = 0.5 * k
+    return total, last
+
+
+def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
+    assert refined(5) == (3.0, 3.0)
+    assert refined.signatures[0][0] == numba.int64
+    assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
+
+
+def test_what_is_kept_is_loaded_without_what_compiles(package: Path) -> None:
+    imported = "\nimport sys\nprint('numba.np.linalg' in sys.modules)"
+    assert python(package, CALL + imported).stdout.endswith("True\n")
+    assert python(package, CALL + imported).stdout.endswith("False\n")
 
 
 def test_memory_is_released_once() -> None:

@@ -6,7 +6,12 @@ The types are told above the decorator of a kernel::
     @separate
     def kernel(matrix, vector, x, k): ...
 
-They are a hint and nothing else: for other types the kernel is compiled when a caller asks for it.
+They are a hint and nothing else: for other types the kernel is compiled when a caller asks for it. Where
+the type of the result is told too, callers are compiled without it::
+
+    @ahead(FLOATS, result=float)
+    @separate
+    def kernel(vector): ...
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ FLOATS, FLOAT_ROWS = types.float64[::1], types.float64[:, ::1]
 INTEGERS, INTEGER_ROWS = types.int64[::1], types.int64[:, ::1]
 FLOAT_COLUMNS = types.float64[::1, :]
 FLAGS = types.boolean[::1]
-THREE = types.UniTuple(types.float64, 3)
+THREE, FOUR = types.UniTuple(types.float64, 3), types.UniTuple(types.int64, 4)
 READONLY = types.Array(types.float64, 1, "C", readonly=True)
 
 _NUMBERS = {float: types.float64, int: types.int64, np.int64: types.int64, bool: types.boolean}
@@ -35,7 +40,8 @@ class Job(NamedTuple):
 
     Attributes:
         module, name, types: Which, and the types of its arguments.
-        needs: Places of the jobs that have to be done before.
+        needs: Places of the jobs that have to be done before: those whose code goes into it, or whose results
+            are not told.
     """
 
     module: str
@@ -44,17 +50,18 @@ class Job(NamedTuple):
     needs: Sequence[int] = ()
 
 
-def ahead(*kinds: Any) -> Callable[[K], K]:
+def ahead(*kinds: Any, result: Any = None) -> Callable[[K], K]:
     """Tell the types of a kernel's arguments.
 
     Args:
         *kinds: Of each, in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
             class of `Workspace`, or a type of numba.
+        result: Of what it returns, if that is to be known before it is compiled, for its callers.
     """
 
     def tell(kernel: K) -> K:
         if hasattr(kernel, "py_func"):  # else it is plain Python
-            kernel.ahead = kinds  # type: ignore[attr-defined]
+            kernel.ahead, kernel.result = kinds, result  # type: ignore[attr-defined]
         return kernel
 
     return tell
@@ -74,9 +81,20 @@ def numba_type(kind: Any) -> Any:
     return types.NamedTuple(fields, kind)
 
 
+def plain_tuple(kind: Any) -> Any:
+    """Return the type of a plain tuple of what a class of `NamedTuple` has."""
+    return types.BaseTuple.from_types(numba_type(kind).types)
+
+
 def types_ahead(kernel: Any) -> tuple[Any, ...]:
     """Return the types of arguments that a kernel tells."""
     return tuple(map(numba_type, kernel.ahead))
+
+
+def result_ahead(kernel: Any, types: tuple[Any, ...]) -> Any:
+    """Return the type of what a kernel returns, None where it is not told for these types of arguments."""
+    result = getattr(kernel, "result", None)
+    return None if result is None or types != types_ahead(kernel) else numba_type(result)
 
 
 def callees(function: FunctionType) -> list[Any]:
@@ -88,8 +106,13 @@ def callees(function: FunctionType) -> list[Any]:
     return [one for one in seen if hasattr(one, "py_func")]
 
 
+def is_part(kernel: Any) -> bool:
+    """Whether the code of a kernel that is kept goes into its callers."""
+    return getattr(kernel, "is_part", False)
+
+
 def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
-    """Return what is to be compiled for some kernels: callees first, and what most has to follow on.
+    """Return what is to be compiled for some kernels: first what most has to follow on.
 
     Args:
         wanted: Kernels and their types.
@@ -111,21 +134,32 @@ def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
 
     for kernel in given:
         visit(kernel)
-    made = [one for one in order if is_job(one)]
-    needs = {one: [other for other in made[:k] if other in inside[one]] for k, one in enumerate(made)}
-    to_go: dict[Any, int] = {}  # the code on the longest way from each through its callers
-    for one in reversed(made):
-        code = sum(
+    made = {one: given[one] if one in given else types_ahead(one) for one in order if is_job(one)}
+    needs = {
+        one: [
+            other for other in made if other in inside[one] - {one} and not result_ahead(other, made[other])
+        ]
+        for one in made
+    }
+    own: dict[Any, int] = {}  # code that is lowered with each
+    whole: dict[Any, int] = {}  # and that is optimized with it
+    for one in made:
+        own[one] = sum(
             len(part.py_func.__code__.co_code) for part in inside[one] if not is_job(part) or part is one
         )
+        whole[one] = own[one] + sum(whole[other] for other in inside[one] - {one} if is_part(other))
+    to_go: dict[Any, int] = {}  # the code on the longest way from each through its callers
+    for one in reversed(made):
+        code = own[one] if is_part(one) else own[one] + whole[one]
         to_go[one] = code + max((to_go[caller] for caller in to_go if one in needs[caller]), default=0)
-    made.sort(key=lambda one: -to_go[one])
+    ordered = sorted(made, key=lambda one: -to_go[one])
+    place = {one: k for k, one in enumerate(ordered)}
     return [
         Job(
             one.py_func.__module__,
             one.py_func.__qualname__,
-            given[one] if one in given else types_ahead(one),
-            [made.index(other) for other in needs[one]],
+            made[one],
+            [place[other] for other in needs[one]],
         )
-        for one in made
+        for one in ordered
     ]

@@ -1,10 +1,11 @@
 """Several processes that compile kernels at once.
 
 Whoever waits for kernels has helpers, one for each further processor, as long as it takes. All go
-through one list of kernels whose argument types are known ahead, callees first. Whoever comes to a kernel
-that nobody has begun claims it, by a file, compiles it, and leaves it in the cache; whoever needs what
-another has claimed waits for it. Nothing depends on a helper: what it does not leave in the cache, for
-whatever reason, the process that waits compiles itself, and it ends its helpers when it is done or stopped.
+through one list of kernels whose argument types are known ahead, first what most has to follow on. Whoever
+comes to a kernel that nobody has begun claims it, by a file, compiles it, and leaves it in the cache; whoever
+needs what another has claimed waits for it, or, where the type of its result is told, calls its symbol.
+Nothing depends on a helper: what it does not leave in the cache, for whatever reason, the process that waits
+compiles itself, and it ends its helpers when it is done or stopped.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from typing import Any, TypeVar
 
 import numba
 
-from .ahead import Job
-from .sources import PACKAGE, ROOT
+from .ahead import Job, result_ahead
+from .linking import stand_in, to_be_kept_only
+from .sources import PACKAGE, ROOT, memory
 from .waiting import COUNT, LOG
 
 T = TypeVar("T")
@@ -52,6 +54,8 @@ class Company:
     def __init__(self, folder: Path, helpers: Sequence[subprocess.Popen[bytes]] = ()) -> None:
         self._folder = folder
         self._helpers = {helper.pid: helper for helper in helpers}
+        self._at_work: Job | None = None
+        self._lent: list[tuple[Any, tuple[Any, ...]]] = []
 
     def _file(self, job: Job) -> Path:
         return self._folder / hashlib.sha256(str(job[:3]).encode()).hexdigest()[:32]
@@ -79,7 +83,7 @@ class Company:
             job: The kernel.
             load: Looks for it in the cache.
         """
-        if self.claim(job):
+        if self._is_at_work(job) or self.claim(job):
             return None
         while not self._is_over(job):
             time.sleep(PAUSE)
@@ -94,8 +98,30 @@ class Company:
                 return True
         return claimed.with_suffix(".done").exists()
 
+    def lend(self, kernel: Any, job: Job) -> Any:
+        """Return what stands for a kernel that is not the one at work, if its result is told; else None."""
+        if self._at_work is None:
+            return None
+        self._lent.append((kernel, job.types))
+        result = None if self._is_at_work(job) else result_ahead(kernel, job.types)
+        return None if result is None else stand_in(kernel, job.types, result)
+
     def share(self, jobs: Sequence[Job]) -> None:
-        """Compile what nobody else has begun, as soon as all that it needs is there."""
+        """Compile what nobody else has begun, as soon as all that it needs is there, for the cache alone."""
+        try:
+            with to_be_kept_only():
+                self._share(jobs)
+        finally:
+            self._at_work = None
+            for kernel, types in self._lent:
+                kernel.overloads.pop(types, None)
+            for kernel in {kernel for kernel, _ in self._lent}:
+                others = list(kernel.overloads.values())
+                kernel._reset_overloads()
+                for one in others:
+                    kernel.add_overload(one)
+
+    def _share(self, jobs: Sequence[Job]) -> None:
         left = list(jobs)
         while left := [job for job in left if not self._is_claimed(job)]:
             over = [self._is_claimed(job) and self._is_over(job) for job in jobs]
@@ -103,11 +129,16 @@ class Company:
             if job is None:
                 time.sleep(PAUSE)
                 continue
+            if not self.claim(job):
+                continue
             LOG.info(COUNT, sum(over), len(jobs))
+            self._at_work = job
             with suppress(Exception):  # types that it cannot be called with; or else whoever calls it tells
                 getattr(importlib.import_module(job.module), job.name).compile(job.types)
-            self.claim(job)  # where it was in the cache, or compiled before, nobody has
             self.release(job)
+
+    def _is_at_work(self, job: Job) -> bool:
+        return self._at_work is not None and self._at_work[:3] == job[:3]
 
     def _is_claimed(self, job: Job) -> bool:
         return self._file(job).exists()
@@ -170,7 +201,7 @@ def _helper(folder: Path, jobs: Sequence[Job]) -> subprocess.Popen[bytes]:
     assert helper.stdin is not None
     paths = [str(ROOT.parent), *(path for path in sys.path if path)]
     with suppress(OSError):  # it has died already
-        for one in (paths, (numba.config.CACHE_DIR, folder), list(jobs)):
+        for one in (paths, (numba.config.CACHE_DIR, folder, memory.known), list(jobs)):
             pickle.dump(one, helper.stdin)
         helper.stdin.flush()
     return helper
@@ -180,9 +211,11 @@ def help_out() -> None:
     """Be a helper: compile what nobody has claimed, until all is claimed or nobody waits any more."""
     global present
     source = sys.stdin.buffer
-    numba.config.CACHE_DIR, folder = pickle.load(source)
+    numba.config.CACHE_DIR, folder, known = pickle.load(source)
+    memory.known.update(known)
     jobs = pickle.load(source)
     gc.disable()  # see `linking`; it ends before that matters
+    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba's; no kernel calls it
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
     present = Company(folder)
     present.share(jobs)

@@ -28,9 +28,10 @@ from typing import Any, TypeVar
 import numba
 from numba.core import caching, compiler, dispatcher
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import rtsys
 
 from . import company
-from .ahead import Job, jobs, types_ahead
+from .ahead import Job, jobs, result_ahead, types_ahead
 from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, symbol_stamp, without_collecting
 from .sources import PACKAGE, memory, stamp
 from .waiting import COUNT, LOG, expected, tell
@@ -153,7 +154,7 @@ def _cached(function: F, pipeline: type[KernelCompiler] = KernelCompiler, **opti
         )
     compiled = numba.njit(pipeline_class=pipeline, **_OPTIONS, **options)(function)
     if isinstance(compiled, dispatcher.Dispatcher):
-        compiled._cache = _Cache(compiled)
+        compiled._cache, compiled.is_part = _Cache(compiled), pipeline is PartCompiler
     result: F = compiled
     return result
 
@@ -219,6 +220,12 @@ class _CacheImpl(caching.CompileResultCacheImpl):
 class _DiskCache(caching.FunctionCache):
     _impl_class = _CacheImpl
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a kernel, without all that numba imports first, which is for what compiles."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple()  # the stamp covers the code
 
@@ -248,7 +255,9 @@ class _Cache(caching.NullCache):
         return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = self._load(sig, target_context)
+        found = company.present.lend(self._kernel, self._job(sig)) if company.present is not None else None
+        if found is None:
+            found = self._load(sig, target_context)
         if found is None and company.present is not None:
             found = company.present.of_others(self._job(sig), partial(self._load, sig, target_context))
         elif found is None and not (compiling() or _together):
@@ -256,6 +265,9 @@ class _Cache(caching.NullCache):
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
+        told, found = result_ahead(self._kernel, tuple(sig)), cres.signature.return_type
+        if told not in (None, found):
+            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as told ahead")
         self._find().save_overload(sig, cres)
         if company.present is not None:
             company.present.release(self._job(sig))

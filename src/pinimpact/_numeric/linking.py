@@ -17,10 +17,11 @@ from typing import Any
 
 from llvmlite import binding as llvm
 from numba import _dynfunc
-from numba.core import compiler, typed_passes, untyped_passes
+from numba.core import compiler, funcdesc, typed_passes, typing, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_machinery import PassManager, register_pass
 
+from .arguments import lent_arguments
 from .lowering import Lowering
 from .shortcuts import Canonical, Lifetimes, Passes, Rewrites, shortcuts
 from .sources import stamp
@@ -81,6 +82,10 @@ class InnerLibrary(KernelCode):
         self._raise_if_finalized()
         self._finalized = True
 
+    def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
+        """Return what stands for the function."""
+        return _no_entry(self, fndesc, env)
+
     def own_code(self) -> Any:
         """Return the module with this kernel alone, fit to be linked into several."""
         return super()._get_module_for_linking()
@@ -123,10 +128,6 @@ class PartLibrary(InnerLibrary):
         self._finalized = True
         return self
 
-    def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
-        """Return what stands for the function."""
-        return _no_entry(self, fndesc, env)
-
 
 class KernelLibrary(KernelCode):
     """The machine code of a kernel that is compiled on its own, and of the inner kernels that it reaches.
@@ -138,6 +139,16 @@ class KernelLibrary(KernelCode):
 
     kernel: Kernel
     callees: tuple[Kernel, ...] = ()
+    _final_module: Any
+    _code: bytes = b""
+    _symbols: tuple[str, ...] = ()
+
+    @classmethod
+    def without_code(cls, codegen: Any, kernel: Kernel) -> KernelLibrary:
+        """Return what stands for a kernel whose code is elsewhere, for callers that have its symbol."""
+        self = cls(codegen, kernel[1])
+        self.kernel, self._finalized = kernel, True
+        return self
 
     def finalize(self) -> None:
         """Take in what the code needs, optimize all together, and translate it."""
@@ -150,11 +161,15 @@ class KernelLibrary(KernelCode):
         super().finalize()
 
     def _finalize_final_module(self) -> None:
-        """Keep what was taken in to itself: its names may mean something else in other processes' code."""
+        """Translate; what was taken in is kept to itself, for its names may mean something else elsewhere."""
+        self._finalize_dynamic_globals()
         for function in self._final_module.functions:
             if function.linkage == llvm.Linkage.linkonce_odr:
                 function.linkage = llvm.Linkage.internal
-        super()._finalize_final_module()
+        self._symbols = tuple(one.name for one in self._final_module.functions if not one.is_declaration)
+        self._code = self._codegen._tm.emit_object(self._final_module)
+        self._final_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
+        self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
         """Return no code: callers have the symbol."""
@@ -162,26 +177,77 @@ class KernelLibrary(KernelCode):
 
     def serialize_using_object_code(self) -> Any:
         """Return what `load` takes."""
-        symbols = [one.name for one in self._final_module.functions if not one.is_declaration]
-        return self.name, self._get_compiled_object(), symbols, self.kernel, self.callees
+        return self.name, self._code, self._symbols, self.kernel, self.callees
 
     @classmethod
     def load(cls, codegen: Any, state: Any) -> KernelLibrary:
-        """Return the library that another process has made, with all that it calls in place."""
-        name, machine_code, symbols, kernel, callees = state
-        for callee in callees:
-            _loaded(callee)
-        self = cls(codegen, name)
-        self.kernel, self.callees = kernel, callees
-        self.enable_object_caching()
-        self._set_compiled_object(machine_code)
-        self._finalize_final_module()
-        codegen._engine._defined_symbols.update(symbols)
+        """Return the library that another process has made."""
+        name, code, symbols, kernel, callees = state
+        self = cls.without_code(codegen, kernel)
+        self._name, self._code, self._symbols, self.callees = name, code, symbols, callees
         return self
 
     def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
-        """Return what Python calls."""
+        """Return what Python calls, with the code and all that it calls in place."""
+        self._ensure_finalized()
+        if _to_be_kept_only:
+            return _no_entry(self, fndesc, env)
+        for callee in self.callees:
+            _loaded(callee)
+        self.enable_object_caching()
+        self._set_compiled_object(self._code)
+        super()._finalize_final_module()
+        self._codegen._engine._defined_symbols.update(self._symbols)
         return context.get_executable(self, fndesc, env)
+
+
+_to_be_kept_only = False
+
+
+@contextmanager
+def to_be_kept_only() -> Iterator[None]:
+    """Compile kernels for the cache alone: their code is not put where it can run."""
+    global _to_be_kept_only
+    _to_be_kept_only = True
+    try:
+        yield
+    finally:
+        _to_be_kept_only = False
+
+
+def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
+    """Return as what a kernel that is compiled elsewhere is called: its symbol and types, without its code.
+
+    Args:
+        kernel: Which.
+        types: Of its arguments.
+        result: The type of what it returns.
+    """
+    function, context = kernel.py_func, kernel.targetctx
+    flags = compiler.Flags()
+    kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)
+    flags = _Flags(flags)
+    flags.no_compile = True
+    fndesc = funcdesc.PythonFunctionDescriptor(
+        *(True, function.__module__, function.__qualname__, function.__qualname__, "", None, result, None),
+        *(function.__code__.co_varnames[: len(types)], (), context.mangler),
+        argtypes=types,
+        noalias=flags.noalias,
+        abi_tags=[flags.get_mangle_string()],
+        uid=symbol_stamp(function.__module__),
+    )
+    fndesc.argtypes = lent_arguments(context.data_model_manager, types, result)
+    name = function.__module__, function.__qualname__, types
+    library = KernelLibrary.without_code(context.codegen(), name)
+    return compiler.compile_result(
+        typing_context=kernel.typingctx,
+        target_context=context,
+        library=library,
+        entry_point=_no_entry(library, fndesc, _dynfunc.Environment({})),
+        fndesc=fndesc,
+        signature=typing.signature(result, *types),
+        objectmode=False,
+    )
 
 
 def _loaded(kernel: Kernel) -> Any:
@@ -216,7 +282,7 @@ def _needed(library: Any) -> list[Any]:
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class KernelLowering(typed_passes.NativeLowering):
-    """Lowering to machine code."""
+    """Lowering to what the library of a kernel makes of it."""
 
     _name = "kernel_lowering"
 
@@ -225,21 +291,13 @@ class KernelLowering(typed_passes.NativeLowering):
         """What lowers."""
         return Lowering
 
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class InnerLowering(KernelLowering):
-    """Lowering to intermediate code, with nothing that Python could call."""
-
-    _name = "inner_lowering"
-
     def run_pass(self, state: Any) -> bool:
         """Lower a kernel and make it known to its callers."""
-        state.flags.no_compile = True
+        state.flags.no_compile = True  # numba's way to run it
         super().run_pass(state)
         lowered, library = state["cr"], state.library
-        fndesc = lowered.fndesc
-        entry = _no_entry(library, fndesc, lowered.env)
-        state.targetctx.insert_user_function(entry, fndesc, [library])
+        entry = library.entry(state.targetctx, lowered.fndesc, lowered.env)
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [library])
         state["cr"] = lowered._replace(cfunc=entry)
         return True
 
@@ -311,8 +369,7 @@ class KernelCompiler(compiler.CompilerBase):
     """
 
     makes_kernels = True
-    library: type[JITCodeLibrary] = KernelLibrary
-    lowering: type[typed_passes.NativeLowering] = KernelLowering
+    library: Any = KernelLibrary
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
@@ -343,7 +400,7 @@ class KernelCompiler(compiler.CompilerBase):
             typed_passes.InlineOverloads,
             Lifetimes,
             typed_passes.AnnotateTypes,
-            self.lowering,
+            KernelLowering,
             typed_passes.NoPythonBackend,
         ):
             passes.add_pass(one, one._name)
@@ -354,8 +411,7 @@ class KernelCompiler(compiler.CompilerBase):
 class InnerCompiler(KernelCompiler):
     """The passes for an inner kernel."""
 
-    library: type[JITCodeLibrary] = InnerLibrary
-    lowering = InnerLowering
+    library = InnerLibrary
 
 
 class PartCompiler(InnerCompiler):

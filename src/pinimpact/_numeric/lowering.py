@@ -139,13 +139,13 @@ class Lowering(lowering.Lower):
 
     def _find_singly_assigned_variable(self) -> None:
         """Find the variables that need no memory of their own, and the arrays that need no count, or one."""
-        super()._find_singly_assigned_variable()
         self._debugged = self._disable_sroa_like_opt
         self._unowned: set[str] = set()
         self._held: dict[str, int] = {}
         self._let_go: dict[int, list[str]] = {}
         self._to_unowned = False
         if self._debugged or self.func_ir.func_id.is_generator:
+            super()._find_singly_assigned_variable()
             return
         blocks = self.func_ir.blocks
         values: dict[str, list[Any]] = {}
@@ -154,16 +154,22 @@ class Lowering(lowering.Lower):
             for inst in block.find_insts(ir.Assign):
                 values.setdefault(inst.target.name, []).append(inst.value)
                 places[inst.target.name] = offset
+        uses = analysis.compute_use_defs(blocks).usemap
+        used: dict[str, int] = {}  # where another block than the one that assigns a variable uses it
+        for offset, others in uses.items():
+            for name in others:
+                used[name] = min(offset, used.get(name, offset))
+        self._blk_local_varmap: dict[str, Any] = {}
+        self._singly_assigned_vars = {
+            name for name, given in values.items() if len(given) == 1 and name not in used
+        }
         self._unowned = self._find_unowned(values)
-        self._held = self._find_held(values, places)
-        self._unowned = self._find_unowned(values)
+        self._held = self._find_held(values, places, uses)
+        if self._held:
+            self._unowned = self._find_unowned(values)
         first = min(blocks)
         if any(first in block.terminator.get_targets() for block in blocks.values()):
             return
-        used: dict[str, int] = {}
-        for offset, names in analysis.compute_use_defs(blocks).usemap.items():
-            for name in names:
-                used[name] = min(offset, used.get(name, offset))
         for name, given in values.items():
             # assigned once, and before all that uses it: on Python's stack, or where the function begins
             before = places[name] < used.get(name, math.inf) and (name[0] == "$" or places[name] == first)
@@ -174,7 +180,9 @@ class Lowering(lowering.Lower):
         """Whether references to what a variable holds are counted."""
         return name not in self._unowned and counted(self.context.data_model_manager, self.typeof(name))
 
-    def _find_held(self, values: dict[str, list[Any]], places: dict[str, int]) -> dict[str, int]:
+    def _find_held(
+        self, values: dict[str, list[Any]], places: dict[str, int], uses: dict[int, set[str]]
+    ) -> dict[str, int]:
         """Return the arrays, and tuples of them, that can as well be held until the function returns.
 
         Each is made once, at the place that comes with it, and nothing uses it, nor returns after it, but by
@@ -183,6 +191,7 @@ class Lowering(lowering.Lower):
         Args:
             values: What each variable is assigned.
             places: Where it is assigned.
+            uses: What each block uses of other blocks.
         """
         blocks = self.func_ir.blocks
         deleted = {inst.value for block in blocks.values() for inst in block.find_insts(ir.Del)}
@@ -200,7 +209,7 @@ class Lowering(lowering.Lower):
         before = graph.dominators()
         ends = [offset for offset, block in blocks.items() if isinstance(block.terminator, ir.Return)]
         users: dict[str, list[int]] = {name: [] for name in found}
-        for offset, names in analysis.compute_use_defs(blocks).usemap.items():
+        for offset, names in uses.items():
             for name in found.keys() & set(names):
                 users[name].append(offset)
 
@@ -215,8 +224,8 @@ class Lowering(lowering.Lower):
             if not all(leads(place, offset) for offset in (*users[name], *after)):
                 del found[name]
         for end in ends:
-            names = [name for name, place in found.items() if leads(place, end)]
-            self._let_go[id(blocks[end].terminator)] = names
+            held = [name for name, place in found.items() if leads(place, end)]
+            self._let_go[id(blocks[end].terminator)] = held
         return found
 
     def _find_unowned(self, values: dict[str, list[Any]]) -> set[str]:

@@ -16,9 +16,11 @@ from unittest.mock import patch
 
 from llvmlite.ir import IRBuilder, Type
 from llvmlite.ir.instructions import InsertValue
-from numba.core import base, event, ir, postproc, transforms
+from numba.core import base, event, ir, postproc, transforms, typeinfer
 from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
+from numba.core.cpu import CPUContext
+from numba.core.errors import ForceLiteralArg, TypingError
 from numba.core.rewrites import rewrite_registry
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import Context
@@ -172,6 +174,58 @@ def _seen_through(original: Callable[..., Any]) -> Callable[..., Any]:
     return extract_value
 
 
+def _once(original: Callable[..., None]) -> Callable[..., None]:
+    """Return `load_additional_registries` that imports and looks through all once for each context."""
+    done: set[Any] = set()
+
+    def load_additional_registries(self: Any) -> None:
+        if self not in done:
+            original(self)
+            done.add(self)
+
+    return load_additional_registries
+
+
+_asked: list[list[Any]] = []
+"""The variables whose types have been asked for, of each constraint that is being looked at."""
+
+
+def _noting(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `TypeVarMap.__getitem__` that notes what is asked for."""
+
+    def getitem(self: Any, name: str) -> Any:
+        found = self.get(name)
+        if found is None:
+            found = original(self, name)
+        if _asked:
+            _asked[-1].append(found)
+        return found
+
+    return getitem
+
+
+def _propagate(self: Any, inferer: Any) -> list[Any]:
+    """`ConstraintNetwork.propagate` that leaves out what would find the same as before."""
+    errors: list[Any] = []
+    settled: dict[int, Any] = self.__dict__.setdefault("settled", {})
+    with inferer.warnings.catch_warnings():
+        for place, constraint in enumerate(self.constraints):
+            if place in settled and all(one.type is kind for one, kind in settled[place]):
+                continue
+            _asked.append([])
+            try:
+                constraint(inferer)
+            except ForceLiteralArg as error:
+                errors.append(error)
+            except TypingError as error:
+                errors.append(TypingError(str(error), loc=constraint.loc, highlighting=False))
+            else:
+                settled[place] = [(one, one.type) for one in _asked[-1]]
+            finally:
+                _asked.pop()
+    return errors
+
+
 _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
     (BaseFunction, "get_call_type", _remembering_types(BaseFunction.get_call_type)),
     (Type, "get_abi_size", _remembering_sizes(Type.get_abi_size)),
@@ -186,6 +240,10 @@ _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
         "find_matching_getattr_template",
         _remembering_attributes(Context.find_matching_getattr_template),
     ),
+    (CPUContext, "load_additional_registries", _once(CPUContext.load_additional_registries)),
+    (Context, "load_additional_registries", _once(Context.load_additional_registries)),
+    (typeinfer.TypeVarMap, "__getitem__", _noting(typeinfer.TypeVarMap.__getitem__)),
+    (typeinfer.ConstraintNetwork, "propagate", _propagate),
     (event, "install_timer", lambda *_: nullcontext()),
     (event, "start_event", _unless_lock(event.start_event)),
     (event, "end_event", _unless_lock(event.end_event)),

@@ -49,11 +49,15 @@ _IMPORTED = {
 
 
 class _Memory:
-    """What parsing has found, by module and hash of its source; in a file, for parsing takes its time."""
+    """What parsing has found, by module and hash of its source; in a file, for parsing takes its time.
+
+    Attributes:
+        known: What has been found so far.
+    """
 
     def __init__(self) -> None:
         self._file: Path | None = None
-        self._known: dict[str, Code] = {}
+        self.known: dict[str, Code] = {}
         self._unsaved = False
 
     def keep_in(self, folder: str) -> None:
@@ -61,7 +65,7 @@ class _Memory:
         if self._file is None:
             self._file = Path(folder, f"{PACKAGE}.{sys.implementation.cache_tag}.json")
             with contextlib.suppress(OSError, ValueError):
-                self._known.update(json.loads(self._file.read_text()))
+                self.known.update(json.loads(self._file.read_text()))
 
     def code(self, module: str) -> Code:
         path = _path(module)
@@ -72,12 +76,12 @@ class _Memory:
         if _IMPORTED.get(path, digest) != digest:  # edited since: what was imported is known by its hash only
             return _IMPORTED[path], _imports(module, path, ast.parse(text))
         key = f"{module} {digest}"
-        if key not in self._known:
+        if key not in self.known:
             tree = ast.parse(text)
             imports = _imports(module, path, tree)
-            self._known[key] = _digest(tree), imports
+            self.known[key] = _digest(tree), imports
             self._unsaved = True
-        return self._known[key]
+        return self.known[key]
 
     def save(self) -> None:
         """Leave what was found to other processes, if there is a folder."""
@@ -87,7 +91,7 @@ class _Memory:
         with contextlib.suppress(OSError):
             handle, name = tempfile.mkstemp(dir=self._file.parent, prefix=PACKAGE)
             with os.fdopen(handle, "w") as file:
-                json.dump(self._known, file)
+                json.dump(self.known, file)
             os.replace(name, self._file)
 
 

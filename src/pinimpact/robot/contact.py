@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,6 @@ class Contact:
     axis: Vector = (0.0, 0.0, 1.0)
     shape: str | None = None
     pair: Contact | None = None
-    constants: Array = field(init=False, repr=False, compare=False)
     law_code: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -106,11 +106,15 @@ class Contact:
                 field="rim",
                 value=self.rim,
             )
+
+    @cached_property
+    def constants(self) -> Array:
+        """The numbers that kernels know the contact by, see `pinimpact.robot._kernels.constants`."""
         constants = np.array(
             [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.direction]
         )
         constants.setflags(write=False)
-        keep(self, "constants", constants)
+        return constants
 
     def _check_kind(self) -> None:
         """Refuse what has no surface, or is not one of a frame's points and a collision shape."""

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from .._numeric.jit import compile_all
 from ..errors import ModelError
 from ._kernels import tree
+from ._kernels.contact_kinematics import contact_axes
 from ._kernels.robot_impact import robot_impact, room_for
 from ._kernels.robot_workspace import (
     FREE_FLYER,
@@ -147,7 +148,7 @@ def tree_of(model: pin.Model) -> Tree | None:
     """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints."""
     if model.nv == 0:
         return None
-    compile_all((robot_impact,), (evaluate_tree,))  # at once, for they are needed one after the other
+    compile_all((robot_impact,), (evaluate_tree,), (contact_axes,))  # what an impact needs, at once
     if not _trusted(model, _disagreement_of_tree):
         return None
     with contextlib.suppress(_ElsewhereError):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
 from ..contact_space.simultaneous import find_policy
-from ..robot._kernels import contact_kinematics, responses, robot_impact
+from ..robot._kernels import contact_kinematics, responses, robot_impact, tree_matrices
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
@@ -353,6 +353,8 @@ def _compile(work: SceneWorkspace, policy: str | None) -> None:
         (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
         (robot_impact.robot_impact,),
         (contact_kinematics.locate,),
+        (contact_kinematics.jacobian,),
+        (tree_matrices.evaluate_tree,),
         (responses.half_solve,),
         (responses.respond,),
         *(_of_groups(policy) if policy else ()),

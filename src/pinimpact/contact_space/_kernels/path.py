@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead, plain_tuple
 from ..._numeric.jit import jit
 from .codes import (
     LAW_MET,
@@ -23,7 +23,7 @@ from .codes import (
     VELOCITY,
 )
 from .contact_problem import PROCEEDS, prepare
-from .ending import finish, no_result, plain, without_impact
+from .ending import Result, finish, no_result, plain, without_impact
 from .ledger import CLOSE_TO_JUMP, close_move, left_to_gain, new_ledger
 from .moves import (
     State,
@@ -51,7 +51,7 @@ VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 
-@ahead(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
+@ahead(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, result=plain_tuple(Result))
 @jit
 def solve_into(
     w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, scratch, trace, path

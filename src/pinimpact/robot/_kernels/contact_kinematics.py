@@ -19,6 +19,7 @@ from .constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
 
+@ahead(float, float, float)
 @jit
 def contact_axes(nx, ny, nz):
     """Return t₁ and t₂ (3 + 3 scalars) of the unit normal n: where the smallest rotation z → n takes x and y.

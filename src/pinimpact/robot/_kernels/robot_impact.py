@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
+from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, released
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
@@ -62,6 +62,7 @@ def room_to_resolve(nv: int) -> int:
 @ahead(
     *(FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS),
     *(float, float, int, FLOATS, FLOATS),
+    result=FOUR,
 )
 @jit
 def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q, v, mu, e, law, room, out):

@@ -165,7 +165,7 @@ def _own_inertia(body, inertia):
     body[21] = a3 * r3 + b3 * r6 + d3 * r9
 
 
-@ahead(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
+@ahead(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
 @separate
 def tree_matrices(work, q, bodies, columns, mass):
     """Evaluate a kinematic tree.
