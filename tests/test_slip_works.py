@@ -105,6 +105,21 @@ def test_creep_where_friction_is_exactly_critical(law):
     assert max(errors) < 1e-14
 
 
+@pytest.mark.parametrize(
+    ("W", "v", "e"),
+    [
+        ([[8.0, -2.0, -4.0], [-2.0, 6.0, 4.0], [-4.0, 4.0, 4.0]], (0.5, 0.0, -1.0), 0.5),
+        ([[6.0, 1.0, 2.0], [1.0, 6.0, 6.0], [2.0, 6.0, 8.0]], (0.5, -1.0, -2.0), 1.0),
+    ],
+)
+def test_no_series_goes_beyond_an_invariant_direction(W, v, e):
+    """The exponent is 1: S has no singularity there, and on the other side slip would be negative."""
+    answer = pinimpact.solve_impact(ImpactProblem(W, v, 2.0, e))
+    P = answer.impulse
+    assert answer.velocity == pytest.approx(np.add(v, np.array(W) @ P), abs=1e-13)
+    assert answer.work.total == pytest.approx(0.5 * P @ (answer.velocity + v), abs=1e-13)
+
+
 AT_THE_PEAK = """
 1.1924616605908076 0.6342174031408756 0.5284050232229097 1.3638662558752335
 0.11139302613225338 0.2624651768112818 1.2745331843750023 2.2871409803202147

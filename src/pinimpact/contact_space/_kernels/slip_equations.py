@@ -164,11 +164,14 @@ def expand(coefficients, p0, polynomials, near):
 
 
 @inner
-def reach(last, h):
-    """Return how far x may go: the last term is then below rounding, and t ≤ 1. (3.11)"""
-    end = 1.0 / abs(h)
+def reach(last, shape):
+    """Return how far x may go: the last term is then below rounding, t ≤ 1, and slip comes there. (3.11)"""
+    end = 1.0 / abs(shape.h)
     if last > 0.0:
         end = min(end, math.exp(math.log(0.5 * EPS / last) * (1.0 / TERMS)))
+    # S may have no singularity at the root of p to which slip converges, and go on beyond it
+    while 1.0 + end * (shape.q1 + end * (shape.q2 + end * (shape.q3 + end * shape.q4))) <= 0.0:
+        end *= 0.5
     return end
 
 

@@ -74,6 +74,8 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
             low = x
         step = leap(now, slope, bend)
         new = x + step
+        if new == x:
+            return x
         if not (low < new < top and i < HASTE):
             if top < math.inf and top - low <= 2.0**-52 * top:
                 return x

@@ -96,7 +96,7 @@ def turning_move(
         )
         whole_series = count == TERMS
         if whole_series:
-            near = reach(last, shape.h)
+            near = reach(last, shape)
         if guess <= near:
             x = seek_near(series, work_series, sought, aim, guess, near)
         if x > 0.0:
@@ -137,7 +137,7 @@ def turning_move(
             # ... or some way towards it
             if not whole_series:
                 count, last, shape = expand(coefficients, turn, polynomials, math.inf)
-            whole = reach(last, shape.h)
+            whole = reach(last, shape)
             end = shape.h * whole
             x = first_root(jam0, jam1, jam2, end, end) / shape.h
             peaks = x < whole
