@@ -15,6 +15,18 @@ def assign(to, values):
 
 
 @inner
+def power(x, k):
+    """Return xᵏ for an integer k ≥ 0."""
+    found = 1.0
+    while k > 0:
+        if k % 2 == 1:
+            found *= x
+        k //= 2
+        x *= x
+    return found
+
+
+@inner
 def ones(n):
     """Return (n,) ones."""
     found = np.empty(n)

@@ -154,7 +154,7 @@ class Lowering(lowering.Lower):
             for inst in block.find_insts(ir.Assign):
                 values.setdefault(inst.target.name, []).append(inst.value)
                 places[inst.target.name] = offset
-        uses = analysis.compute_use_defs(blocks).usemap
+        uses = self.func_ir.variable_lifetime.usedefs.usemap
         used: dict[str, int] = {}  # where another block than the one that assigns a variable uses it
         for offset, others in uses.items():
             for name in others:

@@ -295,9 +295,11 @@ class Lifetimes(FunctionPass):
 
     def run_pass(self, state: Any) -> bool:
         """Mark where variables end."""
-        models = state.targetctx.data_model_manager
+        function, models = state.func_ir, state.targetctx.data_model_manager
+        function.blocks = transforms.canonicalize_cfg(function.blocks)
+        function.variable_lifetime = postproc.VariableLifetime(function.blocks)
         if any(counted(models, kind) for kind in set(state.typemap.values())):
-            postproc.PostProcessor(state.func_ir).run(emit_dels=True)
+            postproc.PostProcessor(function)._insert_var_dels()
         return True
 
 

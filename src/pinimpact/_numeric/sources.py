@@ -71,6 +71,9 @@ class _Memory:
         path = _path(module)
         if path is None:
             return "", []
+        imported = self.known.get(f"{module} {_IMPORTED.get(path)}")
+        if imported is not None:
+            return imported
         text = path.read_bytes()
         digest = _hash(text)
         if _IMPORTED.get(path, digest) != digest:  # edited since: what was imported is known by its hash only

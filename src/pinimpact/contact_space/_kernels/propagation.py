@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
-from ..._numeric.loops import repeated
+from ..._numeric.loops import power, repeated
 from .codes import (
     COMPRESSION,
     FREE,
@@ -544,7 +544,9 @@ def _neglected(series, h):
 @inner
 def _time_power(k, h, pace, root):
     """Return what the coefficient k of a force comes to in an impulse at the end of a step."""
-    return 2.0 * pace * pace * h ** (k + 2) / (k + 2.0) if root else pace * h ** (k + 1) / (k + 1.0)
+    if root:
+        return 2.0 * pace * pace * power(h, k + 2) / (k + 2.0)
+    return pace * power(h, k + 1) / (k + 1.0)
 
 
 @inner

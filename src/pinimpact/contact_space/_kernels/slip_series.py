@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._numeric.jit import inlined, inner
+from ..._numeric.loops import power
 from .slip_equations import Shape, moments
 
 SETTLED = 38.0
@@ -108,7 +109,7 @@ def passed(exponent, start, span):
 @inner
 def fill(z, k, start, span):
     """Return startᵏ(1 − e^{−zL})/z, for z at or close to zero."""
-    whole = start**k
+    whole = power(start, k)
     if z == 0.0:
         return whole * span
     return whole / z if span == math.inf else whole * (-math.expm1(-z * span) / z)
