@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from ..robot._kernels import contact_kinematics, responses, robot_impact, tree_m
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
-from ..robot.pinocchio_bridge import Call, RobotDynamics, call_addresses, robot_dynamics
+from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels import (
     approach,
     closed_set,
@@ -35,7 +34,6 @@ from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
-from .layout import SceneLayout
 from .scene import Scene
 
 STIFF = 1e3
@@ -92,7 +90,7 @@ class SceneDynamics:
         self.contacts = [*contacts, *held]
         self.limits = tuple(limits)
         layout = scene.layout()
-        robot = _robot_for(self, layout, scene, model)
+        robot = layout.dynamics_for(self, model)
         # by address from the kernels, so these must live as long as this
         self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
         control = None
@@ -305,15 +303,6 @@ class SceneDynamics:
         smooth_motion.free_motion_at(self.work, t, q, v, np.array(contacts, dtype=np.int64), *found)
         self.check()
         return found
-
-
-def _robot_for(dynamics: SceneDynamics, layout: SceneLayout, scene: Scene, model: pin.Model) -> RobotDynamics:
-    """Return the dynamics of the robot, for the scene's own model those that an earlier run has left."""
-    if model is not scene.model:
-        return robot_dynamics(model)
-    robot = layout.spare_dynamics.pop() if layout.spare_dynamics else robot_dynamics(model)
-    weakref.finalize(dynamics, layout.spare_dynamics.append, robot).atexit = False
-    return robot
 
 
 _compiled: set[tuple[bool, bool, str | None]] = set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 from ..robot._kernels.constants import CONSTANTS
 from ..robot.contact import Contact, contact_constants
 from ..robot.joint_limits import JointLimit, joint_limits
-from ..robot.names import frame_id
-from ..robot.pinocchio_bridge import RobotDynamics
+from ..robot.names import frame_id, motion_signs
+from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
+
+PAIR_ROUNDING = 1e-8
+"""Part of a pair's size by which it has to stay apart."""
 
 
 class SceneLayout:
@@ -32,7 +36,7 @@ class SceneLayout:
         geometry: The collision shapes.
 
     Attributes:
-        spare_dynamics, spare_data: Dynamics of the robot and Data that earlier runs have left, for the next.
+        spare_data: Data that earlier runs have left, for the next.
     """
 
     def __init__(
@@ -56,10 +60,11 @@ class SceneLayout:
         keys = dict.fromkeys(key for c in every for key in (c.frame, c.plane.body) if key is not None)
         ids = (frame_id(model, key) for key in keys)
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
-        self.spare_dynamics: list[RobotDynamics] = []
+        self._spare_dynamics: list[RobotDynamics] = []
         self.spare_data: list[pin.Data] = []
         self._damping: tuple[bytes, float] | None = None
         self._tables: tuple[tuple[Contact, ...], ContactTables] | None = None
+        self._pair_tables: tuple[tuple[Contact, ...], PairTables] | None = None
 
     def holds_for(self, model: pin.Model) -> bool:
         """Return whether sizes, placements and joint limits of the model are what they were."""
@@ -153,6 +158,41 @@ class SceneLayout:
             self._tables = contacts, self._make_tables(contacts)
         return self._tables[1]
 
+    def pair_tables(self, contacts: tuple[Contact, ...]) -> PairTables:
+        """Return what runs need of contacts of two shapes; not to be changed in place."""
+        if self._pair_tables is None or self._pair_tables[0] != contacts:
+            self._pair_tables = (
+                contacts,
+                self._make_pair_tables([self.pairs[contact] for contact in contacts]),
+            )
+        return self._pair_tables[1]
+
+    def _make_pair_tables(self, pairs: Sequence[ShapePair]) -> PairTables:
+        sides = [side for pair in pairs for side in (pair.a, pair.b)]
+        placed = [
+            side.shape.vertices @ side.in_joint.rotation.T + side.in_joint.translation for side in sides
+        ]
+        last = np.cumsum([len(vertices) for vertices in placed])
+        reaches = np.array([side.shape.reach for side in sides]).reshape(len(pairs), 2)
+        return PairTables(
+            np.concatenate(placed),
+            np.column_stack([np.concatenate([[0], last[1:-1:2]]), last[::2], last[1::2]]),
+            np.array([side.joint for side in sides], dtype=np.int64).reshape(len(pairs), 2),
+            np.array([pair.a.shape.radius + pair.b.shape.radius for pair in pairs]),
+            np.array([side.in_joint.act(side.shape.center) for side in sides]),
+            reaches,
+            np.array([motion_signs(self._model, side.joint, 0) != 0.0 for side in sides], dtype=np.int64),
+            PAIR_ROUNDING * reaches.sum(axis=1),
+        )
+
+    def dynamics_for(self, owner: object, model: pin.Model) -> RobotDynamics:
+        """Return dynamics of the robot, for the scene's own model some that an earlier owner has left."""
+        if model is not self._model:
+            return robot_dynamics(model)
+        robot = self._spare_dynamics.pop() if self._spare_dynamics else robot_dynamics(model)
+        weakref.finalize(owner, self._spare_dynamics.append, robot).atexit = False
+        return robot
+
     def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
         model, count = self._model, len(contacts)
         parts = [contact_constants(model, contact) for contact in contacts]
@@ -171,6 +211,30 @@ class SceneLayout:
             np.array(blocks, dtype=np.int64).reshape(-1, 3),
             np.array(spheres).reshape(-1, CONSTANTS),
         )
+
+
+class PairTables(NamedTuple):
+    """What runs need of p pairs of shapes.
+
+    Attributes:
+        vertices: (m, 3) of the cores, in the axes of their joints.
+        ranges: (p, 3) the first vertex of the first shape, of the second one, and the one after its last.
+        joints: (p, 2) that carry them.
+        radii: (p,) around both cores [m].
+        centers: (2 p, 3) of the shapes, in the axes of their joints.
+        reaches: (p, 2) largest distance of a point from them [m].
+        moves: (2 p, nv) 1 for the velocities that move the shape, else 0.
+        least: (p,) by what they have to stay apart [m].
+    """
+
+    vertices: NDArray[np.float64]
+    ranges: NDArray[np.int64]
+    joints: NDArray[np.int64]
+    radii: NDArray[np.float64]
+    centers: NDArray[np.float64]
+    reaches: NDArray[np.float64]
+    moves: NDArray[np.int64]
+    least: NDArray[np.float64]
 
 
 class ContactTables(NamedTuple):

@@ -9,22 +9,23 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from .._numeric.jit import compile_all
-from ..robot.names import motion_signs
-from ..robot.pinocchio_bridge import robot_dynamics
-from ..robot.shape_pair import ShapePair
+from ..robot._kernels.python_calls import raise_kept_error
+from ..robot.contact import Contact
+from ..robot.pinocchio_bridge import call_addresses
 from ._kernels.pair_bounds import bends, separations
 from .dense_step import DenseStep
+from .layout import SceneLayout
 
 Array = NDArray[np.float64]
-
-ROUNDING = 1e-8
-"""Part of a pair's size by which it has to stay apart."""
 
 PIECES = 8
 """Parts of a step, at most, over which the direction known is tried; a power of two."""
 
 SHORTEST = 1.0 / 65.0
 """Part of a step below which conservative advancement goes on."""
+
+_EVERY = slice(None)
+_FRACTIONS = np.arange(PIECES + 1) / PIECES
 
 
 class PairsApart:
@@ -39,28 +40,17 @@ class PairsApart:
 
     Args:
         model: The robot.
-        pairs: The pairs.
+        layout: Of the scene.
+        pairs: The contacts of two shapes.
     """
 
-    def __init__(self, model: pin.Model, pairs: Sequence[ShapePair]) -> None:
+    def __init__(self, model: pin.Model, layout: SceneLayout, pairs: Sequence[Contact]) -> None:
         compile_all((separations,), (bends,))
-        self._dynamics = robot_dynamics(model)
-        count = len(pairs)
-        sides = [side for pair in pairs for side in (pair.a, pair.b)]
-        placed = [
-            side.shape.vertices @ side.in_joint.rotation.T + side.in_joint.translation for side in sides
-        ]
-        last = np.cumsum([len(vertices) for vertices in placed])
-        self._vertices = np.concatenate(placed)
-        self._ranges = np.column_stack([np.concatenate([[0], last[1:-1:2]]), last[::2], last[1::2]])
-        self._joints = np.array([side.joint for side in sides], dtype=np.int64).reshape(count, 2)
-        self._radii = np.array([pair.a.shape.radius + pair.b.shape.radius for pair in pairs])
-        self._centers = np.array([side.in_joint.act(side.shape.center) for side in sides])
-        self._reaches = np.array([side.shape.reach for side in sides]).reshape(count, 2)
-        self._moves = np.array([motion_signs(model, side.joint, 0) != 0.0 for side in sides], dtype=np.int64)
-        self._least = ROUNDING * self._reaches.sum(axis=1)
-        self._directions = np.zeros((count, 3))
-        self.bends = np.zeros(count)
+        self._dynamics = layout.dynamics_for(self, model)
+        self._tables = layout.pair_tables(tuple(pairs))
+        self._calls = call_addresses([self._dynamics.forward_kinematics])
+        self._directions = np.zeros((len(pairs), 3))
+        self.bends = np.zeros(len(pairs))
 
     def take_over(self, other: PairsApart) -> None:
         """Become what is known of the same pairs elsewhere."""
@@ -73,31 +63,31 @@ class PairsApart:
             step: The step.
             peak: (2, nv) what |v| and |v̇| do not exceed in it.
         """
-        dynamics, every = self._dynamics, slice(None)
-        at_end = self._separations(every, step, step.start + step.h)
+        dynamics, tables = self._dynamics, self._tables
+        found = np.empty((PIECES + 1, len(self.bends)))
+        found[::PIECES] = self._separations(_EVERY, step, _FRACTIONS[::PIECES])
         dynamics.q[:] = step.q
         dynamics.forward_dynamics.function(*dynamics.forward_dynamics.arguments)
         bends(
             dynamics.placements,
-            self._joints,
+            tables.joints,
             dynamics.joint_jacobian,
-            self._centers,
-            self._reaches,
-            self._moves,
+            tables.centers,
+            tables.reaches,
+            tables.moves,
             peak,
             step.h,
             self.bends,
         )
-        found = [self._separations(every, step, step.start), at_end]
+        stride = PIECES
         while True:
-            pieces = len(found) - 1
-            sagging = 0.125 * (step.h / pieces) ** 2 * self.bends
-            apart: NDArray[np.bool_] = np.min(found, axis=0) - sagging > self._least
-            if pieces == PIECES or apart.all():
+            sagging = 0.125 * (step.h * stride / PIECES) ** 2 * self.bends
+            apart: NDArray[np.bool_] = found[::stride].min(axis=0) - sagging > tables.least
+            if stride == 1 or apart.all():
                 return apart
-            between = [step.start + (k + 0.5) * step.h / pieces for k in range(pieces)]
-            for k, t in reversed(list(enumerate(between, start=1))):
-                found.insert(k, self._separations(every, step, t))
+            between = slice(stride // 2, PIECES, stride)
+            found[between] = self._separations(_EVERY, step, _FRACTIONS[between])
+            stride //= 2
 
     def until(self, pair: int, step: DenseStep, normal: Callable[[float], Array]) -> float:
         """Return until when a pair stays apart in the step last looked at [s], as far as that is easily seen.
@@ -110,11 +100,11 @@ class PairsApart:
         one, t, end, width = slice(pair, pair + 1), step.start, step.start + step.h, step.h
         while t < end:
             self._directions[pair] = normal(t)
-            here = self._separations(one, step, t)[0]
+            here = self._separation(one, step, t)
             while width > SHORTEST * step.h:
                 later = min(t + width, end)
-                least = min(here, self._separations(one, step, later)[0])
-                if least - 0.125 * (later - t) ** 2 * self.bends[pair] > self._least[pair]:
+                least = min(here, self._separation(one, step, later))
+                if least - 0.125 * (later - t) ** 2 * self.bends[pair] > self._tables.least[pair]:
                     break
                 width *= 0.5
             else:
@@ -122,14 +112,20 @@ class PairsApart:
             t, width = later, 2.0 * width
         return end
 
-    def _separations(self, which: slice, step: DenseStep, t: float) -> Array:
-        """Return how far pairs are apart at a time, along the directions known [m]."""
-        dynamics = self._dynamics
-        dynamics.q[:], _ = step.at(t)
-        dynamics.forward_kinematics.function(*dynamics.forward_kinematics.arguments)
-        ranges, radii, directions = self._ranges[which], self._radii[which], self._directions[which]
-        found = np.empty(len(radii))
-        separations(
-            dynamics.placements, self._joints[which], self._vertices, ranges, radii, directions, found
+    def _separation(self, one: slice, step: DenseStep, t: float) -> float:
+        """Return how far a pair is apart at a time, along the direction known [m]."""
+        return float(self._separations(one, step, np.array([(t - step.start) / step.h]))[0, 0])
+
+    def _separations(self, which: slice, step: DenseStep, fractions: Array) -> Array:
+        """Return (k, p) how far pairs are apart at fractions (k,) of a step, as they are directed [m]."""
+        dynamics, tables = self._dynamics, self._tables
+        directions = self._directions[which]
+        found = np.empty((len(fractions), len(directions)))
+        went_well = separations(
+            *(self._calls, dynamics.q, dynamics.placements, tables.joints[which], tables.vertices),
+            *(tables.ranges[which], tables.radii[which], directions),
+            *(step.coefficients, step.joints, step.q, step.v, np.ascontiguousarray(fractions), found),
         )
+        if not went_well:
+            raise_kept_error()
         return found

@@ -20,7 +20,6 @@ from ..errors import InputError, SimulationError
 from ..robot.contact import Contact, contact_constants
 from ..robot.convex_pair import Touch, corners_of, follow, gap, touches
 from ..robot.convex_shape import PlacedShape
-from ..robot.names import motion_signs
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ._kernels.contact_forces import FREE
@@ -112,19 +111,16 @@ class ShapeWatch:
                 groups.setdefault(contact.pair, []).append(i)
         if groups:
             self._data = model.createData()
-        self._pairs = [self._watched(layout.pairs[contact], places) for contact, places in groups.items()]
-        if groups:
-            self._apart = PairsApart(model, [watched.pair for watched in self._pairs])
+            self._apart = PairsApart(model, layout, list(groups))
+            moves = layout.pair_tables(tuple(groups)).moves.reshape(len(groups), 2, model.nv) != 0
+        self._pairs = [
+            self._watched(layout.pairs[contact], places, moves[k])
+            for k, (contact, places) in enumerate(groups.items())
+        ]
 
-    def _watched(self, pair: ShapePair, places: list[int]) -> _Watched:
-        model = self._model
-        return _Watched(
-            pair,
-            places,
-            [self._dynamics.contacts[i] for i in places],
-            pair.a.shape.reach + pair.b.shape.reach,
-            np.array([motion_signs(model, joint, 0) != 0.0 for joint in (pair.a.joint, pair.b.joint)]),
-        )
+    def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:
+        blanks = [self._dynamics.contacts[i] for i in places]
+        return _Watched(pair, places, blanks, pair.a.shape.reach + pair.b.shape.reach, supports)
 
     def __bool__(self) -> bool:
         return bool(self._pairs)

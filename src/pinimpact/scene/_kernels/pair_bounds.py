@@ -8,31 +8,58 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, ahead
+import numpy as np
+
+from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
 from ...robot._kernels.contact_kinematics import column
 from ...robot._kernels.placement import place, rotate_back
+from ...robot._kernels.python_calls import call
+from .dense_output import state
 
 
-@ahead(FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
+@ahead(
+    *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
+    *(FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS),
+)
 @jit
-def separations(placements, joints, vertices, ranges, radii, directions, out):
-    """Fill how far pairs are apart along unit directions, (15.5) [m].
+def separations(
+    calls, q, placements, joints, vertices, ranges, radii, directions,
+    coefficients, charts, q0, v0, fractions, out,
+):  # fmt: skip
+    """Fill how far pairs are apart along unit directions at some times of a step, (15.5) [m].
 
     Args:
-        placements, joints: See above.
+        calls: (2,) addresses of what computes placements at q, and of its arguments, see `python_calls`.
+        q: (nq,) where it reads them.
+        placements: See above, as of joints.
+        joints: See above.
         vertices: (m, 3) of the cores, in the axes of their joints.
         ranges: (p, 3) the first vertex of the first shape, of the second one, and the one after its last.
         radii: (p,) around both cores [m].
         directions: (p, 3) from the second shape to the first, in world axes.
-        out: (p,) takes the distances.
+        coefficients: Dense output of the step, see `dense_output.interpolate`.
+        charts: Table of the configuration space.
+        q0: (nq,) configuration at its start.
+        v0: (nv,) velocity there.
+        fractions: (k,) of the step.
+        out: (k, p) takes the distances.
+
+    Returns:
+        Whether the calls went well.
     """
-    for k in range(len(joints)):
-        d = directions[k]
-        first, middle, last = ranges[k, 0], ranges[k, 1], ranges[k, 2]
-        low, _ = extremes(placements[joints[k, 0]], vertices[first:middle], d)
-        _, high = extremes(placements[joints[k, 1]], vertices[middle:last], d)
-        out[k] = low - high - radii[k]
+    v = np.empty(len(v0))
+    for f in range(len(fractions)):
+        state(coefficients, fractions[f], charts, q0, v0, q, v)
+        if not call(calls[0], calls[1]):
+            return False
+        for k in range(len(joints)):
+            d = directions[k]
+            first, middle, last = ranges[k, 0], ranges[k, 1], ranges[k, 2]
+            low, _ = extremes(placements[joints[k, 0]], vertices[first:middle], d)
+            _, high = extremes(placements[joints[k, 1]], vertices[middle:last], d)
+            out[f, k] = low - high - radii[k]
+    return True
 
 
 @inner
