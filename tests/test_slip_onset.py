@@ -52,6 +52,22 @@ def test_the_onset_of_slip_takes_few_steps():
     assert trajectory.statistics["steps"] < 50  # an explicit method needs hundreds at the onset
 
 
+def test_slip_of_four_corners_whose_loads_follow_its_direction_takes_few_steps():
+    """Friction tips the box, so a turn of it changes all the loads, which are not unique; their sum stays."""
+    corners = [(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.06, 0.06)]
+    box = free_body(pin.Inertia(MASS, np.array([0.0, 0.0, 0.15]), np.diag([0.02, 0.02, 0.02])), corners)
+
+    def control(t, q, v):
+        return np.append(pin.Quaternion(q[3:]).matrix().T @ turning(t), np.zeros(3))
+
+    scene = Scene(box, [Contact(f"tip{k}", FLOOR, friction=MU) for k in range(4)], control=control)
+    trajectory = run(scene, [0, 0, 0, 0, 0, 0, 1], np.zeros(6), START + 0.3, rtol=1e-7)
+    assert trajectory.statistics["steps"] < 60  # 3000, if the loads did not follow
+    # the loads turn it a little, so it is a point mass only nearly
+    velocity = reference(START + 0.3)[1]
+    assert trajectory.v[-1, :2] == pytest.approx(velocity, abs=1e-2 * np.linalg.norm(velocity))
+
+
 def test_slip_begins_at_one_contact_while_another_one_is_fast():
     """A force turns by 2 rad within 2·10⁻⁷ s, and another body slides at 100 km/s."""
     rate, model = 1e7, pin.Model()

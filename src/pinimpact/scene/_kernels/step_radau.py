@@ -61,10 +61,11 @@ def turn(work, k, s1, s2, across, effect):
         for j in range(n):
             total -= equations[m, j] * effect[j]
         change[m] = total
-    if solve(work.system, change, reaction, RANK) != 0:
-        for m in range(size):
-            for j in range(n):
-                effect[j] += response[m, j] * reaction[m]
+    if not work.forces_unique or solve(work.system, change, reaction, RANK) == 0:
+        least_norm(work.system, change, work.rank_tolerance, reaction, np.empty((0, size)))
+    for m in range(size):
+        for j in range(n):
+            effect[j] += response[m, j] * reaction[m]
 
 
 @jit
