@@ -328,6 +328,18 @@ def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
     assert call(team)[0] == [7.0, 130.0, -3.0]
 
 
+def test_whoever_comes_too_late_to_a_kernel_goes_on_with_others(team: Path) -> None:
+    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=float)")
+    late = (
+        "jobs.sort(key=lambda job: job.name != 'shifted')\nlooks, look = [], company.Company._is_claimed\n"
+        "def unseen(self, job):\n    looks.append(job)\n"
+        "    return len(looks) > len(jobs) and look(self, job)\n"
+        "company.Company._is_claimed = unseen\nwith event.install_recorder("
+    )
+    raced = SHARED.replace("with event.install_recorder(", late)
+    assert python(team, raced).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
+
+
 def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=int)")
     with pytest.raises(subprocess.CalledProcessError) as raised:

@@ -194,6 +194,21 @@ def extremes(x, y, i, j):
     )
 
 
+def reshaped(a, n):
+    """Views in other shapes: of arguments, of what is made here, and of both in turn."""
+    rows = a.reshape((n, 3))
+    rows[-1, 1] = 7.0
+    cube = np.arange(4.0 * n).reshape(2, n, 2)
+    return (
+        rows.T[1, 0],
+        rows[1:].reshape((3, n - 1))[1, -1],
+        cube[1, 0, 1],
+        cube.reshape(-1)[3],
+        a[-2],
+        rows.shape[1],
+    )
+
+
 def half(pair):
     """Take arrays that are lent."""
     return 0.5 * pair.rows[1, -1] + pair.last[-1] + pair.factor + len(pair.rows) * pair.last.size
@@ -250,6 +265,8 @@ CASES = [
     (made_here, lambda: (4,)),
     (early, lambda: (np.array([2.5, 2.0]),)),
     (early, lambda: (np.array([0.1, 2.0]),)),
+    (reshaped, lambda: (np.arange(12.0), 4)),
+    (reshaped, lambda: (np.arange(20.0)[5:], 5)),
 ]
 
 
@@ -272,6 +289,14 @@ def test_a_kernel_does_what_python_does(function, arguments):
         assert np.array_equal(np.signbit(one), np.signbit(other))
     for one, other in zip(parts(ours), parts(theirs), strict=True):  # what was written into arguments
         assert np.array_equal(one, other, equal_nan=True)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (0, 5), (-2, -2), (4, 0)])
+def test_a_shape_of_another_size_is_an_error(shape):
+    kernel = compiled(lambda a, m, n: a.reshape((m, n))[0, 0])
+    assert kernel(np.ones(4), 2, 2) == 1.0
+    with pytest.raises(ValueError, match="total size"):
+        kernel(np.ones(4), *shape)
 
 
 def test_what_a_kernel_returns_outlives_it():

@@ -328,6 +328,8 @@ class Lowering(lowering.Lower):
                 self.storevar(self.loadvar(value.name), name)
             else:
                 self.storevar(self.lower_assign(self.typeof(name), inst), name)
+        elif type(inst) is ir.Del and not self._debugged:
+            self.delvar(inst.value)
         else:
             if type(inst) is ir.Return:
                 for name in self._let_go.get(id(inst), ()):
@@ -518,6 +520,8 @@ class Lowering(lowering.Lower):
         if known is not None:
             found = self._known_call(called, known.return_type, expr, kinds)
             return self.context.cast(self.builder, found, known.return_type, resty)
+        if called == "array.reshape" and not expr.kws:
+            return self._reshaped(resty, self.typeof(expr.func.name).this, expr)
         if called not in (range, len, bool) or expr.kws:
             return None
         if called is len:
@@ -562,6 +566,36 @@ class Lowering(lowering.Lower):
         data = builder.bitcast(data, context.get_data_type(kind.dtype).as_pointer())
         parent = context.get_constant_null(types.pyobject)
         return view(context, builder, kind, (meminfo, parent), width, data, shape, strides[::-1])
+
+    def _reshaped(self, resty: Any, kind: Any, expr: Any) -> Any:
+        """Lower the view of a contiguous array in another shape, whose lengths are all told."""
+        forms = [self.typeof(one.name) for one in expr.args]
+        if len(forms) == 1 and isinstance(forms[0], types.BaseTuple):
+            forms = list(forms[0].types)
+        told = all(is_index(one) and getattr(one, "literal_value", 0) >= 0 for one in forms)
+        if not told or not kind.layout == resty.layout == "C" or not self._has(kind, ARRAY):
+            return None
+        builder, array = self.builder, self.loadvar(expr.func.name)
+        shape = [length for one in expr.args for length in self._indices(one)]
+        itemsize = builder.extract_value(array, ITEMSIZE)
+        strides, count = [itemsize], shape[-1]
+        for length in shape[-2::-1]:
+            strides.append(builder.mul(itemsize, count))
+            count = builder.mul(count, length)
+        wrong = builder.icmp_signed("!=", count, builder.extract_value(array, NITEMS))
+        for length in shape:
+            if _constant(length) is None:
+                wrong = builder.or_(wrong, builder.icmp_signed("<", length, _INTEGER(0)))
+        with builder.if_then(wrong, likely=False):
+            told_wrongly = ("total size of new array must be unchanged",)
+            self.call_conv.return_user_exc(
+                builder, ValueError, told_wrongly, self.loc, self.func_ir.func_id.func_name
+            )
+        owner = builder.extract_value(array, MEMINFO), builder.extract_value(array, PARENT)
+        data = builder.extract_value(array, DATA)
+        found = view(self.context, builder, resty, owner, itemsize, data, shape, strides[::-1])
+        self.incref(resty, found)
+        return found
 
     def _binary(self, resty: Any, expr: Any) -> Any:
         """Lower a sum, product, quotient or comparison of two numbers of one type."""
