@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -28,6 +29,11 @@ _EVERY = slice(None)
 _FRACTIONS = np.arange(PIECES + 1) / PIECES
 
 
+@functools.cache
+def _compile() -> None:
+    compile_all((separations,), (bends,))
+
+
 class PairsApart:
     """What is known of each pair: a direction along which it is apart, and how its points move in a step.
 
@@ -45,7 +51,7 @@ class PairsApart:
     """
 
     def __init__(self, model: pin.Model, layout: SceneLayout, pairs: Sequence[Contact]) -> None:
-        compile_all((separations,), (bends,))
+        _compile()
         self._dynamics = layout.dynamics_for(self, model)
         self._tables = layout.pair_tables(tuple(pairs))
         self._calls = call_addresses([self._dynamics.forward_kinematics])
