@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -25,7 +26,23 @@ SHORTEST = 1.0 / 65.0
 """Part of a step below which conservative advancement goes on."""
 
 _EVERY = slice(None)
-_FRACTIONS = np.arange(PIECES + 1) / PIECES
+_ONE, _FIRST = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
+
+
+def _samples(rows: range) -> tuple[Array, NDArray[np.int64]]:
+    return np.array(rows) / PIECES, np.array(rows, dtype=np.int64)
+
+
+_BETWEEN = [_samples(range(0, PIECES + 1, PIECES))]
+"""Fractions of a step, its ends first, then what halves its pieces; and their places among all."""
+_BETWEEN += [
+    _samples(range(k // 2, PIECES, k)) for k in (PIECES >> n for n in range(PIECES.bit_length() - 1))
+]
+
+
+@functools.cache
+def _compile() -> None:
+    compile_all((separations,), (bends,))
 
 
 class PairsApart:
@@ -45,7 +62,7 @@ class PairsApart:
     """
 
     def __init__(self, model: pin.Model, layout: SceneLayout, pairs: Sequence[Contact]) -> None:
-        compile_all((separations,), (bends,))
+        _compile()
         self._dynamics = layout.dynamics_for(self, model)
         self._tables = layout.pair_tables(tuple(pairs))
         self._calls = call_addresses([self._dynamics.forward_kinematics])
@@ -64,8 +81,9 @@ class PairsApart:
             peak: (2, nv) what |v| and |v̇| do not exceed in it.
         """
         dynamics, tables = self._dynamics, self._tables
-        found = np.empty((PIECES + 1, len(self.bends)))
-        found[::PIECES] = self._separations(_EVERY, step, _FRACTIONS[::PIECES])
+        found = np.full((PIECES + 1, len(self.bends)), np.inf)
+        apart = np.zeros(len(self.bends), dtype=np.bool_)
+        self._separations(_EVERY, step, *_BETWEEN[0], ~apart, found)
         dynamics.q[:] = step.q
         dynamics.forward_dynamics.function(*dynamics.forward_dynamics.arguments)
         bends(
@@ -80,14 +98,16 @@ class PairsApart:
             self.bends,
         )
         stride = PIECES
-        while True:
+        for between in _BETWEEN[1:]:
             sagging = 0.125 * (step.h * stride / PIECES) ** 2 * self.bends
-            apart: NDArray[np.bool_] = found[::stride].min(axis=0) - sagging > tables.least
-            if stride == 1 or apart.all():
+            apart |= found[::stride].min(axis=0) - sagging > tables.least
+            if apart.all():
                 return apart
-            between = slice(stride // 2, PIECES, stride)
-            found[between] = self._separations(_EVERY, step, _FRACTIONS[between])
+            self._separations(_EVERY, step, *between, ~apart, found)
             stride //= 2
+        sagging = 0.125 * (step.h / PIECES) ** 2 * self.bends
+        apart |= found.min(axis=0) - sagging > tables.least
+        return apart
 
     def until(self, pair: int, step: DenseStep, normal: Callable[[float], Array]) -> float:
         """Return until when a pair stays apart in the step last looked at [s], as far as that is easily seen.
@@ -114,18 +134,25 @@ class PairsApart:
 
     def _separation(self, one: slice, step: DenseStep, t: float) -> float:
         """Return how far a pair is apart at a time, along the direction known [m]."""
-        return float(self._separations(one, step, np.array([(t - step.start) / step.h]))[0, 0])
+        found = np.empty((1, 1))
+        self._separations(one, step, np.array([(t - step.start) / step.h]), _FIRST, _ONE, found)
+        return float(found[0, 0])
 
-    def _separations(self, which: slice, step: DenseStep, fractions: Array) -> Array:
-        """Return (k, p) how far pairs are apart at fractions (k,) of a step, as they are directed [m]."""
+    def _separations(
+        self,
+        which: slice,
+        step: DenseStep,
+        fractions: Array,
+        rows: NDArray[np.int64],
+        wanted: NDArray[np.bool_],
+        found: Array,
+    ) -> None:
+        """Fill rows of `found` with how far pairs are apart at fractions of a step; see `separations`."""
         dynamics, tables = self._dynamics, self._tables
-        directions = self._directions[which]
-        found = np.empty((len(fractions), len(directions)))
         went_well = separations(
             *(self._calls, dynamics.q, dynamics.placements, tables.joints[which], tables.vertices),
-            *(tables.ranges[which], tables.radii[which], directions),
-            *(step.coefficients, step.joints, step.q, step.v, np.ascontiguousarray(fractions), found),
+            *(tables.ranges[which], tables.radii[which], self._directions[which]),
+            *(step.coefficients, step.joints, step.q, step.v, fractions, wanted, rows, found),
         )
         if not went_well:
             raise_kept_error()
-        return found

@@ -244,7 +244,8 @@ class SceneImpacts:
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
-        least = self._dynamics.work.least_approach
+        work = self._dynamics.work  # what is closed already has a rate only by the error of steps
+        least = max(work.least_approach, work.certain_speed)
         parts = np.empty(len(touching), dtype=np.int64)
         place, rates = touching.index(first), velocity[:, 2].copy()
         felt = taking_part(matrices.delassus, friction, rates, least, place, parts)

@@ -105,17 +105,18 @@ class ShapeWatch:
         self._model = model
         self._dynamics, self._work = dynamics, dynamics.work
         self.tolerance = 0.0
-        groups: dict[Contact, list[int]] = {}
+        groups: dict[int, tuple[Contact, list[int]]] = {}  # places, by the contact that they are of
         for i, contact in enumerate(dynamics.contacts):
             if contact.pair is not None:
-                groups.setdefault(contact.pair, []).append(i)
-        if groups:
+                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
+        pairs = tuple(pair for pair, _ in groups.values())
+        if pairs:
             self._data = model.createData()
-            self._apart = PairsApart(model, layout, list(groups))
-            moves = layout.pair_tables(tuple(groups)).moves.reshape(len(groups), 2, model.nv) != 0
+            self._apart = PairsApart(model, layout, pairs)
+            moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
         self._pairs = [
-            self._watched(layout.pairs[contact], places, moves[k])
-            for k, (contact, places) in enumerate(groups.items())
+            self._watched(layout.pairs[pair], places, moves[k])
+            for k, (pair, places) in enumerate(groups.values())
         ]
 
     def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
+from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
 from ...robot._kernels.contact_kinematics import column
 from ...robot._kernels.placement import place, rotate_back
@@ -20,12 +20,12 @@ from .dense_output import state
 
 @ahead(
     *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
-    *(FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS),
+    *(FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLAGS, INTEGERS, FLOAT_ROWS),
 )
 @jit
 def separations(
     calls, q, placements, joints, vertices, ranges, radii, directions,
-    coefficients, charts, q0, v0, fractions, out,
+    coefficients, charts, q0, v0, fractions, wanted, rows, out,
 ):  # fmt: skip
     """Fill how far pairs are apart along unit directions at some times of a step, (15.5) [m].
 
@@ -43,7 +43,9 @@ def separations(
         q0: (nq,) configuration at its start.
         v0: (nv,) velocity there.
         fractions: (k,) of the step.
-        out: (k, p) takes the distances.
+        wanted: (p,) of which pairs.
+        rows: (k,) where the distances of these go,
+        out: (m, p) in this.
 
     Returns:
         Whether the calls went well.
@@ -54,11 +56,13 @@ def separations(
         if not call(calls[0], calls[1]):
             return False
         for k in range(len(joints)):
+            if not wanted[k]:
+                continue
             d = directions[k]
             first, middle, last = ranges[k, 0], ranges[k, 1], ranges[k, 2]
             low, _ = extremes(placements[joints[k, 0]], vertices[first:middle], d)
             _, high = extremes(placements[joints[k, 1]], vertices[middle:last], d)
-            out[f, k] = low - high - radii[k]
+            out[rows[f], k] = low - high - radii[k]
     return True
 
 
