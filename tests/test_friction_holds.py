@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact import Contact, Event, Plane, Scene, simulate
 
 from .scene_models import G, free_body, slider, unbounded
 from .stick_slip import Swing, stick_slip
@@ -176,3 +176,25 @@ def test_a_box_near_the_friction_angle(excess):
     moved = float(np.linalg.norm(trajectory.q[-1, :3] - q0[:3]))
     assert moved == pytest.approx(0.5 * max(0.0, -excess) * G * math.sin(slope), abs=1e-8)
     assert not any("jam" in note.text for note in trajectory.notes)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_plate_tips_when_its_load_leaves_its_corners_whatever_happens_before(friction):
+    """Where the load comes near an edge, forces of least norm leave one corner without any before it tips."""
+    half, width, mass, side = 0.3, 0.2, 2.0, 0.5
+    corners = [(x, y, 0.0) for x in (-half, half) for y in (-width, width)]
+    plate = free_body(pin.Inertia(mass, np.array([0.0, 0.0, 0.02]), np.diag([0.03, 0.05, 0.08])), corners)
+
+    def control(t, q, v):  # moves the centre of pressure to (t half, side width)
+        return mass * G * np.array([0.0, 0.0, 0.0, -side * width, t * half, 0.0])
+
+    def reaches(t, q, v):
+        return t - 0.8
+
+    contacts = [Contact(f"tip{k}", Plane(), friction=friction) for k in range(4)]
+    scene = Scene(plate, contacts, control=control, events=[Event(reaches, lambda t, q, v: v)])
+    trajectory = simulate(scene, [0, 0, 0, 0, 0, 0, 1], np.zeros(6), 1.05, rtol=1e-6)
+    lifted = [m.end for m in trajectory.modes if m.end < 1.05]
+    assert lifted == pytest.approx([1.0, 1.0], abs=1e-5)
+    times = np.linspace(0.81, 0.99, 10)
+    assert min(trajectory.forces(f"tip{k} on plane", times)[:, 2].min() for k in range(4)) > -1e-6

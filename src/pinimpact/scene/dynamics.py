@@ -238,9 +238,10 @@ class SceneDynamics:
     @property
     def forces_doubtful(self) -> bool:
         """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
-        margin: float = force_bound.margin_of_forces(self.work)
         largest = float(np.abs(self.work.solution).max(initial=0.0))
-        return margin <= 2.0 * self.work.force_tolerance + DOUBTFUL * largest
+        doubtful = 2.0 * self.work.force_tolerance + DOUBTFUL * largest
+        margin: float = force_bound.margin_of_forces(self.work, doubtful)
+        return margin <= doubtful
 
     @property
     def constrained(self) -> bool:
@@ -333,7 +334,7 @@ def _compile(work: SceneWorkspace, policy: str | None) -> None:
         (contact_modes.set_modes, work, 0.0, q, v, numbers),
         (smooth_motion.begin, work, 0.0, q, v),
         (smooth_motion.modes_go_on, work),
-        (force_bound.margin_of_forces, work),
+        (force_bound.margin_of_forces, work, 0.0),
         (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
         (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
         (drifting.correct_drift, work, 0.0, q, v),

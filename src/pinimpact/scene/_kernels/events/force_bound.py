@@ -22,17 +22,18 @@ CONSEQUENCE = MODE_CHANGE
 def value(work, _, t):
     """Return by how much forces can keep to what their modes allow, at the state that is set."""
     evaluate(work, t, np.empty(len(work.v) + 4))
-    return max(margin_of_forces(work), -1e300), 0.0
+    return max(margin_of_forces(work, 0.0), -1e300), 0.0
 
 
 @jit
-def margin_of_forces(work):
+def margin_of_forces(work, enough):
     """Return by how much forces can keep to what their modes allow, at the state last evaluated.
 
     It is forces with the same motion that count, see `force_choice`, and those that are found are kept.
+    Others than those that act are looked for where the margin of these is not `enough`.
     """
     margin = work.force_margin
-    if margin < 0.0 and not work.forces_unique:
+    if margin < enough and not work.forces_unique:
         margin = widest_margin(work, SAME_MOTION, work.inner_forces) + work.force_tolerance
     return margin
 
