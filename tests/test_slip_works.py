@@ -105,6 +105,13 @@ def test_creep_where_friction_is_exactly_critical(law):
     assert max(errors) < 1e-14
 
 
+def test_events_are_found_to_rounding():
+    """Where slip settles and P₃ grows late, trials converge as fast as elsewhere."""
+    W = np.array([[6.0, -4.0, -2.0], [-4.0, 6.0, 6.0], [-2.0, 6.0, 9.0]])
+    *errors, _, _ = compare(W, (1.0, -0.5, -1.0), 1.25, 0.25, "poisson")
+    assert max(errors[:2]) < 3e-15
+
+
 def test_growth_that_takes_its_time():
     """Along an invariant direction of exponent −1e-9 nothing happens at first; the law is met at L = 1e10."""
     W = np.array([[3.09796015116312, 0.31287839997415345, -2.522880500633492], [0, 0, 0], [0, 0, 0]])

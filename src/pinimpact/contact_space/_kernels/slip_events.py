@@ -74,7 +74,9 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
             top = x
         else:
             low = x
-        step = leap(now, slope, settling if bend < 0.0 < settling and not beyond else bend)
+        # an exponential that falls may never come there
+        out_of_sight = not beyond and bend * now / slope > 0.9
+        step = leap(now, slope, settling if out_of_sight and settling > 0.0 else bend)
         new = x + step
         if new == x:
             return x
