@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
+from pinimpact.contact_space._kernels import batch as kernels
 from pinimpact.status import Status
 
 from . import robot_cases as cases
@@ -74,6 +75,14 @@ def test_many_configurations_and_works(rng):
     ]
     assert hits.work.total == pytest.approx(change, rel=1e-10, abs=1e-11)
     assert (hits.work.friction <= 0).all()
+
+
+def test_works_of_robots_are_found_by_solving_once(rng, monkeypatch):
+    model, data, q, v, contact = arm(rng, 5)
+    hits, solve, calls = pinimpact.impacts(model, data, q, v, contact), kernels.solve_rows, []
+    monkeypatch.setattr(kernels, "solve_rows", lambda *given: (calls.append(given), solve(*given)))
+    assert hits.work.friction.shape == (5,)
+    assert len(calls) == 1
 
 
 def test_a_row_is_a_hit(rng):

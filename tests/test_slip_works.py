@@ -105,6 +105,24 @@ def test_creep_where_friction_is_exactly_critical(law):
     assert max(errors) < 1e-14
 
 
+def test_events_are_found_to_rounding():
+    """Where slip settles and P₃ grows late, trials converge as fast as elsewhere."""
+    W = np.array([[6.0, -4.0, -2.0], [-4.0, 6.0, 6.0], [-2.0, 6.0, 9.0]])
+    *errors, _, _ = compare(W, (1.0, -0.5, -1.0), 1.25, 0.25, "poisson")
+    assert max(errors[:2]) < 3e-15
+
+
+def test_growth_that_takes_its_time():
+    """Along an invariant direction of exponent −1e-9 nothing happens at first; the law is met at L = 1e10."""
+    W = np.array([[3.09796015116312, 0.31287839997415345, -2.522880500633492], [0, 0, 0], [0, 0, 0]])
+    W[1] = W[0, 1], 0.031599145526461175, -0.25479824737781726
+    W[2] = W[0, 2], W[1, 2], 2.0545538754309507
+    v = 2.190348970761567, 0.2211892561475449, -1.783615913450448
+    answer = pinimpact.solve_impact(ImpactProblem(W, v, 0.9999204507916118, 0.1312352554190197, "newton"))
+    assert answer.velocity[2] == pytest.approx(-0.1312352554190197 * v[2], rel=1e-14)
+    assert answer.velocity == pytest.approx(np.add(v, W @ answer.impulse), abs=1e-6)  # of 5e7
+
+
 @pytest.mark.parametrize(
     ("W", "v", "e"),
     [

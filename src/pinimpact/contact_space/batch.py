@@ -149,10 +149,18 @@ def solve_impacts(
 
 
 def solve_factored(
-    delassus: Array, velocity: Array, mu: Array, e: Array, law: str, scales: Array, factors: Array
+    delassus: Array,
+    velocity: Array,
+    mu: Array,
+    e: Array,
+    law: str,
+    scales: Array,
+    factors: Array,
+    threads: int = 1,
+    work: bool = False,
 ) -> BatchSolution:
     """Do what `solve_impacts` does, for arrays with one row for each problem and factors (N, FACTOR) of W."""
-    return BatchSolution((delassus, velocity, mu, e, law_code(law), scales, factors), 1)
+    return BatchSolution((delassus, velocity, mu, e, law_code(law), scales, factors), threads, work)
 
 
 def _numbers(field: str, value: ArrayLike) -> Array:

@@ -58,8 +58,9 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     elif counts == VELOCITY:
         span = -f_low / rate
     slope, bend = beginning(series)
-    # where slip settles, P₃ comes to grow like e^{−aL}
-    x = leap(-span, slope, max(bend, -series.shape.exponent) if high == math.inf else bend)
+    # where slip settles, P₃ comes to grow like e^{−aL}, though it may not do so at first
+    settling = -series.shape.exponent if high == math.inf else -math.inf
+    x = leap(-span, slope, max(bend, settling))
     if not 0.0 < x < high:
         x = 0.5
         if high < math.inf:
@@ -68,11 +69,14 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
         now, slope, bend = measure(series, work_series, counts, aim, x)
         if now == 0.0:
             return x
-        if (now > 0.0) == (f_high > 0.0):
+        beyond = (now > 0.0) == (f_high > 0.0) or math.isnan(now)  # infinite less infinite
+        if beyond:
             top = x
         else:
             low = x
-        step = leap(now, slope, bend)
+        # an exponential that falls may never come there
+        out_of_sight = not beyond and bend * now / slope > 0.9
+        step = leap(now, slope, settling if out_of_sight and settling > 0.0 else bend)
         new = x + step
         if new == x:
             return x
