@@ -421,6 +421,23 @@ def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
     assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
 
 
+@inner
+def longer(length, more):
+    return length + 1 if more else length
+
+
+@jit
+def grown(n):
+    length = 0  # a constant for numba, until it has seen what becomes of it
+    for k in range(n):
+        length = longer(length, k % 2 == 0)
+    return length
+
+
+def test_what_follows_from_itself_is_no_constant() -> None:
+    assert grown(9) == 5
+
+
 def test_what_is_kept_is_loaded_without_what_compiles(package: Path) -> None:
     imported = "\nimport sys\nprint('numba.np.linalg' in sys.modules)"
     assert python(package, CALL + imported).stdout.endswith("True\n")

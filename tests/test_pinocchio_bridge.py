@@ -294,7 +294,7 @@ def test_an_error_inside_pinocchio_is_the_one_that_is_seen(monkeypatch):
         robot.forward_dynamics = bridge.Call(broken, ())
         return robot
 
-    monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
+    monkeypatch.setattr("pinimpact.scene.layout.robot_dynamics", robot_dynamics)
     with pytest.raises(MemoryError, match="no room"):
         simulate(Scene(pendulum()), [1.0], [0.0], 1.0)
 
@@ -358,7 +358,7 @@ def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
         )
         return hit
 
-    monkeypatch.setattr("pinimpact.scene.dynamics.robot_dynamics", robot_dynamics)
+    monkeypatch.setattr("pinimpact.scene.layout.robot_dynamics", robot_dynamics)
     monkeypatch.setattr("pinimpact.scene.scene_impacts.impact", impact)
     floor = Plane(point=(0, 0, -0.9))
     simulate(Scene(pendulum(), [Contact("tip", floor, restitution=0.5)]), [1.0], [0.0], 0.5)

@@ -186,8 +186,8 @@ def _once(original: Callable[..., None]) -> Callable[..., None]:
     return load_additional_registries
 
 
-_asked: list[list[Any]] = []
-"""The variables whose types have been asked for, of each constraint that is being looked at."""
+_asked: list[list[tuple[Any, Any]]] = []
+"""The variables asked for, and their types then, of each constraint that is being looked at."""
 
 
 def _noting(original: Callable[..., Any]) -> Callable[..., Any]:
@@ -198,7 +198,7 @@ def _noting(original: Callable[..., Any]) -> Callable[..., Any]:
         if found is None:
             found = original(self, name)
         if _asked:
-            _asked[-1].append(found)
+            _asked[-1].append((found, found.type))
         return found
 
     return getitem
@@ -220,7 +220,9 @@ def _propagate(self: Any, inferer: Any) -> list[Any]:
             except TypingError as error:
                 errors.append(TypingError(str(error), loc=constraint.loc, highlighting=False))
             else:
-                settled[place] = [(one, one.type) for one in _asked[-1]]
+                # not where what it has asked for is of another type now, as x = f(x) makes it
+                if all(kind is None or one.type is kind for one, kind in _asked[-1]):
+                    settled[place] = [(one, one.type) for one, _ in _asked[-1]]
             finally:
                 _asked.pop()
     return errors
