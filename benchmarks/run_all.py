@@ -1,9 +1,9 @@
-"""Make all figures of docs/accuracy.md anew, one after the other, each in its own process on one thread.
+"""Make all figures of docs/accuracy.md and docs/many-contacts.md anew, one after the other.
 
     python benchmarks/run_all.py
 
-or, with names of benchmarks as arguments, only theirs. The tables in the page are replaced by those just
-measured.
+or, with names of benchmarks as arguments, only theirs. Each runs in its own process on one thread. The tables
+in the pages are replaced by those just measured.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+PAGES = ROOT / "docs" / "accuracy.md", ROOT / "docs" / "many-contacts.md"
 NAMES = (
     "speed",
     "many_contacts",
@@ -51,4 +52,5 @@ if __name__ == "__main__":
             env=dict(os.environ, **ONE_THREAD),
             check=True,
         )
-    refresh(ROOT / "docs" / "accuracy.md")
+    for page in PAGES:
+        refresh(page)
