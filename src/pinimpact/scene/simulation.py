@@ -449,13 +449,13 @@ class Motion:
                 method = step_radau
             elif trial * work.drive_rate > step_drives.STIFF:
                 method = step_drives
-            low_order = method is step_dop853 and trial == left and self._cut_short
-            work.low_order = low_order = low_order and self.steps >= self._low_order_from
+            cut_short = self._cut_short and trial == left
+            work.low_order = cut_short and method is step_dop853 and self.steps >= self._low_order_from
             error = method.attempt(work, t, trial, self.rtol, self.atol)
             self.dynamics.check()
             if error > 1.0:
                 self.rejected += 1
-                if low_order:
+                if work.low_order:
                     self._low_order_from = self.steps + HIGH_ORDER
                     continue
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
