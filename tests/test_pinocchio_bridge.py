@@ -341,6 +341,40 @@ def test_what_has_no_forward_dynamics_is_told():
         simulate(Scene(pin.Model()), np.zeros(0), np.zeros(0), 1.0)
 
 
+def two_arms(order):
+    """A body with two arms of two joints, their joints added in the order given."""
+    model, index = pin.Model(), {"": 0}
+    for name in order:
+        joint, above = pin.JointModelRY(), index[name[:-1]]
+        index[name] = model.addJoint(above, joint, pin.SE3(np.eye(3), np.array([0.3, 0.1, 0.2])), name)
+        model.appendBodyToJoint(index[name], pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.5), pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.1, 0.0, -0.4]))
+    model.addFrame(pin.Frame("tip", index["all"], 0, tip, pin.FrameType.OP_FRAME))
+    return model
+
+
+def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong():
+    wrong, right = two_arms(("a", "al", "ar", "all", "arr")), two_arms(("a", "al", "all", "ar", "arr"))
+    q, v = np.array([0.3, -0.5, 0.2, 0.4, -0.1]), np.array([-1.0, 0.5, 0.2, -0.7, 0.3])
+    told = "'all' apart from the other joints that hang on 'al'"
+    contact = Contact("tip", FLOOR, friction=0.5, restitution=0.5)
+    for ask in (
+        lambda: pinimpact.impact(wrong, wrong.createData(), q, v, contact),
+        lambda: pinimpact.impacts(wrong, wrong.createData(), q[None], v[None], contact),
+        lambda: pinimpact.contact_matrices(wrong, wrong.createData(), q, contact),
+        lambda: simulate(Scene(wrong), q, v, 1.0),
+    ):
+        with pytest.raises(pinimpact.ModelError, match=told):
+            ask()
+    for model in (wrong, right):  # M by Newton and Euler, in which the order of joints plays no part
+        data, still = model.createData(), np.zeros(5)
+        weight = pin.rnea(model, data, q, still, still).copy()
+        exact = np.column_stack([pin.rnea(model, data, q, still, unit) - weight for unit in np.eye(5)])
+        crba = np.triu(pin.crba(model, data, q))
+        assert np.allclose(crba, np.triu(exact), rtol=1e-12) == (model is right)
+    assert pinimpact.impact(right, right.createData(), q, v, contact).v.shape == (5,)
+
+
 def test_impacts_in_a_scene_leave_alone_what_kernels_read(monkeypatch):
     robots, compared = [], []
     known = bridge.robot_dynamics

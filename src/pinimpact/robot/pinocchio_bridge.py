@@ -96,7 +96,7 @@ class MassAndColumns:
         self.columns: Array | None = None
         self.mass_matrix: Callable[..., Array] = pin.crba
         self.joint_jacobian: Callable[..., Any] = pin.computeJointJacobians
-        if model.nv == 0:
+        if _flaw(model) is not None:
             self.mass_matrix = self.joint_jacobian = _refuse
             return
         whole = data.J.size == 6 * model.nv
@@ -146,7 +146,7 @@ class Tree(NamedTuple):
 
 def tree_of(model: pin.Model) -> Tree | None:
     """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints."""
-    if model.nv == 0:
+    if _flaw(model) is not None:
         return None
     compile_all((robot_impact,), (evaluate_tree,), (contact_axes,))  # what an impact needs, at once
     if not _trusted(model, _disagreement_of_tree):
@@ -437,7 +437,8 @@ def robot_dynamics(model: pin.Model) -> RobotDynamics:
     """Return the forward dynamics of a robot, its results in place where this Pinocchio lets them be read.
 
     Raises:
-        ModelError: No joints, or mimic joints, for which Pinocchio has no forward dynamics.
+        ModelError: No joints, joints that are not in depth-first order, or mimic joints, for which
+            Pinocchio has no forward dynamics.
     """
     _check_joints(model)
     if _trusted(model, _disagreement_of_dynamics):
@@ -536,18 +537,34 @@ def _disagreement_of_dynamics(model: pin.Model) -> str | None:
     return None
 
 
+def _flaw(model: pin.Model) -> str | None:
+    """Return what keeps Pinocchio's algorithms from a right answer for a model, or None."""
+    if model.nv == 0:
+        return (
+            "has no joints, so nothing can move; a body that flies freely has a free-flyer joint "
+            "(load_robot(…, free_flyer=True))"
+        )
+    branch = [0]
+    for j, parent in enumerate(list(model.parents)[1:], start=1):
+        while branch and branch[-1] != parent:
+            branch.pop()
+        if not branch:
+            return (
+                f"has joint {model.names[j]!r} apart from the other joints that hang on "
+                f"{model.names[parent]!r}: joints have to be added depth first, each branch whole "
+                "before the next, or Pinocchio's crba returns a wrong mass matrix"
+            )
+        branch.append(j)
+    return None
+
+
 def _refuse(model: pin.Model, *_: Any) -> Any:
-    """Refuse a model without joints."""
-    raise ModelError(
-        f"model: {model.name!r} has no joints, so nothing can move; a body that flies freely has a "
-        "free-flyer joint (load_robot(…, free_flyer=True))",
-        field="model",
-        value=model.name,
-    )
+    """Refuse a model for which Pinocchio has no right answer."""
+    raise ModelError(f"model: {model.name!r} {_flaw(model)}", field="model", value=model.name)
 
 
 def _check_joints(model: pin.Model) -> None:
-    if model.nv == 0:
+    if _flaw(model) is not None:
         _refuse(model)
     mimics = [model.names[j] for j in range(1, model.njoints) if "Mimic" in model.joints[j].shortname()]
     if mimics:
