@@ -106,6 +106,27 @@ def test_a_start_beyond_a_joint_limit_is_refused():
     assert simulate(Scene(model, without=["joint limits"]), [0.6], [0.0], 0.1).complete
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("gravity", np.nan, r"model\.gravity: .* finite numbers"),
+        ("damping", -1.0, r"model\.damping\[0\]: -1.0 given, .* ≥ 0 .* 'hinge'"),
+        ("damping", np.nan, r"model\.damping\[0\]: nan given"),
+        ("friction", -0.5, r"model\.friction\[0\]: -0.5 given, .* ≥ 0 .* 'hinge'"),
+        ("friction", np.inf, r"model\.friction\[0\]: inf given"),
+        ("upperPositionLimit", np.nan, r"model\.upperPositionLimit\[0\]: nan given, a bound"),
+    ],
+)
+def test_numbers_of_a_model_that_no_robot_has_are_refused(field, value, told):
+    model = pendulum()
+    if field == "gravity":
+        model.gravity.linear = np.array([0.0, 0.0, value])
+    else:
+        setattr(model, field, np.array([value]))
+    with pytest.raises(pinimpact.ModelError, match=told):
+        Scene(model)
+
+
 def test_a_held_contact_must_be_at_rest():
     rod = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(-0.5, 0, 0)])
     with pytest.raises(pinimpact.InputError, match=r"v0: .*tip0.*0\.2 m/s"):

@@ -27,6 +27,7 @@ from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
 from .layout import SceneLayout
+from .model_numbers import check_numbers
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,7 @@ class Scene:
         InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
             limit or of a joint with dry friction as that of a contact, a surface that moves out of its place.
         UnknownNameError: A frame, joint or effect that does not exist.
+        ModelError: Gravity, joint damping, dry friction or bounds of joints that no robot has.
     """
 
     model: pin.Model
@@ -101,6 +103,7 @@ class Scene:
                 value=self.geometry,
             )
         assign(self, "model", model_of(self.model))
+        check_numbers(self.model)
         assign(self, "contacts", self._tips(self.contacts))
         contacts, held = (
             _contacts(field, getattr(self, field), self.model) for field in ("contacts", "held")
