@@ -56,7 +56,7 @@ LOOK_EVERY = 1000
 JAMS = 3
 """How often slip may jam again at one instant before it is left to go on."""
 
-NEARLY_SINGULAR = 1e-3
+NEARLY_SINGULAR = 1e-6
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
 
 MOST_HALVED = 6
@@ -68,6 +68,9 @@ HIGH_ORDER = 10
 
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
+
+ACCELERATED = 1e-3
+"""The part of the velocity whose change is progress: near a jam forces grow and do much in no time."""
 
 
 ROUNDING = 1e-15
@@ -215,7 +218,7 @@ class Motion:
         self.dense_steps: list[DenseStep] = []
         self.samples: list[tuple[float, Array, Array, Array, float]] = []
         self.steps = self.rejected = 0
-        self.last_progress = 0, 0.0
+        self._mark_progress()
         self.forces_were_unique = True
         self.friction_drove = False
         self.bounce = math.inf
@@ -262,7 +265,7 @@ class Motion:
             stop = until
             if sampled is not None and sampled.next < until - ROUNDING * until:
                 stop = sampled.next
-            self.last_progress = self.steps, state.t
+            self._mark_progress()
             while state.t < stop and self.ended_by is None:
                 self._length = self._step(self._length, stop, min(1.0, until))
                 self._consistent = self._lengths()
@@ -415,8 +418,10 @@ class Motion:
         """
         state, work, t = self.state, self.work, self.state.t
         if self.steps - self.last_progress[0] > MAX_STALLED:
-            if t - self.last_progress[1] > STALLED * scale:
-                self.last_progress = self.steps, t
+            _, then, velocity = self.last_progress
+            changed = np.abs(state.v - velocity).max() > ACCELERATED * np.abs(velocity).max()
+            if changed or t - then > STALLED * scale:
+                self._mark_progress()
             else:
                 if self._go_on():
                     return self.dynamics.first_length(self.rtol, self.atol)
@@ -534,6 +539,9 @@ class Motion:
             return None
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
+    def _mark_progress(self) -> None:
+        self.last_progress = self.steps, self.state.t, self.state.v
+
     def _check_for_chatter(self) -> None:
         if self._continuous is not None:
             check_chatter(self._continuous, self.model, self.dense_steps)
@@ -556,7 +564,7 @@ class Motion:
             self._rested_at = state.t
             work.settling[:] = 1
             state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
-        self.last_progress = self.steps, state.t
+        self._mark_progress()
         self._settle()
         work.settling[:] = 0
         self._begin_motion()
@@ -660,7 +668,7 @@ class Motion:
                 break
             self.state.settle()
         if len(impacts) > before:  # `max_impacts` watches over these
-            self.last_progress = self.steps, self.state.t
+            self._mark_progress()
         count = len(impacts) - self._counted
         if count > self.max_impacts:
             last = f", the last at {_sources(impacts)}" if impacts else ""

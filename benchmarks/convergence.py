@@ -1,0 +1,72 @@
+"""Robots dropped onto planes at tighter and tighter tolerances: the error has to fall with rtol.
+
+An invariant sees what breaks a law; this sees what is lawful and wrong. Each scene is run at every power of
+ten from 10⁻⁶ to 10⁻¹¹. Where the configuration at one of them is off by more than that power allows and not
+five times nearer to the last one than two powers before, the seed is told, with the time from which on it is
+so. Motions that tear neighbours apart (a hundred bounces) are among them rightly.
+
+python -m benchmarks.convergence --seed 92 --count 200
+python -m benchmarks.convergence --controlled --seed 93 --count 20 --duration 0.2
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+
+import numpy as np
+import pinocchio as pin
+
+from pinimpact import PinimpactError, simulate
+
+from .fuzz_scenes import drawn
+
+POWERS = range(6, 12)
+ALLOWED = 100.0
+"""How many times rtol an error may be without a word."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--controlled", action="store_true", help="robots under joint PD control")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=0.4, help="of each run [s]")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    told, ended, errors = 0, 0, []
+    for seed in range(1_000_000 * options.seed + 1, 1_000_000 * options.seed + options.count + 1):
+        try:
+            times, found = errors_of(seed, options.controlled, options.duration)
+        except PinimpactError as error:
+            ended += 1
+            print(f"{seed}: {error}", flush=True)
+            continue
+        errors.append(found[:, -1])
+        for k in range(2, len(found)):
+            high = (found[k] > ALLOWED * 10.0 ** -POWERS[k]) & (found[k] > 0.2 * found[k - 2])
+            if high.any():
+                told += 1
+                since = f"rtol 1e-{POWERS[k]} from {times[high][0]:.3g} s on"
+                print(f"{seed}: {since}: errors {found[:, -1]}", flush=True)
+                break
+    print(f"{len(errors)} scenes, {told} of them with errors that do not fall, {ended} more that stop")
+    print("median errors at 1e-6, 1e-7 …:", *(f"{x:.1e}" for x in np.median(errors, axis=0)))
+
+
+def errors_of(seed: int, controlled: bool, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (m,), and per power but the last the largest error of q until then, (powers − 1, m)."""
+    _, scene, q, v, _ = drawn(seed, controlled)
+    model = scene.model
+    runs = [simulate(scene, q, v, duration, rtol=10.0**-p, atol=10.0 ** -(p + 2)) for p in POWERS]
+    times = np.linspace(0.0, duration, 401)
+    exact = [runs[-1].at(t)[0] for t in times]
+    off = [
+        [np.abs(pin.difference(model, run.at(t)[0], q)).max() for t, q in zip(times, exact, strict=True)]
+        for run in runs[:-1]
+    ]
+    return times, np.maximum.accumulate(off, axis=1)
+
+
+if __name__ == "__main__":
+    main()
