@@ -241,7 +241,7 @@ def test_a_joint_without_inertia_is_named_whatever_the_threads():
     model.armature = np.zeros(model.nv)
     for j in (3, 4):
         model.inertias[j] = pin.Inertia.Zero()
-    q = np.tile(state(model)[0], (6, 1))
+    q = np.tile(state(model)[0], (70, 1))
     for threads in (1, 3):
         with pytest.raises(ModelError, match="'right'"):
-            impacts(model, model.createData(), q, np.ones((6, model.nv)), CONTACT, threads=threads)
+            impacts(model, model.createData(), q, np.ones((70, model.nv)), CONTACT, threads=threads)
