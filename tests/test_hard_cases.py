@@ -326,6 +326,35 @@ def test_8_eigenvalues_on_either_side_of_the_tolerance():
 
 
 @pytest.mark.parametrize("law", LAWS)
+def test_8_two_eigenvalues_about_the_tolerance_are_zero_together(law):
+    """One of two equal ones alone would leave a null vector, and with it the works, to rounding."""
+    rng, count = np.random.default_rng(5), 4000
+    Q = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+    small = 32 * random_impacts.EPS * rng.uniform(0.98, 1.02, count)
+    values = np.stack([np.ones(count), small, small], axis=1)
+    delassus = random_impacts.symmetric(Q * values[:, None, :] @ Q.transpose(0, 2, 1))
+    given = random_impacts.approach(rng, count), random_impacts.power(rng, count, -1.5, 1), rng.random(count)
+    problems = random_impacts.Problems(delassus, *given, np.zeros(count))
+    assert not any(rows.any() for rows in random_impacts.mechanics(problems, law).values())
+
+
+@pytest.mark.parametrize("law", ["energetic", "newton"])
+@pytest.mark.parametrize("angle", [0.3, 0.9, 1.4])
+def test_8_a_lean_counts_from_the_uncertainty_of_a_direction_on(angle, law):
+    """λ₂ = λ₃ = 1: 32 ε. With A = 1 slip is straight and takes P₃ = |v_t|/μ, for v₃ = τ·v_t stops with it."""
+    mu, slip = 0.3, np.array([-1.0, -0.5])
+    for times, felt in ((0.9, False), (1.1, True)):
+        lean = times * 32 * random_impacts.EPS * np.array([math.cos(angle), math.sin(angle)])
+        X = np.vstack([np.eye(2), lean])
+        solution = solve_impact(ImpactProblem(X @ X.T, X @ slip, mu, 0.5, law))
+        assert Flag.NEAR_JUMP in solution.flags
+        assert (solution.status is Status.LOCKED) == felt == (solution.status is not Status.NO_IMPACT)
+        if felt:
+            assert solution.impulse == pytest.approx([*-slip, np.hypot(*slip) / mu], abs=1e-12)
+            assert solution.velocity == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", LAWS)
 def test_8_one_joint(law):
     """Rank one: where friction is enough the joint locks, else it slips to the stop and back."""
     x = np.array([1.0, 2.0, 2.0])

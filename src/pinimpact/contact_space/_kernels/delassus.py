@@ -179,6 +179,15 @@ def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
 
 
 @inner
+def _spread(w11, w12, w13, w22, w23, w33):
+    """Return λ₃/λ₂ of a W whose least eigenvalue is zero, and infinity where rounding makes it."""
+    half = 0.5 * (w11 + w22 + w33)
+    product = w11 * w22 - w12 * w12 + w11 * w33 - w13 * w13 + w22 * w33 - w23 * w23
+    largest = half + math.sqrt(max(0.0, half * half - product))
+    return largest * largest / product if product > 0.0 else math.inf
+
+
+@inner
 def _unit_of(x):
     """Return a power of two near 1/√x, and 1 for zero."""
     return math.ldexp(1.0, -((math.frexp(x)[1] + 1) // 2)) if x > 0.0 else 1.0
@@ -204,11 +213,11 @@ def _graded(w11, w12, w13, w22, w23, w33):
         n = (n1 / norm, n2 / norm, n3 / norm)
         c11, c12, c13 = l1 * x[0] * x[0], l1 * x[0] * x[1], l1 * x[0] * x[2]
         c22, c23, c33 = l1 * x[1] * x[1], l1 * x[1] * x[2], l1 * x[2] * x[2]
-        return True, _rank_two(
+        cleared = (
             *(w11 - c11 / u1 / u1, w12 - c12 / u1 / u2, w13 - c13 / u1 / u3),
             *(w22 - c22 / u2 / u2, w23 - c23 / u2 / u3, w33 - c33 / u3 / u3),
-            *(n, 0.0, l3 / l2, 0.0),
         )
+        return True, _rank_two(*cleared, n, 0.0, min(l3 / l2, _spread(*cleared)), 0.0)
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = l1 > CORRELATED and det > 0.0 and largest > CORRELATED
     return regular, Delassus(
@@ -272,7 +281,7 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
             one,
             False,
         )
-    if l2 > zero:
+    if l2 > zero + max(l1, 0.0):  # else rounding would decide between their directions
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
         w13 -= l1 * x[0] * x[2]
