@@ -38,10 +38,10 @@ from .moves import (
 )
 from .recording import record_move, record_point
 from .slip_equations import TERMS
-from .slip_works import WORK_TERMS
+from .slip_works import WORK_SCRATCH
 from .turning_slip import turning_move
 
-SCRATCH = 2 * TERMS + 6 + 3 * (WORK_TERMS + 1)
+SCRATCH = 2 * TERMS + 6 + WORK_SCRATCH
 """Floats of scratch space that an impact needs."""
 
 MAX_MOVES = 1000

@@ -6,8 +6,8 @@ import math
 
 from ..._numeric.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
-from .slip_series import beginning, first_root, halley, leap, point, settled
-from .slip_works import works
+from .slip_series import beginning, first_root, flow, halley, leap, point, settled
+from .slip_works import works_around, works_so_far
 
 HASTE = 60
 """Trials after which a bracket is halved."""
@@ -17,14 +17,20 @@ HASTE = 60
 def measure(series, work_series, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
     mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
-    normal, _, _, dv3, _, t, slope, bend = point(series, x)
+    normal = work = 0.0
+    if counts == WORK and not series.around_invariant:
+        work, _, dv3 = works_so_far(series, work_series, x, False)
+        slope, bend, t = flow(series, x)
+    else:
+        normal, _, _, dv3, _, t, slope, bend = point(series, x)
     if counts == IMPULSE:
         return normal - aim, slope, bend
     chord = 1.0 + t * t
     rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
     if counts == WORK:
         now = v3 + dv3
-        work, _ = works(series, work_series, x, normal, False)
+        if series.around_invariant:
+            work, _ = works_around(series, work_series, x, normal, False)
         return work - aim, slope * now, bend + slope * rate / now
     turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
     return (

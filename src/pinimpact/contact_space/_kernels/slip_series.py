@@ -162,6 +162,27 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
 
 
 @inlined
+def _bend(shape, x, t):
+    """Return the logarithmic derivative of dP₃/dx of a series in the half-angle, and p̂."""
+    fall = 1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))
+    growth = shape.w0 + x * (shape.w1 + x * (shape.w2 + x * shape.w3))
+    return growth / fall + 4.0 * shape.h * t / (1.0 + t * t), fall
+
+
+@inner
+def flow(series, x):
+    """Return dP₃/dx at x, its logarithmic derivative and t, for a series in the half-angle."""
+    coefficients, shape = series.coefficients, series.shape
+    terms, y = len(coefficients) - 1, x * x
+    even, odd = coefficients[terms], 0.0
+    for k in range(2, terms + 1, 2):  # there is an even number of terms
+        even, odd = even * y + coefficients[terms - k], odd * y + coefficients[terms - k + 1]
+    t = shape.h * x
+    chord = 1.0 + t * t
+    return shape.unit * series.scale * (even + x * odd) * chord * chord, _bend(shape, x, t)[0], t
+
+
+@inlined
 def point(series, x):
     """Return the state at x. (3.12), (4.5)
 
@@ -169,7 +190,7 @@ def point(series, x):
         ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
     """
     around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, _, _ = series
-    h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, q4, w3 = shape
+    h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, _, _ = shape
     if around_invariant:
         y, value, n0, n1, n2, n3, n4 = invariant_moments(coefficients, reciprocals, exponent, start, sign * x)
         t = h * y
@@ -180,8 +201,7 @@ def point(series, x):
         value, n0, n1, n2, n3, n4 = moments(coefficients, x)
         t = h * x
         tt = t * t
-        fall = 1.0 + x * (q1 + x * (q2 + x * (q3 + x * q4)))
-        bend = (w0 + x * (w1 + x * (w2 + x * w3))) / fall + 4.0 * h * t / (1.0 + tt)
+        bend, fall = _bend(shape, x, t)
     hh = h * h
     h4 = hh * hh
     unit *= scale

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._numeric.jit import inner
+from ..._numeric.jit import inlined, inner
 from .delassus import EPS
 from .invariant_direction import VANISHES
 from .slip_equations import RECIPROCAL, VANISHING
@@ -30,8 +30,8 @@ CONVERGED = 16.0 * EPS
 """Size up to which the last terms of U leave the works whole, for integrals divide them by their numbers."""
 
 FEW, MANY = 8, 12
-"""Nodes of Gauss' rules for series in the half-angle: the first is right to rounding for a series of up to
-FEW_TERMS terms, the second as far as any goes."""
+"""Nodes of Gauss' rules: the first is right to rounding for a series in the half-angle of up to FEW_TERMS
+terms, the second as far as any goes."""
 
 FEW_TERMS = 20
 
@@ -55,9 +55,10 @@ _INTEGRALS = np.concatenate([np.pad(rule[2], ((0, 0), (0, MANY - len(rule[0]))))
 
 
 class WorkSeries(NamedTuple):
-    """The works on a `SlipSeries` around an invariant direction; scratch on another.
+    """The works on a `SlipSeries` around an invariant direction, and scratch on any.
 
     Attributes:
+        nodes: Scratch for dP₃/dx and dv₃/dx at the nodes, over the series' unit.
         normal, friction: Coefficients of the two works, integrated; those of the terms that are logarithms,
             or nearly, come last.
         quotients: Those of Q, where v₃ has such a term. (4.7)
@@ -67,6 +68,7 @@ class WorkSeries(NamedTuple):
         last: The last coefficients of U, over the sum of all where the series goes around a direction.
     """
 
+    nodes: NDArray[np.float64]
     normal: NDArray[np.float64]
     friction: NDArray[np.float64]
     quotients: NDArray[np.float64]
@@ -78,36 +80,65 @@ class WorkSeries(NamedTuple):
     last: float
 
 
-@inner
+WORK_SCRATCH = 2 * MANY + 3 * (WORK_TERMS + 1)
+"""Floats of scratch space that works need."""
+
+
+@inlined
 def no_works(scratch):
-    """Return a `WorkSeries` that is yet to be made, in 3 (WORK_TERMS + 1) floats of scratch space."""
+    """Return a `WorkSeries` that is yet to be made, in WORK_SCRATCH floats of scratch space."""
     size = WORK_TERMS + 1
     none = np.int64(-1)
+    series = scratch[2 * MANY :]
     return WorkSeries(
-        scratch[:size], scratch[size : 2 * size], scratch[2 * size : 3 * size], 0.0, 0.0, 0.0, none, none, 0.0
-    )
+        scratch[: 2 * MANY], series[:size], series[size : 2 * size], series[2 * size : 3 * size],
+        0.0, 0.0, 0.0, none, none, 0.0,
+    )  # fmt: skip
 
 
 @inner
-def _along_half_angle(series, flow, push, x, rubbing):
-    """Return the works over (0, x) of a series in the half-angle, by Gauss' collocation. (3.17)
+def _collocated(weights, integrals, values, v3, size):
+    """Return the normal work and what v₃ grows by. (3.17)
 
     Args:
-        flow, push: Scratch for dP₃/dx and dv₃/dx at the nodes, over the series' unit.
-        rubbing: Whether the work of friction is wanted.
+        weights, integrals: Of the rule.
+        values: (2 MANY,) dP₃/dx at the nodes, times the weights, and dv₃/dx.
+        v3, size: v₃ at the start; the length over the series' unit.
     """
-    coefficients, shape, mu, c, bl, bp = (
-        series.coefficients, series.shape, series.mu, series.c, series.bl, series.bp,
-    )  # fmt: skip
-    h, q1, q2, q3, q4 = shape.h, shape.q1, shape.q2, shape.q3, shape.q4
-    j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    nodes = len(weights)
+    normal = change = 0.0
+    for i in range(0, nodes, 4):
+        s0 = s1 = s2 = s3 = 0.0
+        for j in range(nodes):
+            term = values[MANY + j]
+            s0, s1 = s0 + integrals[i, j] * term, s1 + integrals[i + 1, j] * term
+            s2, s3 = s2 + integrals[i + 2, j] * term, s3 + integrals[i + 3, j] * term
+        normal += values[i] * (v3 + size * s0) + values[i + 1] * (v3 + size * s1)
+        normal += values[i + 2] * (v3 + size * s2) + values[i + 3] * (v3 + size * s3)
+    for j in range(nodes):
+        change += weights[j] * values[MANY + j]
+    return size * normal, size * change
+
+
+@inner
+def _along_half_angle(coefficients, h, q1, q2, q3, q4, j0, j1, j2, v3, unit, values, x, rubbing):
+    """Do what `works_so_far` does.
+
+    Args:
+        coefficients, h, q1, q2, q3, q4: Of the series and its `Shape`.
+        j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t.
+        v3: At the start.
+        unit: Of P₃.
+        values: Scratch, see `WorkSeries.nodes`.
+        rubbing: Whether the work of friction is wanted, here as ∫ R dP₃ over the speed at the start.
+    """
     terms = len(coefficients) - 1
     first, nodes = (0, FEW) if terms <= FEW_TERMS else (FEW, MANY)
+    abscissae, weights = _ABSCISSAE[first : first + nodes], _WEIGHTS[first : first + nodes]
+    rubbed = 0.0
     # the sums of even and odd powers at four nodes hide each other's latency; `terms` is even
-    for i in range(first, first + nodes, 4):
-        x0, x1, x2, x3 = (
-            x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3],
-        )  # fmt: skip
+    for i in range(0, nodes, 4):
+        x0, x1, x2, x3 = x * abscissae[i], x * abscissae[i + 1], x * abscissae[i + 2], x * abscissae[i + 3]
         y0, y1, y2, y3 = x0 * x0, x1 * x1, x2 * x2, x3 * x3
         s0 = s1 = s2 = s3 = coefficients[terms]
         u0 = u1 = u2 = u3 = 0.0
@@ -115,30 +146,37 @@ def _along_half_angle(series, flow, push, x, rubbing):
             even, odd = coefficients[terms - k], coefficients[terms - k + 1]
             s0, s1, s2, s3 = s0 * y0 + even, s1 * y1 + even, s2 * y2 + even, s3 * y3 + even
             u0, u1, u2, u3 = u0 * y0 + odd, u1 * y1 + odd, u2 * y2 + odd, u3 * y3 + odd
-        flow[i], flow[i + 1] = s0 + x0 * u0, s1 + x1 * u1
-        flow[i + 2], flow[i + 3] = s2 + x2 * u2, s3 + x3 * u3
-    rubbed = 0.0
-    for i in range(first, first + nodes):
-        at = x * _ABSCISSAE[i]
+        values[i], values[i + 1] = s0 + x0 * u0, s1 + x1 * u1
+        values[i + 2], values[i + 3] = s2 + x2 * u2, s3 + x3 * u3
+    for i in range(nodes):
+        at = x * abscissae[i]
         t = h * at
         chord = 1.0 + t * t
-        slope = flow[i] * chord
+        slope = values[i] * chord
         if rubbing:
             fall = 1.0 + at * (q1 + at * (q2 + at * (q3 + at * q4)))
-            rubbed += _WEIGHTS[i] * (slope * slope * chord * fall)
-        flow[i] = _WEIGHTS[i] * slope * chord
-        push[i - first] = slope * (j0 + t * (j1 + t * j2))
-    size = shape.unit * series.scale * x
-    normal = 0.0
-    for i in range(first, first + nodes, 4):
-        s0 = s1 = s2 = s3 = 0.0
-        for j in range(nodes):
-            term = push[j]
-            s0, s1 = s0 + _INTEGRALS[i, j] * term, s1 + _INTEGRALS[i + 1, j] * term
-            s2, s3 = s2 + _INTEGRALS[i + 2, j] * term, s3 + _INTEGRALS[i + 3, j] * term
-        normal += flow[i] * (series.v3 + size * s0) + flow[i + 1] * (series.v3 + size * s1)
-        normal += flow[i + 2] * (series.v3 + size * s2) + flow[i + 3] * (series.v3 + size * s3)
-    return size * normal, -mu * series.speed * shape.factor * size * rubbed
+            rubbed += weights[i] * (slope * slope * chord * fall)
+        values[i] = weights[i] * slope * chord
+        values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
+    size = unit * x
+    normal, change = _collocated(weights, _INTEGRALS[first : first + nodes], values, v3, size)
+    return normal, size * rubbed, change
+
+
+@inlined
+def works_so_far(series, work_series, x, rubbing):
+    """Return the works over (0, x) of a series in the half-angle, and what v₃ grows by. (3.17)
+
+    Args:
+        rubbing: Whether the work of friction is wanted.
+    """
+    shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
+    work, rubbed, change = _along_half_angle(
+        *(series.coefficients, shape.h, shape.q1, shape.q2, shape.q3, shape.q4),
+        *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
+        *(work_series.nodes, x, rubbing),
+    )
+    return work, -mu * series.speed * shape.factor * rubbed, change
 
 
 @inner
@@ -264,7 +302,8 @@ def expand_works(series, work_series, rubbing):
     Args:
         rubbing: Whether the work of friction is wanted too.
     """
-    normal, friction, quotients = work_series.normal, work_series.friction, work_series.quotients
+    nodes, normal = work_series.nodes, work_series.normal
+    friction, quotients = work_series.friction, work_series.quotients
     shape, mu, c, bl, bp = series.shape, series.mu, series.c, series.bl, series.bp
     size = shape.unit * series.scale
     h = shape.h
@@ -273,21 +312,29 @@ def expand_works(series, work_series, rubbing):
     f0, f1, f2, f3, f4 = j0, j1 * h, (j0 + j2) * hh, j1 * hh * h, j2 * hh * hh
     if shape.exponent < -LATE - 0.5:
         none, late = np.int64(-1), np.int64(LATE + 1)
-        return WorkSeries(normal, friction, quotients, 0.0, 0.0, 0.0, late, none, math.inf)
+        return WorkSeries(nodes, normal, friction, quotients, 0.0, 0.0, 0.0, late, none, math.inf)
     rest, push, share, pole, work_pole, order, last = _expand_around(
         series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
     )
     size, terms = order + 8, len(series.coefficients) + 4
     return WorkSeries(
-        normal[:size], friction[:size], quotients[:terms], rest, push, share, pole, work_pole, last
+        *(nodes, normal[:size], friction[:size], quotients[:terms]),
+        *(rest, push, share, pole, work_pole, last),
     )
 
 
-@inner
+@inlined
 def works(series, work_series, x, span, rubbing):
     """Return the normal work over (0, x), where P₃ grows by `span`, and that of friction if it is wanted."""
-    if not series.around_invariant:
-        return _along_half_angle(series, work_series.normal, work_series.quotients, x, rubbing)
+    if series.around_invariant:
+        return works_around(series, work_series, x, span, rubbing)
+    work, rubbed, _ = works_so_far(series, work_series, x, rubbing)
+    return work, rubbed
+
+
+@inner
+def works_around(series, work_series, x, span, rubbing):
+    """Do what `works` does, for a series around an invariant direction."""
     normal, shape = work_series.normal, series.shape
     size = shape.unit * series.scale
     exponent, start = shape.exponent, shape.start
@@ -296,7 +343,7 @@ def works(series, work_series, x, span, rubbing):
     converges = _converges(work_series, max(start, y))
     short = x * max(1.0, abs(exponent)) < SHORT
     if short or work_series.pole > LATE or not converges:
-        work, rubbed = quadrature(series, x)
+        work, rubbed = quadrature(series, work_series.nodes, x)
     else:
         work = size * _filled(normal, work_series.work_pole, exponent, start, length, y, drop, power, part)
         if work_series.pole >= 0:
@@ -355,24 +402,46 @@ def _converges(work_series, x):
 
 
 @inner
-def quadrature(series, x):
-    """Integrate the works over (0, x) around an invariant direction by Gauss' nodes."""
-    mu, v3, speed, exponent = series.mu, series.v3, series.speed, series.shape.exponent
+def quadrature(series, values, x):
+    """Integrate the works over (0, x) around an invariant direction by Gauss' collocation. (3.17)
+
+    Args:
+        values: Scratch, see `WorkSeries.nodes`.
+    """
+    coefficients, shape, mu, c, bl, bp = (
+        series.coefficients, series.shape, series.mu, series.c, series.bl, series.bp,
+    )  # fmt: skip
+    h, exponent, start, sign, q1, q2, q3 = (
+        shape.h, shape.exponent, shape.start, shape.sign, shape.q1, shape.q2, shape.q3,
+    )  # fmt: skip
+    j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    speed, v3 = series.speed, series.v3
+    abscissae, weights = _ABSCISSAE[FEW:], _WEIGHTS[FEW:]
     normal = friction = low = 0.0
     # from here on the direction is settled or nothing is left: the rest is straight
     end = min(x, SETTLED / max(1.0, exponent))
     while low < end:
         # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
         width = min(end - low, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
-        for i in range(FEW, FEW + MANY):
-            _, _, _, dv3, ratio, _, slope, _ = point(series, low + width * _ABSCISSAE[i])
-            share = _WEIGHTS[i] * width * slope
-            normal += share * (v3 + dv3)
-            friction -= share * mu * speed * ratio
+        rubbed = 0.0
+        for i in range(MANY):
+            length = sign * (low + width * abscissae[i])
+            y = start * math.exp(-length)
+            t = h * y
+            chord = 1.0 + t * t
+            slope = math.exp(-exponent * length) * _sum(coefficients, y) * chord
+            rubbed += weights[i] * (slope * slope * chord * (1.0 + y * (q1 + y * (q2 + y * q3))))
+            values[i] = weights[i] * slope * chord
+            values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
+        size = sign * shape.unit * series.scale * width
+        work, change = _collocated(weights, _INTEGRALS[FEW:], values, v3, size)
+        normal += work
+        v3 += change
+        friction -= mu * speed * shape.factor * size * rubbed
         low = low + width if low + width > low else end
     if end < x:
         here, there = point(series, end), point(series, x)
         span = there[0] - here[0]
-        normal += span * (v3 + 0.5 * (here[3] + there[3]))
+        normal += span * (series.v3 + 0.5 * (here[3] + there[3]))
         friction -= 0.5 * mu * speed * span * (here[4] + there[4])
     return normal, friction
