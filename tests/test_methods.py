@@ -247,6 +247,18 @@ def test_locked_mechanism(method):
     assert Flag.LOCKED in stepped.flags
 
 
+@pytest.mark.parametrize("method", list(STEPPING))
+def test_slip_and_approach_that_end_together(method):
+    """With s = 0 and W's own velocities v₃ = κ·v_t: rounding makes no second compression of that end."""
+    fine = STEPPING | {"euler": {"steps": 1000}, "rk4": {"steps": 200}}
+    rng = np.random.default_rng(3)
+    (W, v, mu), e = random_impacts.rank_rounded(rng, 200, 2), rng.random(200)
+    for k in np.flatnonzero(v[:150, 2] < -0.1):
+        problem = ImpactProblem(W[k], v[k], mu[k], e[k])
+        exact, stepped = solve_impact(problem), solve_impact(problem, method, **fine[method])
+        assert (exact.flags ^ stepped.flags) & Flag.SECOND_COMPRESSION == Flag(0)
+
+
 def test_steps_without_compiling():
     script = (
         "import numba, pinimpact.studies.cost as cost; from pinimpact import solve_impact\n"

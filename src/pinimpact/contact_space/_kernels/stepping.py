@@ -317,6 +317,8 @@ def solve_stepping(
                 d1, d2, q1, q2, u1, u2, _, _ = trial_step(stiff, table, tangent, mu, v1, v2, h, k)
             v3_end = v3 + c * h + b1 * d1 + b2 * d2
             work = h * v3 + 0.5 * c * h * h + b1 * q1 + b2 * q2
+            # v₃ = κ·v_t comes to zero with slip, and is not told before it by rounding
+            tied = vanishes and problem.s == 0.0 and problem.offset == 0.0
             # of the events on this step the first: each search starts from the event found before
             for sought in (V3_ZERO, GOAL):
                 if sought == V3_ZERO:
@@ -325,7 +327,7 @@ def solve_stepping(
                     crossed = False
                 else:
                     crossed = left <= (h if counts == IMPULSE else work if counts == WORK else v3_end - v3)
-                if crossed and h > 0.0:
+                if crossed and h > 0.0 and not (tied and sought == V3_ZERO):
                     h = locate(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k)
                     vanishes = False
                     event = COMPRESSION_ENDS if phase == COMPRESSION else COMPRESSION_RESUMES
@@ -348,7 +350,7 @@ def solve_stepping(
                 friction_work += 0.5 * (x1 * u1 + x2 * u2)
                 d1, d2 = d1 + x1, d2 + x2
                 u1 = u2 = 0.0
-                v3_end += b1 * x1 + b2 * x2
+                v3_end = 0.0 if tied else v3_end + b1 * x1 + b2 * x2
                 if phase == COMPRESSION and v3_end >= 0.0:
                     event = COMPRESSION_ENDS
                 elif phase == RESTITUTION and v3_end < 0.0:
