@@ -151,8 +151,12 @@ class ShapeWatch:
         Raises:
             InputError: A pair that overlaps.
         """
+        if not self._pairs:
+            return
         self._set(q)
-        for watched in self._pairs:
+        near = self._apart.at(q) <= rounding
+        for number in np.flatnonzero(near).tolist():
+            watched = self._pairs[number]
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
             if found.value < -rounding:
@@ -264,17 +268,17 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
-        apart = None
+        apart = [False] * len(self._pairs)
         if not all(watched.points for watched in self._pairs):
-            apart = self._apart.over(step, peak)
+            apart = self._apart.over(step, peak).tolist()
         for number, watched in enumerate(self._pairs):
-            if not watched.points:
-                if apart is not None and apart[number]:
-                    continue
+            if watched.points:
+                meeting = self._change(watched, number, step, end, peak)
+            elif apart[number]:
+                continue
+            else:
                 found = self._touch(watched, number, step, end)
                 meeting = Meeting(found.time, number, False) if found.touches else None
-            else:
-                meeting = self._change(watched, number, step, end, peak)
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
         return best
