@@ -45,14 +45,14 @@ class Flight:
         return float(self.spin @ self.spin) * (float(np.linalg.norm(self.shape.center)) + self.shape.reach)
 
 
-def touch_time(a: Flight, b: Flight, end: float = 2.0) -> float:
-    """When the two first touch; infinite where they do not."""
+def touch_time(a: Flight, b: Flight, end: float = 2.0, room: float = 0.0) -> float:
+    """When the two first touch, with bounds of their accelerations that leave room; infinite where not."""
 
     def at(t: float) -> PairState:
         (placed_a, velocity_a), (placed_b, velocity_b) = a.at(t), b.at(t)
         return PairState(placed_a, placed_b, velocity_a, velocity_b)
 
-    bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend
+    bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend + room
     found = first_touch(at, 0.0, end, bend, 1e-13)
     assert found is not None
     return found.time if found.touches else math.inf
@@ -189,6 +189,13 @@ def test_passes_that_graze_or_miss(offset: float, hits: bool) -> None:
     expected = math.pi / 4 - math.acos((reach + offset) / reach) if hits else math.inf
     # the corner is slow as it grazes, so that the rounding of its place counts
     assert touch_time(turning, b, 1.5) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_what_parts_slowly_beside_large_bounds_has_parted() -> None:
+    lower = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.0))
+    upper = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.2), gravity=(0.0, 0.0, 0.02))
+    assert touch_time(upper, lower, 1e-3, room=2700.0) == math.inf
 
 
 def test_gap_is_exact_when_small_and_never_more_than_the_distance() -> None:

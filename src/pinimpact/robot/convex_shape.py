@@ -100,6 +100,12 @@ class PlacedShape:
         return self.shape.directions @ self.rotation.T
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return a × b (…, 3), as `numpy.cross` does in ten times the time."""
+    (a1, a2, a3), (b1, b2, b3) = a.T, b.T
+    return np.array([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1]).T
+
+
 def box(size: ArrayLike) -> ConvexShape:
     """Return a box about the origin with these (3,) lengths of its sides [m]."""
     import coal
@@ -262,7 +268,7 @@ def _around(vertices: Array, corners: Integers, normal: Array) -> Integers:
     """Return the corners of a face in their order around its normal."""
     from_center = vertices[corners] - vertices[corners].mean(axis=0)
     first = from_center[0] / np.linalg.norm(from_center[0])
-    second = np.cross(normal, first)
+    second = cross(normal, first)
     order = np.argsort(np.arctan2(from_center @ second, from_center @ first), kind="stable")
     return np.asarray(corners)[order].astype(np.int64)
 
@@ -270,7 +276,7 @@ def _around(vertices: Array, corners: Integers, normal: Array) -> Integers:
 def _fitted(corners: Array, normal: Array) -> Array:
     """Return the unit normal of a face from its corners, in their order, by Newell's sum."""
     following = np.roll(corners, -1, axis=0)
-    sum_of_areas = np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
+    sum_of_areas = cross(corners - corners[0], following - corners[0]).sum(axis=0)
     found: Array = sum_of_areas / np.linalg.norm(sum_of_areas)
     return found if found @ normal > 0.0 else -found
 

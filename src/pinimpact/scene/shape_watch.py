@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..robot.contact import Contact, contact_constants
 from ..robot.convex_pair import Touch, corners_of, follow, gap, touches
-from ..robot.convex_shape import PlacedShape
+from ..robot.convex_shape import PlacedShape, cross
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ._kernels.contact_forces import FREE
@@ -418,7 +418,7 @@ class ShapeWatch:
             ):
                 arm = vertices[mask] - origin
                 heights.append(sign * (arm @ there.normal))
-                rates.append(sign * (arm @ (rate_of_normal + np.cross(there.normal, velocity[3:]))))
+                rates.append(sign * (arm @ (rate_of_normal + cross(there.normal, velocity[3:]))))
             height, rate = np.concatenate(heights), np.concatenate(rates)
             return [Front(height, rate, np.zeros(1), np.zeros(1), 0.0, float(height.min()), bend)]
 
