@@ -336,6 +336,13 @@ def test_wrong_pairs_are_refused():
         Scene(cone, contacts=replace(on_block, geometry="cone"))
     with pytest.raises(InputError, match="rim_points: 2 given"):
         Shape("cone", rim_points=2)
+    sheet = coal.BVHModelOBBRSS()
+    sheet.beginModel(1, 3)
+    sheet.addTriangle(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    sheet.endModel()
+    sheet = shaped_body(sheet, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="sheet")
+    with pytest.raises(InputError, match="points of 'sheet' have no convex hull with a volume"):
+        Scene(sheet, contacts=replace(on_block, geometry="sheet"))
     swept = coal.Box(0.2, 0.2, 0.2)
     swept.setSweptSphereRadius(0.05)
     swept = shaped_body(swept, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")

@@ -153,8 +153,8 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
     )
 
 
-def hull(points: ArrayLike) -> ConvexShape:
-    """Return the convex hull of (n, 3) points.
+def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
+    """Return the convex hull of (n, 3) points, which errors call by a name.
 
     Raises:
         InputError: Points that span no volume, or that are not finite.
@@ -164,13 +164,14 @@ def hull(points: ArrayLike) -> ConvexShape:
 
     points = np.asarray(points, dtype=np.float64)
     if not np.isfinite(points).all():
-        raise InputError("geometry: points that are not finite", field="geometry", value=points)
+        raise InputError(f"geometry: {name!r} has points that are not finite", field="geometry", value=points)
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
-            f"geometry: {len(points)} points have no convex hull with a volume ({reason})",
+            f"geometry: the {len(points)} points of {name!r} have no convex hull with a volume ({reason}); "
+            "only shapes with a volume can meet another shape",
             field="geometry",
             value=points,
         ) from None
@@ -213,10 +214,10 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
     if kind == "Capsule":
         return capsule(float(geometry.radius), float(geometry.halfLength))
     if kind == "Convex":
-        return hull(np.asarray(geometry.points()))
+        return hull(np.asarray(geometry.points()), name)
     if kind.startswith("BVHModel"):
         points = np.array(geometry.vertices(), dtype=np.float64)
-        found = hull(points)
+        found = hull(points, name)
         depth = _deepest(found, points)
         if depth > NOT_CONVEX * found.reach:
             warnings.warn(
