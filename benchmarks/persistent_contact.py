@@ -19,7 +19,7 @@ from benchmarks.scene_cost import free_body
 from benchmarks.timing import best_of, publish, row
 from example_robot_data import robots_loader
 
-from pinimpact import Contact, JointPD, Plane, Scene, Trajectory, load_robot, simulate
+from pinimpact import Contact, JointPD, Plane, Scene, Stepper, Trajectory, load_robot, simulate
 
 ROUNDS = 3
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
@@ -69,6 +69,34 @@ def trotting() -> Run:
 
     scene = Scene(model, contacts, control=control, period=1e-3)
     return lambda: simulate(scene, q, np.zeros(model.nv), 1.0, rtol=1e-6, atol=1e-8)
+
+
+def steps_standing() -> Callable[[], None]:
+    """A hundred steps of 1 ms of solo12 on its feet, each with torques of its own."""
+    model, q, contacts = quadruped()
+    stepper = Stepper(Scene(model, contacts), q, np.zeros(model.nv), rtol=1e-6, atol=1e-8)
+
+    def steps() -> None:
+        for _ in range(STEPS):
+            tau = np.zeros(model.nv)
+            tau[6:] = 20.0 * (q[7:] - stepper.q[7:]) - 0.5 * stepper.v[6:]
+            stepper.step(tau, 1e-3)
+
+    return steps
+
+
+def steps_in_flight() -> Callable[[], None]:
+    """A hundred steps of 1 ms of a Panda that falls, a floor below it."""
+    robot = load_robot("panda")
+    contact = Contact("panda_hand_tcp", Plane(point=(0.0, 0.0, -1.0)), friction=0.3)
+    still = np.zeros(robot.model.nv)
+    stepper = Stepper(Scene(robot, contact), robot.q0, still, rtol=1e-6, atol=1e-8)
+
+    def steps() -> None:
+        for _ in range(STEPS):
+            stepper.step(still, 1e-3)
+
+    return steps
 
 
 def humanoid() -> Run:
@@ -185,6 +213,14 @@ CASES = {
 }
 
 
+STEPS = 100
+"""Of a `Stepper` in one run."""
+
+STEPPED = {
+    "1 ms step, solo12 on four feet": (steps_standing, 3e-4),
+    "1 ms step, Panda in flight": (steps_in_flight, 1e-4),
+}
+
 AGAINST = {
     "solo12 stands, 10 s": standing_in_mujoco,
     "box on 16 corners dropped tilted, 2 s": box_in_mujoco,
@@ -194,9 +230,11 @@ AGAINST = {
 def main() -> None:
     """Take the best of a few runs of each, in turns."""
     runs = {name: make() for name, (make, _) in CASES.items()}
+    steps = {name: make() for name, (make, _) in STEPPED.items()}
     others = {f"{name}, MuJoCo": make() for name, make in AGAINST.items()}
-    seconds = best_of({**runs, **others}, rounds=ROUNDS)
+    seconds = best_of({**runs, **steps, **others}, rounds=ROUNDS)
     rows = [row(name, seconds[name], goal) for name, (_, goal) in CASES.items()]
+    rows += [row(name, seconds[name] / STEPS, goal) for name, (_, goal) in STEPPED.items()]
     rows += [row(name, seconds[name]) for name in others]
     publish("persistent_contact", rows)
 

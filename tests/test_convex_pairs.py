@@ -11,9 +11,10 @@ import pinocchio as pin
 import pytest
 
 from pinimpact.errors import InputError
-from pinimpact.robot.convex_pair import gap, touches
+from pinimpact.robot.convex_pair import Touch, gap, touches
 from pinimpact.robot.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
 from pinimpact.robot.touch_time import PairState, first_touch
+from pinimpact.scene.shape_watch import bend_of_heights
 
 FALL = np.array([0.0, 0.0, -9.81])
 STRAIGHT = np.eye(3)
@@ -45,14 +46,14 @@ class Flight:
         return float(self.spin @ self.spin) * (float(np.linalg.norm(self.shape.center)) + self.shape.reach)
 
 
-def touch_time(a: Flight, b: Flight, end: float = 2.0) -> float:
-    """When the two first touch; infinite where they do not."""
+def touch_time(a: Flight, b: Flight, end: float = 2.0, room: float = 0.0) -> float:
+    """When the two first touch, with bounds of their accelerations that leave room; infinite where not."""
 
     def at(t: float) -> PairState:
         (placed_a, velocity_a), (placed_b, velocity_b) = a.at(t), b.at(t)
         return PairState(placed_a, placed_b, velocity_a, velocity_b)
 
-    bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend
+    bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend + room
     found = first_touch(at, 0.0, end, bend, 1e-13)
     assert found is not None
     return found.time if found.touches else math.inf
@@ -189,6 +190,52 @@ def test_passes_that_graze_or_miss(offset: float, hits: bool) -> None:
     expected = math.pi / 4 - math.acos((reach + offset) / reach) if hits else math.inf
     # the corner is slow as it grazes, so that the rounding of its place counts
     assert touch_time(turning, b, 1.5) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_heights_over_the_plane_of_two_edges_bend_by_no_more_than_their_bound(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    flights = [
+        Flight(box((0.4, 0.3, 0.2)), rng.normal(size=3), spin=rng.normal(size=3), rotation=pin.exp3(turn))
+        for turn in rng.normal(size=(2, 3))
+    ]
+
+    def at(t: float) -> PairState:
+        (a, velocity_a), (b, velocity_b) = (one.at(t) for one in flights)
+        return PairState(a, b, velocity_a, velocity_b)
+
+    spins = [float(np.linalg.norm(one.spin)) for one in flights]
+    spin, faster = sum(spins), sum(s * s for s in spins) + sum(spins) ** 2
+    for edges in ((0, 0), (0, 5), (3, 7), (9, 4)):
+        touch = Touch("edge-edge", np.zeros(3), np.zeros(3), edges)
+        bend, until = bend_of_heights(touch, at(0.0), spin, faster)
+        last = normal = np.array([0.0, 0.0, 1.0])
+        heights = []
+        h = min(1e-3, 0.5 * until)
+        for t in (0.0, h, 2.0 * h):
+            state = at(t)
+            u, w = (
+                np.subtract(*placed.vertices[placed.shape.edges[k]])
+                for placed, k in zip(state[:2], edges, strict=True)
+            )
+            normal = np.cross(u, w)
+            normal = math.copysign(1.0, normal @ last) * normal / np.linalg.norm(normal)
+            last = normal
+            heights.append(
+                [
+                    (p.vertices - p.vertices[p.shape.edges[k][0]]) @ normal
+                    for p, k in zip(state[:2], edges, strict=True)
+                ]
+            )
+        second = np.abs(np.array(heights[0]) - 2.0 * np.array(heights[1]) + heights[2]).max() / h**2
+        assert 1e-3 * bend < second <= bend
+
+
+@pytest.mark.slow
+def test_what_parts_slowly_beside_large_bounds_has_parted() -> None:
+    lower = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.0))
+    upper = Flight(box((0.2, 0.2, 0.2)), (0.0, 0.0, 0.2), gravity=(0.0, 0.0, 0.02))
+    assert touch_time(upper, lower, 1e-3, room=2700.0) == math.inf
 
 
 def test_gap_is_exact_when_small_and_never_more_than_the_distance() -> None:

@@ -201,6 +201,16 @@ def test_a_bar_lands_flat_and_does_not_turn():
     assert solution.statuses == (Status.SEPARATED, Status.SEPARATED)
 
 
+def test_a_point_leaves_a_narrow_wedge():
+    # to and fro between walls that enclose 5°, in 48 events; the numbers of the notes on this model
+    half = math.radians(2.5)
+    jacobian = np.zeros((6, 2))
+    jacobian[2], jacobian[5] = (math.sin(half), math.cos(half)), (math.sin(half), -math.cos(half))
+    solution, after = collide(jacobian, np.eye(2), np.array([-1.0, -0.3]), restitution=0.5)
+    assert after == pytest.approx((0.451, 0.002), abs=5e-4)
+    assert not solution.notes
+
+
 @pytest.mark.parametrize(("alpha", "inertia"), [(0.3, 0.4), (0.2, 0.1)])
 def test_two_feet_of_a_rimless_wheel(alpha, inertia):
     feet = (-math.sin(alpha), -math.cos(alpha)), (math.sin(alpha), -math.cos(alpha))

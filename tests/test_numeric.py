@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pinimpact._numeric import cone_program, elimination, least_norm, lu
+from pinimpact._numeric import cone_program, elimination, least_norm, lu, semidefinite
 
 TOLERANCE = 1e-9
 COMPILES = settings(deadline=None)
@@ -24,6 +24,12 @@ def solve_least_norm(matrix, right, x, null):
 def solve_square(matrix, right, x):
     """Call the kernel, which only kernels can."""
     return elimination.solve(matrix, right, x, TOLERANCE)
+
+
+@numba.njit
+def solve_symmetric(matrix, right, x):
+    """Call the kernel, which only kernels can."""
+    return semidefinite.solve_definite(matrix, right, x)
 
 
 def matrix_of_rank(seed, rows, columns, rank):
@@ -68,6 +74,18 @@ def test_elimination_solves_and_knows_the_sign_of_the_determinant(seed, size):
     assert x == pytest.approx(np.linalg.solve(matrix, right), rel=1e-11, abs=1e-12)
     singular = matrix_of_rank(seed, size, size, size - 1)
     assert solve_square(singular, right, x) == 0
+
+
+@COMPILES
+@given(st.integers(0, 10**6), st.integers(1, 12))
+def test_a_definite_system_is_solved_and_a_singular_one_refused(seed, size):
+    root = matrix_of_rank(seed, size, size, size)
+    right = np.random.default_rng(seed + 1).normal(size=size)
+    x = np.empty(size)
+    assert solve_symmetric(root @ root.T, right, x)
+    assert x == pytest.approx(np.linalg.solve(root @ root.T, right), rel=1e-9, abs=1e-12)
+    root = matrix_of_rank(seed, size, size, size - 1)
+    assert not solve_symmetric(root @ root.T, right, x)
 
 
 @numba.njit

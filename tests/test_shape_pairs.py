@@ -18,6 +18,8 @@ from pinimpact import Box, Contact, InputError, Plane, Scene, Shape, SimulationE
 from pinimpact.robot.convex_pair import gap
 from pinimpact.robot.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
+from pinimpact.scene.pairs_apart import PairsApart
+from pinimpact.scene.simulation import Motion
 
 from .scene_models import G, run, shaped_body
 
@@ -278,6 +280,44 @@ def test_the_tip_of_a_spinning_rod_grazes_a_wall_within_a_step(over):
         assert np.diff(found.t).max() > 2.0 * (0.5 * math.pi / spin - time)
 
 
+def peaks(step):
+    """(2, nv) what |v| and |v̇| do not exceed in a step, as sampled."""
+    times = np.linspace(step.start, step.start + step.h, 40)
+    v = np.array([step.at(t)[1] for t in times])
+    return np.array([np.abs(v).max(axis=0), np.abs(np.diff(v, axis=0)).max(axis=0) / (times[1] - times[0])])
+
+
+def test_pairs_that_are_said_to_stay_apart_do():
+    """Against coal's distance, where an arm swings beside a block; and most are told at once."""
+    robot = pinimpact.load_robot("panda")
+    block = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
+    scene = Scene(robot).contacts_from_geometry(block)
+    q = np.array([0.0, -0.7, 0.0, -1.75, 0.0, 1.57, 0.785, 0.02, 0.02])
+    motion = Motion(scene, q, np.zeros(9), 1e-8, 1e-10, math.inf, 100)
+    motion.begin()
+    motion.advance(1.0)
+    steps = motion.dense_steps[::6]
+    layout, data = scene.layout(), robot.model.createData()
+    pairs = [layout.pairs[contact] for contact in layout.pairs]
+    watch = PairsApart(robot.model, layout, tuple(layout.pairs))
+
+    def gaps(q):
+        pin.forwardKinematics(robot.model, data, q)
+        return np.array([gap(*pair.placed(data)).value for pair in pairs])
+
+    told = 0
+    for step in steps:
+        found = watch.at(step.q)
+        exact = gaps(step.q)
+        assert (found <= exact + 1e-9).all()
+        assert (found[exact > 0.01] > 0.3 * exact[exact > 0.01]).all()
+        apart = watch.over(step, peaks(step))
+        told += apart.sum()
+        least = np.min([gaps(step.at(t)[0]) for t in np.linspace(step.start, step.start + step.h, 9)], axis=0)
+        assert (least[apart] > 0.0).all()
+    assert told > 0.95 * len(pairs) * len(steps)
+
+
 def test_wrong_pairs_are_refused():
     robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
     on_block = Contact(geometry="crate", plane=BLOCK)
@@ -296,6 +336,13 @@ def test_wrong_pairs_are_refused():
         Scene(cone, contacts=replace(on_block, geometry="cone"))
     with pytest.raises(InputError, match="rim_points: 2 given"):
         Shape("cone", rim_points=2)
+    sheet = coal.BVHModelOBBRSS()
+    sheet.beginModel(1, 3)
+    sheet.addTriangle(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    sheet.endModel()
+    sheet = shaped_body(sheet, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="sheet")
+    with pytest.raises(InputError, match="points of 'sheet' have no convex hull with a volume"):
+        Scene(sheet, contacts=replace(on_block, geometry="sheet"))
     swept = coal.Box(0.2, 0.2, 0.2)
     swept.setSweptSphereRadius(0.05)
     swept = shaped_body(swept, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")

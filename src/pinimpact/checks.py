@@ -29,7 +29,8 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
 def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Like `float_array`, and refuse NaN and infinity."""
     array = float_array(field, value, shape)
-    if not np.isfinite(array).all():
+    squares = np.vdot(array, array)  # quickly finite, unless it is too large
+    if not math.isfinite(squares) and not np.isfinite(array).all():
         raise InputError(
             f"{field}: {array.tolist()} holds numbers that are not finite", field=field, value=value
         )

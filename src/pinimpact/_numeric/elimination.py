@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .ahead import FLOAT_ROWS, FLOATS, ahead
-from .jit import separate
+from .jit import inner, separate
 
 RANK = 1e-10
 """Pivots and singular values below this part of the largest count as zero."""
@@ -30,20 +30,25 @@ def solve(system, target, solution, rank):
     for k in range(size):
         pivot, row, col = 0.0, k, k
         for a in range(k, size):
-            for b in range(k, size):
-                if abs(matrix[a, b]) > pivot:
-                    pivot, row, col = abs(matrix[a, b]), a, b
+            found = largest_of(matrix[a], k)
+            if found > pivot:
+                pivot, row = found, a
+        for b in range(size - 1, k - 1, -1):
+            if abs(matrix[row, b]) == pivot:
+                col = b
         largest = max(largest, pivot)
         if not pivot > rank * largest:
             return 0
         if (matrix[row, col] < 0.0) != ((row != k) != (col != k)):
             sign = -sign
-        for b in range(size):
-            matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
-        right[k], right[row] = right[row], right[k]
-        for a in range(size):
-            matrix[a, k], matrix[a, col] = matrix[a, col], matrix[a, k]
-        order[k], order[col] = order[col], order[k]
+        if row != k:
+            for b in range(size):
+                matrix[k, b], matrix[row, b] = matrix[row, b], matrix[k, b]
+            right[k], right[row] = right[row], right[k]
+        if col != k:
+            for a in range(size):
+                matrix[a, k], matrix[a, col] = matrix[a, col], matrix[a, k]
+            order[k], order[col] = order[col], order[k]
         for a in range(k + 1, size):
             factor = matrix[a, k] / matrix[k, k]
             for b in range(k + 1, size):
@@ -55,3 +60,17 @@ def solve(system, target, solution, rank):
             total -= matrix[k, b] * solution[order[b]]
         solution[order[k]] = total / matrix[k, k]
     return sign
+
+
+@inner
+def largest_of(row, first):
+    """Return the largest magnitude in a row from a column on, of even and odd columns side by side."""
+    even = odd = 0.0
+    for b in range(first, len(row) - 1, 2):
+        x, y = abs(row[b]), abs(row[b + 1])
+        even = x if x > even else even
+        odd = y if y > odd else odd
+    if (len(row) - first) % 2 == 1:
+        x = abs(row[len(row) - 1])
+        even = x if x > even else even
+    return odd if odd > even else even

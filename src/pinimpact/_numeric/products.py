@@ -33,7 +33,7 @@ def apply_symmetric(matrix, x, out):
 @inner
 def products(rows, others, out):
     """Fill out (k, l) with the products of each of rows (k, n), many of them zero, and of others (l, n)."""
-    n = rows.shape[1]
+    m, n = others.shape
     places = np.empty(n, dtype=np.int64)
     for a in range(len(rows)):
         count = 0
@@ -41,7 +41,17 @@ def products(rows, others, out):
             if rows[a, j] != 0.0:
                 places[count] = j
                 count += 1
-        for b in range(len(others)):
+        for b in range(0, m - 3, 4):  # four sums at a time, for none can wait for the one before
+            first = second = third = fourth = 0.0
+            for k in range(count):
+                j = places[k]
+                x = rows[a, j]
+                first += x * others[b, j]
+                second += x * others[b + 1, j]
+                third += x * others[b + 2, j]
+                fourth += x * others[b + 3, j]
+            out[a, b], out[a, b + 1], out[a, b + 2], out[a, b + 3] = first, second, third, fourth
+        for b in range(m - m % 4, m):
             total = 0.0
             for k in range(count):
                 total += rows[a, places[k]] * others[b, places[k]]

@@ -1,4 +1,4 @@
-"""The rank of a symmetric positive semidefinite matrix."""
+"""Symmetric positive semidefinite matrices: their rank, and systems of such."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from .ahead import FLOAT_ROWS, FLOATS, ahead
 from .elimination import RANK
-from .jit import inner
+from .jit import inner, separate
 
 
 @inner
@@ -39,3 +40,29 @@ def factor(matrix, order, lower):
             lower[i, k] = total / pivot
             rest[i] -= lower[i, k] ** 2
     return size
+
+
+@ahead(FLOAT_ROWS, FLOATS, FLOATS)
+@separate
+def solve_definite(matrix, target, solution):
+    """Solve a system whose matrix is positive semidefinite, as `elimination.solve` does in twice the time.
+
+    Returns:
+        Whether it is definite; there is no solution otherwise.
+    """
+    size = len(target)
+    lower, order, part = np.zeros((size, size)), np.empty(size, dtype=np.int64), np.empty(size)
+    if factor(matrix, order, lower) < size:
+        return False
+    for k in range(size):
+        i = order[k]
+        total = target[i]
+        for j in range(k):
+            total -= lower[i, j] * part[j]
+        part[k] = total / lower[i, k]
+    for k in range(size - 1, -1, -1):
+        total = part[k]
+        for j in range(k + 1, size):
+            total -= lower[order[j], k] * solution[order[j]]
+        solution[order[k]] = total / lower[order[k], k]
+    return True

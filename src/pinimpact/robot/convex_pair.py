@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex_shape import PlacedShape
+from .convex_shape import PlacedShape, cross
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -182,7 +182,7 @@ def _crossed(a: PlacedShape, b: PlacedShape, near: Array | None) -> tuple[Array,
     u = a.directions if near is None else _edges_near(a, near)
     w = b.directions if near is None else _edges_near(b, -near)
     u, w = np.repeat(u, len(w), axis=0), np.tile(w, (len(u), 1))
-    normals = np.cross(u, w)
+    normals = cross(u, w)
     lengths = np.linalg.norm(normals, axis=1)
     some = lengths > PARALLEL
     normals, u, w = normals[some] / lengths[some, None], u[some], w[some]
@@ -272,7 +272,7 @@ def beyond_sides(shape: PlacedShape, k: int, point: Array) -> float:
     """Return how far a point is beyond the sides of a face, negative above it [m]."""
     corners = shape.vertices[shape.shape.faces[k]]
     along = np.roll(corners, -1, axis=0) - corners
-    outward = np.cross(along, shape.normals[k])
+    outward = cross(along, shape.normals[k])
     outward /= np.linalg.norm(outward, axis=1)[:, None]
     return float(np.einsum("ij,ij->i", outward, point - corners).max())
 
@@ -312,10 +312,10 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
     if touch.kind == "edge-edge":
         first, second = a.vertices[a.shape.edges[i]], b.vertices[b.shape.edges[j]]
         u, w = first[1] - first[0], second[1] - second[0]
-        across = np.cross(u, w)
+        across = cross(u, w)
         squared = float(across @ across)
-        s = float(np.cross(second[0] - first[0], w) @ across) / squared
-        r = float(np.cross(second[0] - first[0], u) @ across) / squared
+        s = float(cross(second[0] - first[0], w) @ across) / squared
+        r = float(cross(second[0] - first[0], u) @ across) / squared
         beyond = max(_beyond(s, u), _beyond(r, w))
         turned = across / math.copysign(math.sqrt(squared), float(across @ normal))
         return Followed(touch._replace(point=first[0] + s * u, other=second[0] + r * w), turned, beyond)
@@ -362,13 +362,13 @@ def corners_of(touch: Touch, a: PlacedShape, b: PlacedShape) -> tuple[Integers, 
 def _crossing(first: Array, second: Array) -> tuple[Array, Array] | None:
     """Return the nearest points of two segments (2, 3) where both lie within, else None."""
     u, w = first[1] - first[0], second[1] - second[0]
-    across = np.cross(u, w)
+    across = cross(u, w)
     squared = float(across @ across)
     if squared <= PARALLEL**2 * float((u @ u) * (w @ w)):
         return None
     between = second[0] - first[0]
-    s = float(np.cross(between, w) @ across) / squared
-    r = float(np.cross(between, u) @ across) / squared
+    s = float(cross(between, w) @ across) / squared
+    r = float(cross(between, u) @ across) / squared
     if not (0.0 < s < 1.0 and 0.0 < r < 1.0):
         return None
     return first[0] + s * u, second[0] + r * w

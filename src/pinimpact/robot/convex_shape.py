@@ -100,6 +100,12 @@ class PlacedShape:
         return self.shape.directions @ self.rotation.T
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return a × b (…, 3), as `numpy.cross` does in ten times the time."""
+    (a1, a2, a3), (b1, b2, b3) = a.T, b.T
+    return np.array([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1]).T
+
+
 def box(size: ArrayLike) -> ConvexShape:
     """Return a box about the origin with these (3,) lengths of its sides [m]."""
     import coal
@@ -147,8 +153,8 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
     )
 
 
-def hull(points: ArrayLike) -> ConvexShape:
-    """Return the convex hull of (n, 3) points.
+def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
+    """Return the convex hull of (n, 3) points, which errors call by a name.
 
     Raises:
         InputError: Points that span no volume, or that are not finite.
@@ -158,13 +164,14 @@ def hull(points: ArrayLike) -> ConvexShape:
 
     points = np.asarray(points, dtype=np.float64)
     if not np.isfinite(points).all():
-        raise InputError("geometry: points that are not finite", field="geometry", value=points)
+        raise InputError(f"geometry: {name!r} has points that are not finite", field="geometry", value=points)
     try:
         found = ConvexHull(points)
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
-            f"geometry: {len(points)} points have no convex hull with a volume ({reason})",
+            f"geometry: the {len(points)} points of {name!r} have no convex hull with a volume ({reason}); "
+            "only shapes with a volume can meet another shape",
             field="geometry",
             value=points,
         ) from None
@@ -207,10 +214,10 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
     if kind == "Capsule":
         return capsule(float(geometry.radius), float(geometry.halfLength))
     if kind == "Convex":
-        return hull(np.asarray(geometry.points()))
+        return hull(np.asarray(geometry.points()), name)
     if kind.startswith("BVHModel"):
         points = np.array(geometry.vertices(), dtype=np.float64)
-        found = hull(points)
+        found = hull(points, name)
         depth = _deepest(found, points)
         if depth > NOT_CONVEX * found.reach:
             warnings.warn(
@@ -262,7 +269,7 @@ def _around(vertices: Array, corners: Integers, normal: Array) -> Integers:
     """Return the corners of a face in their order around its normal."""
     from_center = vertices[corners] - vertices[corners].mean(axis=0)
     first = from_center[0] / np.linalg.norm(from_center[0])
-    second = np.cross(normal, first)
+    second = cross(normal, first)
     order = np.argsort(np.arctan2(from_center @ second, from_center @ first), kind="stable")
     return np.asarray(corners)[order].astype(np.int64)
 
@@ -270,7 +277,7 @@ def _around(vertices: Array, corners: Integers, normal: Array) -> Integers:
 def _fitted(corners: Array, normal: Array) -> Array:
     """Return the unit normal of a face from its corners, in their order, by Newell's sum."""
     following = np.roll(corners, -1, axis=0)
-    sum_of_areas = np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
+    sum_of_areas = cross(corners - corners[0], following - corners[0]).sum(axis=0)
     found: Array = sum_of_areas / np.linalg.norm(sum_of_areas)
     return found if found @ normal > 0.0 else -found
 

@@ -14,7 +14,7 @@ from ..errors import InputError
 from .collision_shapes import collision_model, find_shape
 from .contact import Contact
 from .convex_pair import Touch, gap, touches
-from .convex_shape import PlacedShape
+from .convex_shape import PlacedShape, cross
 from .data_cache import checked_configuration, data_cache
 from .lines import Edge, Line
 from .names import model_of, motion_signs
@@ -216,7 +216,7 @@ def point_contact(
         lasting, swapped = tip(b, touch.other, plane(a, touch.point, -normal)), True
     elif touch.kind == "edge-edge":
         along_a, along_b = _along(placed[0], touch.features[0]), _along(placed[1], touch.features[1])
-        if np.cross(along_a, along_b) @ normal < 0.0:
+        if cross(along_a, along_b) @ normal < 0.0:
             along_b = -along_b
         edge = Edge(**line(b, touch.other, along_b, normal))
         lasting = replace(tip(a, touch.point, edge), axis=turn(a, along_a))

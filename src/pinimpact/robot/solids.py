@@ -97,7 +97,7 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
                 field="rim_points",
                 value=None,
             )
-        return hull(shape_tips(shapes, found, rim_points).centres)
+        return hull(shape_tips(shapes, found, rim_points).centres, name)
     if not hasattr(solid, "vertices"):
         return of_collision_geometry(solid, name)
     points = np.array(solid.vertices(), dtype=np.float64)

@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .convex_pair import TOUCHING, Followed, Touch, Turning, follow, gap, ties, touches
-from .convex_shape import PlacedShape
+from .convex_shape import PlacedShape, cross
 
 Array = NDArray[np.float64]
 
-MAX_ADVANCES = 2_000
-"""Advances, after which a pair that neither touches nor parts is given up."""
+MAX_ADVANCES = 20_000
+"""Advances, after which a pair that neither touches nor parts is given up; one that parts at a thousandth of
+the acceleration that its bound allows takes some thousands."""
 
 
 class PairState(NamedTuple):
@@ -141,7 +142,7 @@ def _goes_with(state: PairState, value: float, normal: Array) -> Array:
         foremost = placed.vertices[heights <= heights.min() + behind]
         foremost = foremost - foremost.mean(axis=0)
         arms.append(foremost - np.outer(foremost @ normal, normal))
-        uneven.append(foremost @ np.cross(normal, velocity[3:]))
+        uneven.append(foremost @ cross(normal, velocity[3:]))
     turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=1e-9)[0]
     return np.asarray(turn - (turn @ normal) * normal)
 
@@ -150,14 +151,14 @@ def _turn(state: PairState, one: Turning) -> Array:
     """Return the rate (3,) of the normal of a face or of two edges."""
     spin_a, spin_b = state.velocity_a[3:], state.velocity_b[3:]
     if one.edges is None:
-        return np.cross(spin_a if one.of_a else spin_b, one.normal)
+        return cross(spin_a if one.of_a else spin_b, one.normal)
     return _edges_turn(one.edges[0], one.edges[1], one.normal, spin_a, spin_b)
 
 
 def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array) -> Array:
     """Return the rate (3,) of the normal of two edges: ṅ = (Ṅ − n n·Ṅ)/|N| with N = ± u × w."""
-    across = np.cross(u, w)
-    rate = np.cross(np.cross(spin_a, u), w) + np.cross(u, np.cross(spin_b, w))
+    across = cross(u, w)
+    rate = cross(cross(spin_a, u), w) + cross(u, cross(spin_b, w))
     rate = rate / math.copysign(float(np.linalg.norm(across)), float(across @ normal))
     return np.asarray(rate - (rate @ normal) * normal)
 
@@ -168,8 +169,8 @@ def _front(state: PairState, value: float, normal: Array, bend: float, turn: Arr
     size = a.shape.reach + b.shape.reach
     heights_a, heights_b = a.vertices @ normal, b.vertices @ normal
     center = a.vertices[heights_a.argmin()]
-    moving_a = state.velocity_a[:3] + np.cross(state.velocity_a[3:], a.vertices)
-    moving_b = state.velocity_b[:3] + np.cross(state.velocity_b[3:], b.vertices)
+    moving_a = state.velocity_a[:3] + cross(state.velocity_a[3:], a.vertices)
+    moving_b = state.velocity_b[:3] + cross(state.velocity_b[3:], b.vertices)
     spin = float(np.linalg.norm(turn))
     mean = 0.5 * (moving_a.mean(axis=0) + moving_b.mean(axis=0))
     speed = sum(float(np.linalg.norm(one - mean, axis=1).max()) for one in (moving_a, moving_b))
@@ -223,13 +224,19 @@ def _step(now: Front, left: float, floor: float) -> float:
         closing = float(now.rates_b[highest].max() - now.rates_a[lowest].min())
         if closing > (math.sqrt(2.0 * now.bend * floor) if now.value >= -floor else 0.0):
             return 0.0
-    raised = max(now.value, floor) - float(now.heights_a.min() - now.heights_b.max() - now.apart)
+    first, other = now.heights_a.argmin(), now.heights_b.argmax()
+    gap_now = max(now.value, floor)
+    raised = gap_now - float(now.heights_a[first] - now.heights_b[other] - now.apart)
+    longest = min(left, now.until)
+    if now.bend > 0.0:  # the two that are foremost now would touch by then
+        rate = float(now.rates_a[first] - now.rates_b[other])
+        longest = min(longest, (rate + math.sqrt(rate * rate + 2.0 * now.bend * gap_now)) / now.bend)
 
     def bound(h: float) -> float:
         lower = (now.heights_a + h * now.rates_a).min() - (now.heights_b + h * now.rates_b).max()
         return float(lower) + raised - now.apart - 0.5 * now.bend * h * h
 
-    return _clear(bound, min(left, now.until))
+    return _clear(bound, longest)
 
 
 def _clear(bound: Callable[[float], float], longest: float) -> float:
@@ -259,9 +266,9 @@ def normal_rate(touch: Touch, now: Followed, state: PairState) -> Array:
     """Return the rate (3,) of the normal of a pair of features, in world axes [1/s]."""
     n, spin_a, spin_b = now.normal, state.velocity_a[3:], state.velocity_b[3:]
     if touch.kind == "vertex-face":
-        return np.cross(spin_b, n)
+        return cross(spin_b, n)
     if touch.kind == "face-vertex":
-        return np.cross(spin_a, n)
+        return cross(spin_a, n)
     if touch.kind == "edge-edge":
         u, w = (
             np.subtract(*placed.vertices[placed.shape.edges[k]][::-1])
@@ -270,15 +277,15 @@ def normal_rate(touch: Touch, now: Followed, state: PairState) -> Array:
         return _edges_turn(u, w, n, spin_a, spin_b)
     between = now.touch.point - now.touch.other
     length = float(np.linalg.norm(between))
-    moving = state.velocity_a[:3] + np.cross(spin_a, now.touch.point)
-    moving = moving - state.velocity_b[:3] - np.cross(spin_b, now.touch.other)
+    moving = state.velocity_a[:3] + cross(spin_a, now.touch.point)
+    moving = moving - state.velocity_b[:3] - cross(spin_b, now.touch.other)
     line = np.zeros(3)
     if touch.kind == "vertex-edge":  # as the line turns, the point on it that is nearest moves along
         line = state.b.vertices[state.b.shape.edges[touch.features[1]]]
         line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        moving = moving - line * (line @ moving + np.cross(spin_b, line) @ between)
+        moving = moving - line * (line @ moving + cross(spin_b, line) @ between)
     elif touch.kind == "edge-vertex":
         line = state.a.vertices[state.a.shape.edges[touch.features[0]]]
         line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        moving = moving - line * (line @ moving + np.cross(spin_a, line) @ between)
+        moving = moving - line * (line @ moving + cross(spin_a, line) @ between)
     return np.asarray((moving - (moving @ n) * n) / length)

@@ -72,13 +72,13 @@ class ClosedSet(NamedTuple):
             work.sliding_friction.copy(),
             work.drive_side.copy(),
             work.control_force.copy(),
-            work.contact_constants[index],
+            work.contact_constants.take(index, axis=0),
             work.direction_speed,
             slips,
             work.forces_unique,
             work.inner_forces.copy() if rubs else _NONE,
-            work.contact_joints[index],
-            work.velocity_signs[index],
+            work.contact_joints.take(index, axis=0),
+            work.velocity_signs.take(index, axis=0),
             swapped,
         )
 

@@ -13,36 +13,21 @@ from .._numeric.jit import compile_all
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import call_addresses
-from ._kernels.pair_bounds import bends, separations
+from ._kernels.pair_bounds import separations, stay_apart, turn_to_gaps
 from .dense_step import DenseStep
 from .layout import SceneLayout
 
 Array = NDArray[np.float64]
 
-PIECES = 8
-"""Parts of a step, at most, over which the direction known is tried; a power of two."""
-
 SHORTEST = 1.0 / 65.0
 """Part of a step below which conservative advancement goes on."""
 
-_EVERY = slice(None)
 _ONE, _FIRST = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
-
-
-def _samples(rows: range) -> tuple[Array, NDArray[np.int64]]:
-    return np.array(rows) / PIECES, np.array(rows, dtype=np.int64)
-
-
-_BETWEEN = [_samples(range(0, PIECES + 1, PIECES))]
-"""Fractions of a step, its ends first, then what halves its pieces; and their places among all."""
-_BETWEEN += [
-    _samples(range(k // 2, PIECES, k)) for k in (PIECES >> n for n in range(PIECES.bit_length() - 1))
-]
 
 
 @functools.cache
 def _compile() -> None:
-    compile_all((separations,), (bends,))
+    compile_all((separations,), (stay_apart,), (turn_to_gaps,))
 
 
 class PairsApart:
@@ -65,13 +50,26 @@ class PairsApart:
         _compile()
         self._dynamics = layout.dynamics_for(self, model)
         self._tables = layout.pair_tables(tuple(pairs))
-        self._calls = call_addresses([self._dynamics.forward_kinematics])
-        self._directions = np.zeros((len(pairs), 3))
+        self._calls = call_addresses([self._dynamics.forward_kinematics, self._dynamics.forward_dynamics])
+        self._directions = np.tile([0.0, 0.0, 1.0], (len(pairs), 1))
         self.bends = np.zeros(len(pairs))
 
     def take_over(self, other: PairsApart) -> None:
         """Become what is known of the same pairs elsewhere."""
         self._directions[:] = other._directions
+
+    def at(self, q: Array) -> Array:
+        """Return (p,) by what each pair is apart at a configuration, at the least [m]."""
+        robot, tables = self._dynamics, self._tables
+        robot.q[:] = q
+        found = np.empty(len(self.bends))
+        went_well = turn_to_gaps(
+            *(self._calls, robot.q, robot.placements, tables.joints, tables.vertices, tables.ranges),
+            *(tables.radii, self._directions, np.ones(len(found), dtype=np.bool_), found),
+        )
+        if not went_well:
+            raise_kept_error()
+        return found
 
     def over(self, step: DenseStep, peak: Array) -> NDArray[np.bool_]:
         """Return (p,) whether each pair stays apart over a step, along the direction last known.
@@ -80,33 +78,16 @@ class PairsApart:
             step: The step.
             peak: (2, nv) what |v| and |v̇| do not exceed in it.
         """
-        dynamics, tables = self._dynamics, self._tables
-        found = np.full((PIECES + 1, len(self.bends)), np.inf)
+        robot, tables = self._dynamics, self._tables
         apart = np.zeros(len(self.bends), dtype=np.bool_)
-        self._separations(_EVERY, step, *_BETWEEN[0], ~apart, found)
-        dynamics.q[:] = step.q
-        dynamics.forward_dynamics.function(*dynamics.forward_dynamics.arguments)
-        bends(
-            dynamics.placements,
-            tables.joints,
-            dynamics.joint_jacobian,
-            tables.centers,
-            tables.reaches,
-            tables.moves,
-            peak,
-            step.h,
-            self.bends,
+        went_well = stay_apart(
+            *(self._calls, robot.q, robot.placements, robot.joint_jacobian, tables.joints, tables.vertices),
+            *(tables.ranges, tables.radii, tables.centers, tables.reaches, tables.moves, tables.least),
+            *(self._directions, step.coefficients, step.joints, step.q, step.v, peak, step.h),
+            *(self.bends, apart),
         )
-        stride = PIECES
-        for between in _BETWEEN[1:]:
-            sagging = 0.125 * (step.h * stride / PIECES) ** 2 * self.bends
-            apart |= found[::stride].min(axis=0) - sagging > tables.least
-            if apart.all():
-                return apart
-            self._separations(_EVERY, step, *between, ~apart, found)
-            stride //= 2
-        sagging = 0.125 * (step.h / PIECES) ** 2 * self.bends
-        apart |= found.min(axis=0) - sagging > tables.least
+        if not went_well:
+            raise_kept_error()
         return apart
 
     def until(self, pair: int, step: DenseStep, normal: Callable[[float], Array]) -> float:
@@ -117,13 +98,13 @@ class PairsApart:
             step: The step.
             normal: Returns the direction (3,) of the gap at a time.
         """
-        one, t, end, width = slice(pair, pair + 1), step.start, step.start + step.h, step.h
+        t, end, width = step.start, step.start + step.h, step.h
         while t < end:
             self._directions[pair] = normal(t)
-            here = self._separation(one, step, t)
+            here = self._separation(pair, step, t)
             while width > SHORTEST * step.h:
                 later = min(t + width, end)
-                least = min(here, self._separation(one, step, later))
+                least = min(here, self._separation(pair, step, later))
                 if least - 0.125 * (later - t) ** 2 * self.bends[pair] > self._tables.least[pair]:
                     break
                 width *= 0.5
@@ -132,27 +113,15 @@ class PairsApart:
             t, width = later, 2.0 * width
         return end
 
-    def _separation(self, one: slice, step: DenseStep, t: float) -> float:
+    def _separation(self, pair: int, step: DenseStep, t: float) -> float:
         """Return how far a pair is apart at a time, along the direction known [m]."""
-        found = np.empty((1, 1))
-        self._separations(one, step, np.array([(t - step.start) / step.h]), _FIRST, _ONE, found)
-        return float(found[0, 0])
-
-    def _separations(
-        self,
-        which: slice,
-        step: DenseStep,
-        fractions: Array,
-        rows: NDArray[np.int64],
-        wanted: NDArray[np.bool_],
-        found: Array,
-    ) -> None:
-        """Fill rows of `found` with how far pairs are apart at fractions of a step; see `separations`."""
-        dynamics, tables = self._dynamics, self._tables
+        robot, tables, one = self._dynamics, self._tables, slice(pair, pair + 1)
+        fractions, found = np.array([(t - step.start) / step.h]), np.empty((1, 1))
         went_well = separations(
-            *(self._calls, dynamics.q, dynamics.placements, tables.joints[which], tables.vertices),
-            *(tables.ranges[which], tables.radii[which], self._directions[which]),
-            *(step.coefficients, step.joints, step.q, step.v, fractions, wanted, rows, found),
+            *(self._calls, robot.q, robot.placements, tables.joints[one], tables.vertices),
+            *(tables.ranges[one], tables.radii[one], self._directions[one]),
+            *(step.coefficients, step.joints, step.q, step.v, fractions, _ONE, _FIRST, found),
         )
         if not went_well:
             raise_kept_error()
+        return float(found[0, 0])

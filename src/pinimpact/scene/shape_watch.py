@@ -8,6 +8,7 @@ holds the shapes apart meets another corner.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..robot.contact import Contact, contact_constants
 from ..robot.convex_pair import Touch, corners_of, follow, gap, touches
-from ..robot.convex_shape import PlacedShape
+from ..robot.convex_shape import PlacedShape, cross
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ._kernels.contact_forces import FREE
@@ -42,6 +43,9 @@ ROUNDING = 1e-12
 
 AHEAD = 1e-6
 """Part of the shapes' size by which they go on before it is seen what touches after a point has left."""
+
+TURNED = 0.1
+"""Part of the angle between two edges by which they turn before bounds are taken anew."""
 
 SUNK = 1e-6
 """Part of the shapes' size by which they never overlap, but for a fault."""
@@ -151,8 +155,12 @@ class ShapeWatch:
         Raises:
             InputError: A pair that overlaps.
         """
+        if not self._pairs:
+            return
         self._set(q)
-        for watched in self._pairs:
+        near = self._apart.at(q) <= rounding
+        for number in np.flatnonzero(near).tolist():
+            watched = self._pairs[number]
             placed = watched.pair.placed(self._data)
             found = gap(*placed)
             if found.value < -rounding:
@@ -264,17 +272,17 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
-        apart = None
+        apart = [False] * len(self._pairs)
         if not all(watched.points for watched in self._pairs):
-            apart = self._apart.over(step, peak)
+            apart = self._apart.over(step, peak).tolist()
         for number, watched in enumerate(self._pairs):
-            if not watched.points:
-                if apart is not None and apart[number]:
-                    continue
+            if watched.points:
+                meeting = self._change(watched, number, step, end, peak)
+            elif apart[number]:
+                continue
+            else:
                 found = self._touch(watched, number, step, end)
                 meeting = Meeting(found.time, number, False) if found.touches else None
-            else:
-                meeting = self._change(watched, number, step, end, peak)
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
         return best
@@ -314,17 +322,16 @@ class ShapeWatch:
             )
         return found
 
-    def _turning_bend(self, watched: _Watched, step: DenseStep, peak: Array) -> float:
-        """Return what the second derivative of a corner's height over the plane of contact does not exceed.
+    def _turning(self, watched: _Watched, step: DenseStep, peak: Array) -> tuple[float, float]:
+        """Return what the speeds of turning of both shapes do not exceed together [1/s], and second rates.
 
-        That is for two corners of one shape, along a normal that the other one carries; for that of two edges
-        it is a guess. [m/s²]
+        The latter is for directions that one of them carries, as seen from the other [1/s²].
         """
         pin.computeJointJacobians(self._model, self._data, step.q)
         turn = np.linalg.norm(self._data.J[3:], axis=0)
         spins = [float((turn * supports) @ peak[0]) for supports in watched.supports]
         faster = sum(float((turn * supports) @ peak[1]) for supports in watched.supports)
-        return 2.0 * watched.size * (faster + sum(s * s for s in spins) + sum(spins) ** 2)
+        return sum(spins), faster + sum(s * s for s in spins) + sum(spins) ** 2
 
     # ---- pairs that touch
 
@@ -401,7 +408,7 @@ class ShapeWatch:
         if not (others_a.any() or others_b.any()):
             return None
         floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # what is closed drifts by more
-        bend = self._turning_bend(watched, step, peak)
+        spin, faster = self._turning(watched, step, peak)
 
         def front(t: float) -> list[Front]:
             here = at(t)
@@ -414,9 +421,10 @@ class ShapeWatch:
             ):
                 arm = vertices[mask] - origin
                 heights.append(sign * (arm @ there.normal))
-                rates.append(sign * (arm @ (rate_of_normal + np.cross(there.normal, velocity[3:]))))
+                rates.append(sign * (arm @ (rate_of_normal + cross(there.normal, velocity[3:]))))
             height, rate = np.concatenate(heights), np.concatenate(rates)
-            return [Front(height, rate, np.zeros(1), np.zeros(1), 0.0, float(height.min()), bend)]
+            bend, until = bend_of_heights(touch, here, spin, faster)
+            return [Front(height, rate, np.zeros(1), np.zeros(1), 0.0, float(height.min()), bend, until)]
 
         found = advance(front, step.start, end, floor)
         return self._settled(watched, found, step)
@@ -493,3 +501,29 @@ def _heights(touch: Touch, normal: Array, state: PairState) -> tuple[Array, Arra
     return (state.a.vertices - now.touch.point) @ now.normal, (
         now.touch.other - state.b.vertices
     ) @ now.normal
+
+
+def bend_of_heights(touch: Touch, state: PairState, spin: float, faster: float) -> tuple[float, float]:
+    """Return what second rates of corners' heights over a plane of contact do not exceed [m/s²]. (15.9)
+
+    That is for a corner on a face, or two edges, from now on and for a time [s] that is returned too; for
+    round shapes it is a guess.
+
+    Args:
+        touch: What holds the shapes apart.
+        state: The shapes now.
+        spin: What both turn by together at the most [1/s].
+        faster: What second rates of directions that they carry do not exceed [1/s²].
+    """
+    twice = 2.0 * (state.a.shape.reach + state.b.shape.reach)
+    if touch.kind != "edge-edge":
+        return twice * faster, math.inf
+    u, w = (
+        np.subtract(*placed.vertices[placed.shape.edges[k]])
+        for placed, k in zip((state.a, state.b), touch.features, strict=True)
+    )
+    sine = float(np.linalg.norm(cross(u, w)) / (np.linalg.norm(u) * np.linalg.norm(w)))
+    part = 1.0 - TURNED
+    rate = spin / (part * sine)
+    until = TURNED * sine / spin if spin > 0.0 else math.inf
+    return twice * (faster / (part * sine) + 3.0 * rate * rate + 2.0 * rate * spin + faster), until

@@ -278,7 +278,7 @@ class Motion:
 
     def hold_force(self, tau: Array) -> None:
         """Let a constant force (nv,) act from now on in place of the one that did."""
-        if (tau == self.work.control_force).all():
+        if tau.tobytes() == self.work.control_force.tobytes():
             return
         self.work.control_force[:] = tau
         self._begin_motion()
@@ -391,7 +391,8 @@ class Motion:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
         state.review_shapes()
-        error = self.atol + self.rtol * max(map(abs, state.v.tolist()))
+        v = state.v.tolist()
+        error = self.atol + self.rtol * max(max(v), -min(v))
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
         work.friction_may_drive = False

@@ -10,6 +10,7 @@ from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
+from ..._numeric.semidefinite import solve_definite
 from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.constants import RADIUS
 from ...robot._kernels.python_calls import call
@@ -225,11 +226,15 @@ def evaluate(work, t, out):
             out[j] = math.nan
         return
     orientation, rubs = 0, contact_forces.rubs(work)
-    if work.forces_unique or rubs:  # else it says nothing new, and there is no jam
+    if rubs:
         rank = RANK if work.forces_unique else contact_forces.SINGULAR_STILL
         orientation = solve(system, target, work.solution, rank)
-    if orientation == 0 and rubs and contact_forces.rows_independent(work):
-        orientation = solve(system, target, work.solution, SLIPPING)  # it is slip that is singular, or near
+        if orientation == 0 and contact_forces.rows_independent(work):
+            orientation = solve(
+                system, target, work.solution, SLIPPING
+            )  # it is slip that is singular, or near
+    elif work.forces_unique:  # else it says nothing new, and without slip there is no jam
+        orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0
     if orientation == 0:
         work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
