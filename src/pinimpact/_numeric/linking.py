@@ -297,6 +297,9 @@ class KernelLowering(typed_passes.NativeLowering):
         state.flags.no_compile = True  # numba's way to run it
         super().run_pass(state)
         lowered, library = state["cr"], state.library
+        lowered.fndesc.typemap = lowered.fndesc.calltypes = (
+            None  # half a million objects that nobody asks for
+        )
         entry = library.entry(state.targetctx, lowered.fndesc, lowered.env)
         state.targetctx.insert_user_function(entry, lowered.fndesc, [library])
         state["cr"] = lowered._replace(cfunc=entry)
@@ -400,7 +403,6 @@ class KernelCompiler(compiler.CompilerBase):
             typed_passes.NopythonTypeInference,
             typed_passes.InlineOverloads,
             Lifetimes,
-            typed_passes.AnnotateTypes,
             KernelLowering,
             typed_passes.NoPythonBackend,
         ):
