@@ -186,11 +186,9 @@ class _CacheImpl(caching.CompileResultCacheImpl):
     )
 
     def reduce(self, result: Any) -> Any:
-        fndesc = result.fndesc
-        fndesc.typemap = fndesc.calltypes = None  # as numba does; nobody asks for them any more
         envs = tuple(one for one in result._find_referenced_environments() if one.consts)
         library = result.library.serialize_using_object_code()
-        return type(result.library), library, fndesc, result.environment, result.signature, envs
+        return type(result.library), library, result.fndesc, result.environment, result.signature, envs
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         made, state, fndesc, env, signature, envs = payload

@@ -7,6 +7,7 @@ lock keeps other threads from compiling then), these shortcuts hold. None change
 
 from __future__ import annotations
 
+import dis
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from functools import cache
@@ -16,7 +17,7 @@ from unittest.mock import patch
 
 from llvmlite.ir import IRBuilder, Type
 from llvmlite.ir.instructions import InsertValue
-from numba.core import base, event, ir, postproc, transforms, typeinfer
+from numba.core import base, byteflow, event, interpreter, ir, postproc, transforms, typeinfer
 from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.cpu import CPUContext
@@ -186,6 +187,32 @@ def _once(original: Callable[..., None]) -> Callable[..., None]:
     return load_additional_registries
 
 
+def _unless_protected(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `Flow._run_handle_exception` that looks for no handler where the whole function has none."""
+
+    def run_handle_exception(self: Any, runner: Any, state: Any) -> Any:
+        if getattr(self._bytecode, "exception_entries", True):  # Python 3.10 has no table of them
+            return original(self, runner, state)
+        state.advance_pc()
+        return None
+
+    return run_handle_exception
+
+
+def _unless_absent(original: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `Interpreter.post_process` that looks for `with` and for dictionaries where there are any."""
+    searches = {
+        interpreter.peep_hole_delete_with_exit: "WITH",
+        interpreter.peep_hole_fuse_dict_add_updates: "MAP",
+    }
+
+    def post_process(self: Any, peepholes: Any, func_ir: Any) -> Any:
+        there = " ".join(dis.opname[one] for one in set(self.func_id.code.co_code[::2]))
+        return original(self, [one for one in peepholes if searches.get(one, "") in there], func_ir)
+
+    return post_process
+
+
 _asked: list[list[tuple[Any, Any]]] = []
 """The variables asked for, and their types then, of each constraint that is being looked at."""
 
@@ -244,6 +271,8 @@ _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
     ),
     (CPUContext, "load_additional_registries", _once(CPUContext.load_additional_registries)),
     (Context, "load_additional_registries", _once(Context.load_additional_registries)),
+    (byteflow.Flow, "_run_handle_exception", _unless_protected(byteflow.Flow._run_handle_exception)),
+    (interpreter.Interpreter, "post_process", _unless_absent(interpreter.Interpreter.post_process)),
     (typeinfer.TypeVarMap, "__getitem__", _noting(typeinfer.TypeVarMap.__getitem__)),
     (typeinfer.ConstraintNetwork, "propagate", _propagate),
     (event, "install_timer", lambda *_: nullcontext()),

@@ -19,6 +19,7 @@ import tempfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT.name
@@ -129,7 +130,24 @@ def _digest(tree: ast.Module) -> str:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
-    return _hash(ast.dump(tree).encode())
+    return _hash(repr(_written(tree)).encode())
+
+
+def _written(tree: ast.AST) -> list[Any]:
+    """Return in one list all of a tree but places: what `ast.dump` tells, in less than half its time."""
+    found: list[Any] = []
+    waiting: list[Any] = [tree]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, ast.AST):
+            found.append(type(one).__name__)
+            waiting += [getattr(one, name, None) for name in one._fields]
+        elif isinstance(one, list):
+            found.append(len(one))
+            waiting += one
+        else:
+            found.append(one)
+    return found
 
 
 def _statements(node: ast.AST) -> Iterator[ast.AST]:

@@ -456,12 +456,12 @@ def _group_impact(
     """
     impulses = solved.solution.impulse
     pressed = impulses[:, 2].tolist()
-    hit = []
+    struck = []
     for place, source in enumerate(sources):
         if pressed[place] > least * max(pressed):
             make = partial(_of_group, solved.group, place, impulses[place], axes[place])
-            hit.append(Struck(source, place, solved.resting[place], make))
-    return GroupImpact(v + response @ impulses.ravel(), tuple(hit), solved.group, solved.solution.notes)
+            struck.append(Struck(source, place, solved.resting[place], make))
+    return GroupImpact(v + response @ impulses.ravel(), tuple(struck), solved.group, solved.solution.notes)
 
 
 def _friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:

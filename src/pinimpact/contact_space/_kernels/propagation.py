@@ -29,7 +29,7 @@ from .codes import (
 )
 from .first_fall import NEVER, first_fall, value_at
 from .plastic import end_plastically
-from .propagation_friction import AT_BOUND, NEAR, SLIP, settle, unknown_after
+from .propagation_friction import AT_BOUND, NEAR_BOUND, SLIP_SPEED, settle, unknown_after
 from .propagation_series import (
     TIED,
     State,
@@ -319,10 +319,10 @@ def _begins_badly(state, series, h):
     for j in range(len(state.normal)):
         if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
             speed = series.speed[0, j] * h * (h if state.fresh[j] == TIED else 1.0)
-            if speed < NOWHERE * SLIP:
+            if speed < NOWHERE * SLIP_SPEED:
                 state.fresh[j] = 1
-                state.v[3 * j] = SLIP * state.direction[2 * j]
-                state.v[3 * j + 1] = SLIP * state.direction[2 * j + 1]
+                state.v[3 * j] = SLIP_SPEED * state.direction[2 * j]
+                state.v[3 * j + 1] = SLIP_SPEED * state.direction[2 * j + 1]
                 found = True
     return found
 
@@ -518,7 +518,7 @@ def _find_events(system, state, series, h, crowded, roots, guard, work):
                 near = speed <= REACH * h * -along  # else something else happens long before
                 straight = along < 0.0 and near and across * speed <= TINY * -along
                 if state.fresh[j] != 0:  # it has just begun
-                    straight = straight and speed < 0.5 * SLIP
+                    straight = straight and speed < 0.5 * SLIP_SPEED
                 straight = straight and _neglected(series, -speed / along) <= TINY
                 if straight or (state.fresh[j] == 0 and speed < 10.0 * TINY and across > 0.1 * along):
                     roots[j, 2] = -speed / along if straight else 0.0
@@ -586,7 +586,7 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
         for i in range(x, z + 1):
             state.v[i] = value_at(series.v, i, degree, h)
         speed = math.hypot(state.v[x], state.v[y])
-        if speed > 10.0 * SLIP:
+        if speed > 10.0 * SLIP_SPEED:
             state.fresh[j] = 0
         if speed > MOVED and state.tangent[j] != FREE:
             state.tangent[j] = SLIPPING
@@ -623,7 +623,7 @@ def _apply(system, state, series, roots, first, tie):
             fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
             length = math.hypot(fx, fy)
             bound = system.friction[j] * value_at(series.force, z, ORDER, first)
-            if length > 0.0 and (tangent or length >= (1.0 - NEAR) * bound):
+            if length > 0.0 and (tangent or length >= (1.0 - NEAR_BOUND) * bound):
                 state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
                 state.fresh[j] = AT_BOUND
         if not (normal or held):

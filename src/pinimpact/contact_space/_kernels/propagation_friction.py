@@ -54,13 +54,13 @@ MOVES = 1e-11
 WEAK = 1e-9
 """Part of the largest bound below which friction does not matter."""
 
-SLIP = 1e-13
+SLIP_SPEED = 1e-13
 """The speed at which a slip begins, in parts of the largest velocity."""
 
 AT_BOUND = 3
 """`State.fresh` where friction has come to its bound."""
 
-NEAR = 1e-6
+NEAR_BOUND = 1e-6
 """Part of a bound within which friction that holds is taken as being there."""
 
 GRADUAL = 1e-4
@@ -268,7 +268,7 @@ def _align(system, state, unit, weight, series):
             if lost or not series.speed[0, j] > 0.0:
                 state.fresh[j] = 1
                 for i in range(2):
-                    state.v[3 * j + i] = SLIP * state.direction[2 * j + i]
+                    state.v[3 * j + i] = SLIP_SPEED * state.direction[2 * j + i]
 
 
 @inner
@@ -369,12 +369,12 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
                     ux, uy = -forces[x] / length, -forces[y] / length
                 firm = smooth and length > 0.0 and p[z] > FIRM * heaviest
                 state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
-                start = 0.0 if firm else SLIP
+                start = 0.0 if firm else SLIP_SPEED
                 state.v[x], state.v[y] = start * ux, start * uy
                 state.fresh[j] = RESUMED if firm else 1
                 state.tangent[j] = SLIPPING
                 moves = True
-            elif bound > 0.0 and length < (1.0 - NEAR) * bound:
+            elif bound > 0.0 and length < (1.0 - NEAR_BOUND) * bound:
                 state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]
             elif length > 0.0:
                 state.tangent[j] = BOUND
@@ -442,7 +442,7 @@ def _keep_from_bounds(system, state, forces):
                 cones[3 * c + 1 + a, b] = -null[b, 2 * c + a]
     x, s, z = np.empty(free + 1), np.empty(3 * count), np.empty(3 * count)
     cone_program(program, linear, cones, sides, NO_LINES, repeated(count, CONE), 1e-12, x, s, z)
-    if x[free] > NEAR:
+    if x[free] > NEAR_BOUND:
         for c in range(count):
             state.tangent[at[c]] = STUCK
             for a in range(2):

@@ -29,7 +29,7 @@ from .slip_events import seek, seek_near
 from .slip_series import SlipSeries, first_root, halley, point
 from .slip_works import expand_works, no_works, works
 
-NEAR = 1.0625
+BEYOND_GUESS = 1.0625
 """How far a series is made for an event, over the guess of where it lies, mostly right to a percent."""
 
 FURTHEST = 100.0
@@ -88,7 +88,7 @@ def turning_move(
     elif rate > 0.0:
         guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
     if guess > 0.0 and guess * max(abs(turn), abs(t1)) < 1.0:
-        near = NEAR * guess
+        near = BEYOND_GUESS * guess
         count, last, shape = expand(coefficients, turn, polynomials, near)
         series = SlipSeries(
             *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu, c, bl, bp, v3),
