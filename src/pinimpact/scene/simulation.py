@@ -19,7 +19,7 @@ from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
-from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
+from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
 from .chatter import check_chatter
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
@@ -44,8 +44,8 @@ DIRECTED = 1e-3
 """Part of the speed of sticking below which slip has no direction but the one last known."""
 
 CROWD = 10
-"""Changes of modes within the time in which gravity changes a velocity by the speed of sticking, after which
-slip slower than that counts as none: where they accumulate, as in a spiral, it comes to rest."""
+"""How often slip ends within the time in which gravity changes a velocity by the speed of sticking, after
+which it counts as none below that: where its ends accumulate, as in a spiral, it comes to rest."""
 
 MAX_STALLED = 200
 """Steps without progress in time, after which a jam is looked for, or a simulation gives up."""
@@ -233,7 +233,7 @@ class Motion:
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
         self._ahead_at = self._modes_anew_at = -math.inf
-        self._changes: deque[float] = deque(maxlen=CROWD)
+        self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._counted = 0
         self._sample()
@@ -313,7 +313,7 @@ class Motion:
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
-        twin._changes = self._changes.copy()
+        twin._ends = {source: times.copy() for source, times in self._ends.items()}
         return twin
 
     def stop(self, error: PinimpactError) -> NoReturn:
@@ -596,10 +596,9 @@ class Motion:
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         if arriving is None:
             state.resolve_jam(leaving=bounded)
-            self._changes.append(t)
-            if t - self._changes[0] < self._settling_time and len(self._changes) == CROWD:
-                self.work.certain_speed = self.work.stick_speed
+            self._count_end(t)
         self._settle(arriving)
+        self.work.settling[:] = 0
         self._begin_motion()
         # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
         # have led back to this instant are none
@@ -607,6 +606,20 @@ class Motion:
             self._ahead_at = t
             self._begin_motion()
         self._sample()
+
+    def _count_end(self, t: float) -> None:
+        """Let what comes to rest at the event last found settle, if it does so again and again."""
+        work = self.work
+        if EVENTS[work.event_kind] is slip_end:
+            source = int(work.closed_index[work.event_index])
+        elif EVENTS[work.event_kind] is friction_reversal:
+            source = work.contacts + work.limits + work.event_index
+        else:
+            return
+        ends = self._ends.setdefault(source, deque(maxlen=CROWD))
+        ends.append(t)
+        if len(ends) == CROWD and t - ends[0] < self._settling_time:
+            work.settling[source] = 1
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
         """End a step where two shapes touch, or touch elsewhere."""

@@ -27,14 +27,28 @@ SMALL = 1e-3
 
 
 @inner
-def scalar_row(work, j):
-    """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest."""
+def scalar_rows(work, chosen):
+    """Return the scalar rows of what is chosen (limits + nv,): a joint held at its limit by both has one."""
+    single = chosen.copy()
+    for k in range(work.limits):
+        if chosen[k] != 0:
+            single[work.limits + work.limit_v[k]] = 0
+    return nonzero(single)
+
+
+@inner
+def scalar_row(work, j, chosen):
+    """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest.
+
+    Where both hold the joint it is their sum that has bounds.
+    """
     limits = work.limits
     if j >= limits:
         j -= limits
         return j, -work.dry_friction[j], work.dry_friction[j]
-    sign = work.limit_sign[j]
-    return work.limit_v[j], -math.inf if sign < 0.0 else 0.0, math.inf if sign > 0.0 else 0.0
+    sign, i = work.limit_sign[j], work.limit_v[j]
+    friction = work.dry_friction[i] if chosen[limits + i] != 0 else 0.0
+    return i, -math.inf if sign < 0.0 else -friction, math.inf if sign > 0.0 else friction
 
 
 @ahead(SceneWorkspace, FLOAT_ROWS)
@@ -42,7 +56,8 @@ def scalar_row(work, j):
 def close(work, reference):
     """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
     modes = work.modes
-    contacts, scalars = nonzero(modes[: work.contacts]), nonzero(modes[work.contacts :])
+    held = modes[work.contacts :]
+    contacts, scalars = nonzero(modes[: work.contacts]), scalar_rows(work, held)
     rows = len(scalars)
     for i in contacts:
         rows += 1 if modes[i] == SLIP else 3
@@ -60,7 +75,7 @@ def close(work, reference):
         assign(slip[k], reference[i])
     velocity, lower, upper = work.scalar_velocity, work.scalar_lower, work.scalar_upper
     for m in range(len(scalars)):
-        velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m])
+        velocity[m], lower[m], upper[m] = scalar_row(work, scalars[m], held)
     work.forces_unique = True
     known = work.inner_forces
     for m in range(len(known)):

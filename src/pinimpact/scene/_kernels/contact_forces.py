@@ -157,9 +157,9 @@ def solve_least_norm(work):
     size = len(target)
     no_basis = np.empty((0, size))
     trial, columns, part, right = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
-    largest = given = 0.0
+    largest = 0.0
     for a in range(size):
-        largest, given = max(largest, abs(target[a])), max(given, abs(known[a]))
+        largest = max(largest, abs(target[a]))
         right[a] = target[a]
         for b in range(size):
             right[a] -= system[a, b] * known[b]
@@ -172,11 +172,9 @@ def solve_least_norm(work):
         if missed_by(system, right, trial) < 0.1 * off:
             work.rank_tolerance = FINEST
             assign(solution, trial)
-    if given > 0.0:
-        for a in range(size):
-            solution[a] += known[a]
-        return unique
-    assign(trial, solution)
+    for a in range(size):
+        solution[a] += known[a]
+        trial[a] = solution[a]
     pushes = flags(size, True)
     while True:
         pull, pulling, width = 0.0, size, 0
@@ -191,13 +189,16 @@ def solve_least_norm(work):
             return unique
         for a in range(pulling, pulling + width):
             pushes[a] = False
-        for b in range(size):
-            for a in range(size):
+        for a in range(size):
+            right[a] = target[a]
+            for b in range(size):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
-        least_norm(columns, target, work.rank_tolerance, part, no_basis)
-        if not missed_by(columns, target, part) <= MISSING * largest:
+                right[a] -= columns[a, b] * known[b]
+        least_norm(columns, right, work.rank_tolerance, part, no_basis)
+        if not missed_by(columns, right, part) <= MISSING * largest:
             return unique
-        assign(trial, part)
+        for a in range(size):
+            trial[a] = part[a] + known[a] if pushes[a] else 0.0
 
 
 @inner

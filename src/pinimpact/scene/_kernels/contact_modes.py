@@ -13,7 +13,7 @@ from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
-from .closed_set import close, delassus_of_rows, scalar_row, stop_along
+from .closed_set import close, delassus_of_rows, scalar_row, scalar_rows, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK
 from .dynamics import (
     evaluate_without_contacts,
@@ -59,7 +59,8 @@ def set_modes(work, t, q, v, slow):
         for j in range(n):  # what has been stopped may have set other joints in motion
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
-                rests = slow_enough and not sliding[j] * v[j] > dry[j] * work.certain_speed
+                moves = sliding[j] * v[j] > dry[j] * work.certain_speed
+                rests = slow_enough and not (moves and work.settling[work.contacts + work.limits + j] == 0)
                 candidates[touching + j] = rests
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
         if len(nonzero(candidates)) == 0:
@@ -104,7 +105,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     for j in range(len(v)):
         breaking[j] = 0.0
     contacts = nonzero(candidates[: work.contacts])
-    joints = nonzero(candidates[work.contacts :])
+    scalar = candidates[work.contacts :]
+    joints = scalar_rows(work, scalar)
     nc, ns, n = len(contacts), len(joints), len(v)
     size = 3 * nc + ns
     set_state(work, q, v)
@@ -124,7 +126,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
             slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
     for m in range(ns):
-        scalars[m], lower[m], upper[m] = scalar_row(work, joints[m])
+        scalars[m], lower[m], upper[m] = scalar_row(work, joints[m], scalar)
         rows[3 * nc + m, scalars[m]] = 1.0
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
@@ -155,17 +157,20 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
     )
     for m in range(ns):
-        a, j = 3 * nc + m, joints[m]
-        stopped[a] = closed = True
-        if j < work.limits:
-            closed = abs(strength[m]) > work.force_tolerance or work.limit_sign[j] * free[a] <= pace
-            stopped[a] = closed
-        elif abs(free[a]) > pace and abs(strength[m]) >= INSIDE * upper[m]:
-            # a force at its bound holds what it does not let move; what it lets move begins or goes on
-            closed = False
-            breaking[scalars[m]] = strength[m]
-            stopped[a] = v[scalars[m]] * strength[m] > 0.0
-        modes[work.contacts + j] = 1 if closed else 0
+        a, i = 3 * nc + m, scalars[m]
+        rubs = scalar[work.limits + i] != 0
+        # a force at its bound holds what it does not let move; what it lets move begins or goes on
+        closed = not (
+            (free[a] > pace and strength[m] <= INSIDE * lower[m] + work.force_tolerance)
+            or (free[a] < -pace and strength[m] >= INSIDE * upper[m] - work.force_tolerance)
+        )
+        stopped[a] = closed
+        if rubs and not closed:
+            breaking[i] = strength[m]
+            stopped[a] = v[i] * strength[m] > 0.0
+        modes[work.contacts + joints[m]] = 1 if closed else 0
+        if rubs:
+            modes[work.contacts + work.limits + i] = 1 if closed else 0
     taken, fastest = 0, 0.0
     speeds = np.empty(size)
     for a in range(size):
@@ -273,6 +278,6 @@ def goes_on_slipping(work, i, x, y):
         return True
     index, mode = work.closed_index, work.closed_mode
     for k in range(len(index)):
-        if index[k] == i and mode[k] == SLIP:
+        if index[k] == i and mode[k] == SLIP and work.settling[i] == 0:
             return speed > work.certain_speed  # also where it has turned away from the direction last known
     return False

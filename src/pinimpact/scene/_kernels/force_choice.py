@@ -12,6 +12,7 @@ import math
 
 from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inner, separate
+from .closed_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .dynamics import evaluate
 from .widest_margin import ANY_MOTION, SAME_MOTION, widest_margin
@@ -25,16 +26,16 @@ BACKWARDS = 1e-9
 @separate
 def choose_forces(work, t, out):
     """Choose the forces of a motion that begins, evaluated at its start; see `dynamics.evaluate`."""
-    if work.forces_unique or not rubs(work) or fit(work, out):
+    if work.forces_unique or fit(work, t, out) or not rubs(work):
         return
     known = work.inner_forces
     take_found(work)
     evaluate(work, t, out)
-    if fit(work, out):
+    if fit(work, t, out):
         return
     if widest_margin(work, ANY_MOTION, known) > 0.0:
         evaluate(work, t, out)
-        if fit(work, out):
+        if fit(work, t, out):
             return
     for a in range(len(known)):
         known[a] = 0.0
@@ -42,13 +43,15 @@ def choose_forces(work, t, out):
 
 
 @inner
-def fit(work, out):
-    """Return whether the forces last evaluated, or others with the same motion, are within their bounds.
+def fit(work, t, out):
+    """Return whether the forces last evaluated are within their bounds, or others with the same motion.
 
-    And whether no slip begins backwards, nor a joint against its dry friction.
+    These act then. And whether no slip begins backwards, nor a joint against its dry friction.
     """
-    if work.force_margin < 0.0 and not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
-        return False
+    if work.force_margin < 0.0:
+        if not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
+            return False
+        evaluate(work, t, out)
     mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
     velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration
     acceleration = work.acceleration
@@ -88,8 +91,6 @@ def take_found(work):
             for d in range(3):
                 known[a + d] = found[index[k], d]
             a += 3
-    modes = work.modes
-    for i in range(work.contacts, len(modes)):
-        if modes[i] != 0:
-            known[a] = found[i, 0]
-            a += 1
+    for i in scalar_rows(work, work.modes[work.contacts :]):
+        known[a] = found[work.contacts + i, 0]
+        a += 1

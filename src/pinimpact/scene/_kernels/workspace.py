@@ -94,6 +94,7 @@ class SceneWorkspace(Workspace):
     modes = integers(
         "sources", meaning="of contacts; 1 for a closed limit; 1 for a joint held by dry friction"
     )
+    settling = integers("sources", meaning="1 where slip ends too often to go on below `stick_speed`")
     closed_index = integers("closed_contacts", meaning="number of the contact")
     closed_mode = integers("closed_contacts", meaning="its mode")
     closed_friction = reals("closed_contacts", meaning="its coefficient of friction")
