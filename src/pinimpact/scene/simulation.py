@@ -232,7 +232,7 @@ class Motion:
                 self._continuous = scene.control
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
-        self._ahead_at = self._modes_anew_at = -math.inf
+        self._ahead_at = self._modes_anew_at = self._rested_at = -math.inf
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._counted = 0
@@ -309,7 +309,7 @@ class Motion:
                 "ended_by",
             ),
             *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_counted"),
-            *("_consistent", "_closed"),
+            *("_rested_at", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -418,9 +418,7 @@ class Motion:
             if t - self.last_progress[1] > STALLED * scale:
                 self.last_progress = self.steps, t
             else:
-                self._check_for_chatter()
-                state.refuse_flat_rims()
-                if self._resolve_jam():
+                if self._go_on():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -434,9 +432,7 @@ class Motion:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                self._check_for_chatter()
-                state.refuse_flat_rims()
-                if self._resolve_jam():
+                if self._go_on():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise SimulationError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
@@ -542,12 +538,27 @@ class Motion:
         if self._continuous is not None:
             check_chatter(self._continuous, self.model, self.dense_steps)
 
-    def _resolve_jam(self) -> bool:
-        """Resolve slip whose forces have grown until no step is short enough; False if there is none."""
-        if not self.state.resolve_jam(NEARLY_SINGULAR):
-            return False
-        self.last_progress = self.steps, self.state.t
+    def _go_on(self) -> bool:
+        """Find a way on where steps make no progress; False if there is none.
+
+        Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
+        of sticking is taken as at rest, once, and told.
+
+        Raises:
+            SimulationError: The control chatters, or a closed rim lies flat.
+        """
+        state, work = self.state, self.work
+        self._check_for_chatter()
+        state.refuse_flat_rims()
+        if not state.resolve_jam(NEARLY_SINGULAR):
+            if state.t - self._rested_at <= STALLED:
+                return False
+            self._rested_at = state.t
+            work.settling[:] = 1
+            state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
+        self.last_progress = self.steps, state.t
         self._settle()
+        work.settling[:] = 0
         self._begin_motion()
         self._sample()
         return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._numeric.jit import jit
+from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
 from .closed_set import close
@@ -44,7 +45,9 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
     if work.callback_failed:
         return False
     if not work.forces_unique and work.force_margin < 0.0:
-        least_admissible(work, work.solution)
+        admissible = work.solution.copy()
+        least_admissible(work, admissible)
+        assign(work.solution, admissible)
         apply_forces(work, out[: len(v)], out[len(v) + 2 :])
     index, found = work.closed_index, work.contact_force
     for m in range(len(index)):

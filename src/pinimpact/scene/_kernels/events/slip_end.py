@@ -40,6 +40,17 @@ def has_turned(work, k, velocity):
     return across > max(work.direction_speed, -along(work, k, velocity))
 
 
+@inner
+def first_against(work, k):
+    """Return the first time within a step of `step_radau` at which slip goes against its friction."""
+    slip, times = work.sample_slip, work.sample_times
+    for i in range(1, work.samples - 1):
+        error = min(work.atol + work.rtol * abs(slip[0, k]), 0.1 * work.stick_speed)
+        if slip[i, k] < -max(BEHIND * work.stick_speed, error):
+            return work.step_start + times[i] * work.step_length
+    return math.inf
+
+
 @ahead(SceneWorkspace, float)
 @separate
 def first(work, end):
@@ -59,15 +70,22 @@ def first(work, end):
         end_speed = along(work, k, work.end_velocity)
         if work.step_turns:
             # slip that begins may turn as far as it likes; what counts is where it is when it has begun
-            if end_speed >= -BEHIND * work.stick_speed:
+            later, until = last, first_against(work, k)
+            if end_speed >= -BEHIND * work.stick_speed and until == math.inf:
                 continue
             start_speed = value_at(work, k, start)[0]
+            if start_speed > 0.0 and until < last:
+                later, end_speed = until, value_at(work, k, until)[0]
+                if end_speed >= 0.0:
+                    return -math.inf, k
+            elif end_speed >= -BEHIND * work.stick_speed:
+                continue
             if start_speed <= 0.0:
                 # either a step before has left it there, or friction drives
                 speed = math.hypot(velocity[k, 0], velocity[k, 1])
                 nothing = speed <= BEHIND * work.stick_speed and work.previous_length > 0.0
                 return (start if nothing or speed > work.certain_speed else -math.inf), k
-            found = root(work, k, start, last, start_speed, end_speed)
+            found = root(work, k, start, later, start_speed, end_speed)
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
                 continue
