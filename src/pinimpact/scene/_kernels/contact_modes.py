@@ -171,15 +171,25 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         modes[work.contacts + joints[m]] = 1 if closed else 0
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    taken, fastest = 0, 0.0
-    speeds = np.empty(size)
-    for a in range(size):
-        if stopped[a]:
-            speeds[taken] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
-            fastest = max(fastest, abs(speeds[taken]))
-            assign(rows[taken], rows[a])
-            taken += 1
-    gained = stop_along(rows[:taken], speeds[:taken], work.minverse, v)
+    before, taken, speeds = v.copy(), np.empty((size, n)), np.empty(size)
+    gained = fastest = 0.0
+    for _ in range(2):
+        total = 0
+        for a in range(size):
+            if stopped[a]:
+                assign(taken[total], rows[a])
+                speed = velocity[a // 3, a % 3] if a < 3 * nc else before[scalars[a - 3 * nc]]
+                for j in range(n):
+                    speed += rows[a, j] * (v[j] - before[j])
+                speeds[total], fastest = speed, max(fastest, abs(speed))
+                total += 1
+        gained += stop_along(taken[:total], speeds[:total], work.minverse, v)
+        turned = False
+        for m in range(ns):  # what is let go may have been thrown against its force
+            if breaking[scalars[m]] * v[scalars[m]] > 0.0 and not stopped[3 * nc + m]:
+                stopped[3 * nc + m] = turned = True
+        if not turned:
+            break
     for j in range(n):
         if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
             v[j] = 0.0  # not even a rounding error begins against the force
