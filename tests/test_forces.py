@@ -223,3 +223,16 @@ def test_a_contact_in_flight_has_no_force():
     assert not trajectory.forces("foot", [0.0, 0.1, 0.3]).any()
     assert np.isnan(trajectory.center_of_pressure(["foot"], 0.1)).all()
     assert not trajectory.joint_forces(0.1).any()
+
+
+def test_forces_nearest_to_known_ones_let_go_of_what_would_pull():
+    """Of the forces on the corners of a sliding plate nothing but their sums is known."""
+    corners = [(x, y, 0.0) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
+    plate = free_body(pin.Inertia(2.0, np.zeros(3), np.diag([0.03, 0.05, 0.08])), corners)
+    contacts = [Contact(f"tip{k}", Plane(), friction=0.1) for k in range(4)]
+    trajectory = simulate(Scene(plate, contacts), [0, 0, 0, 0, 0, 0, 1], [1, 0.3, 0, 0, 0, 4], 0.1)
+    for step in trajectory._segments:
+        step.closed = step.closed._replace(known=np.array([40.0, 0.0, 0.0, 40.0]))
+    forces = np.array([trajectory.forces(f"tip{k} on plane", 0.05)[2] for k in range(4)])
+    np.testing.assert_allclose(forces, [G, 0.0, 0.0, G], atol=1e-9)
+    assert forces.min() == 0.0

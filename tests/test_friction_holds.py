@@ -198,3 +198,47 @@ def test_a_plate_tips_when_its_load_leaves_its_corners_whatever_happens_before(f
     assert lifted == pytest.approx([1.0, 1.0], abs=1e-5)
     times = np.linspace(0.81, 0.99, 10)
     assert min(trajectory.forces(f"tip{k} on plane", times)[:, 2].min() for k in range(4)) > -1e-6
+
+
+def test_stop_and_dry_friction_hold_a_joint_as_one():
+    """What holds it is their sum, which the load determines; it leaves where that pulls more than it."""
+    model = rough_joint(0.5)
+    model.lowerPositionLimit, model.upperPositionLimit = np.array([0.0]), np.array([10.0])
+    scene = Scene(model, control=lambda t, q, v: np.array([2.0 * t - 2.0]))
+    trajectory = simulate(scene, [0.0], [0.0], 2.0)
+    assert trajectory.notes == ()
+    assert [m.end for m in trajectory.modes] == pytest.approx([1.25, 1.25], abs=1e-8)
+    assert trajectory.q[-1, 0] == pytest.approx(0.75**3 / 3.0, abs=1e-8)
+    np.testing.assert_allclose(trajectory.joint_forces([0.3, 1.2])[:, 0], [1.4, -0.4], atol=1e-12)
+
+
+def test_slow_slip_goes_on_while_many_joints_come_to_rest():
+    model = slider(1.0)
+    for k in range(12):
+        index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"slide{k}")
+        model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    unbounded(model)
+    model.friction = np.array([0.0] * 3 + [1.0] * 12)
+    mu, rest = 0.05, 0.1 + 1e-5
+    v0 = np.array([mu * G * rest, 0.0, 0.0, *(0.1 + 1e-7 * np.arange(12))])
+    scene = Scene(model, [Contact("point", Plane(), friction=mu)])
+    trajectory = simulate(scene, np.zeros(model.nq), v0, 0.2)
+    (slip,) = [m for m in trajectory.modes if m.mode == "slip"]
+    assert slip.end == pytest.approx(rest, abs=1e-10)
+
+
+@pytest.mark.parametrize("stop", [0.002, 0.003, 0.004, 0.005, 0.01])
+def test_a_slip_that_would_turn_back_and_forth_within_a_step_ends(stop):
+    """Slip along −k(t − t₁)(t − t₂) ends at t₁, and begins anew where its acceleration changes its sign."""
+    friction, k, back = 0.2, 10.0, 2.0 * stop
+    hold = friction * G
+
+    def speed(t):
+        return -k * (t - stop) * (t - back)
+
+    def control(t, q, v):
+        return np.array([-k * (2.0 * t - stop - back) - hold, 0.0, 0.0])
+
+    scene = Scene(slider(1.0), [Contact("point", Plane(), friction=friction)], control=control)
+    trajectory = simulate(scene, np.zeros(3), [speed(0.0), 0.0, 0.0], 2.0 * back, rtol=1e-6, atol=1e-8)
+    assert trajectory.v[-1, 0] == pytest.approx(speed(2.0 * back) - speed(1.5 * stop), abs=1e-12)

@@ -236,6 +236,7 @@ class Motion:
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
         self._ahead_at = self._modes_anew_at = self._rested_at = -math.inf
+        self._ahead = 0.0
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._counted = 0
@@ -312,7 +313,7 @@ class Motion:
                 "ended_by",
             ),
             *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_counted"),
-            *("_rested_at", "_consistent", "_closed"),
+            *("_rested_at", "_ahead", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -477,8 +478,10 @@ class Motion:
                 if halved == MOST_HALVED:
                     if self._modes_anew_at != t:
                         self._modes_anew_at = t
+                        state.resolve_jam(NEARLY_SINGULAR)
                         self._settle()
                         self._begin_motion()
+                        self._sample()
                         return h
                     work.friction_may_drive = True
         if work.friction_power > 0.0:
@@ -622,9 +625,11 @@ class Motion:
         self._begin_motion()
         # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
         # have led back to this instant are none
-        if bounded and self.work.force_bound_ignored and self._ahead_at != t and state.set_modes_ahead(step):
-            self._ahead_at = t
-            self._begin_motion()
+        if bounded and self.work.force_bound_ignored:
+            ahead = state.set_modes_ahead(step, self._ahead if self._ahead_at == t else 0.0)
+            if ahead > 0.0:
+                self._ahead_at, self._ahead = t, ahead
+                self._begin_motion()
         self._sample()
 
     def _count_end(self, t: float) -> None:

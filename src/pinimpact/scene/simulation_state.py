@@ -460,15 +460,24 @@ class SimulationState:
             self._tell_modes()
         return -1
 
-    def set_modes_ahead(self, step: DenseStep) -> bool:
-        """Set the modes that the forces call for just after now; return whether they differ.
+    def set_modes_ahead(self, step: DenseStep, beyond: float) -> float:
+        """Set the modes that the forces call for just after now; return how far ahead they were found [s].
 
         Where forces leave their bounds without a jump nothing moves yet at that very time, so what begins to
         move is seen a little later, in the smooth continuation of the step.
+
+        Args:
+            step: The step.
+            beyond: How far ahead modes were found that have led back to now [s]; zero for none.
+
+        Returns:
+            Zero where the modes are the same.
         """
         work = self.dynamics.work
         before = found = work.modes.copy()
         ahead, certain = LEAST_AHEAD * step.h, False
+        while ahead <= beyond:
+            ahead *= 4.0
         while ahead <= MOST_AHEAD * step.h and not certain:
             q, v = step.at(self.t + ahead)
             jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
@@ -479,10 +488,10 @@ class SimulationState:
             found = modes if changed else before
             ahead *= 4.0
         if (found == before).all():
-            return False
+            return 0.0
         work.force_bound_ignored = False
         self._tell_modes()
-        return True
+        return ahead
 
     def shapes_meet(self, meeting: Meeting, step: DenseStep) -> Arriving:
         """Let a pair of shapes touch at present, or elsewhere; return what arrives."""

@@ -185,8 +185,9 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                 total += 1
         gained += stop_along(taken[:total], speeds[:total], work.minverse, v)
         turned = False
-        for m in range(ns):  # what is let go may have been thrown against its force
-            if breaking[scalars[m]] * v[scalars[m]] > 0.0 and not stopped[3 * nc + m]:
+        for m in range(ns):  # what is let go may have been thrown against its force, though not to move
+            i = scalars[m]
+            if breaking[i] * v[i] > 0.0 and abs(v[i]) <= work.stick_speed and not stopped[3 * nc + m]:
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
