@@ -30,7 +30,7 @@ from .mode_intervals import drive_name
 from .records import Energy, ImpactRecord, ModeInterval
 from .scene import STANDARD_GRAVITY, Scene
 from .shape_watch import Meeting
-from .simulation_state import Arriving, SimulationState
+from .simulation_state import SINGULAR, Arriving, SimulationState
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -58,6 +58,9 @@ JAMS = 3
 
 NEARLY_SINGULAR = 1e-6
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
+
+UNSETTLED = 1e-3
+"""The same where slip or dry joints turn back again and again, however short the steps: no way goes on."""
 
 MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
@@ -478,7 +481,7 @@ class Motion:
                 if halved == MOST_HALVED:
                     if self._modes_anew_at != t:
                         self._modes_anew_at = t
-                        state.resolve_jam(NEARLY_SINGULAR)
+                        state.resolve_jam(UNSETTLED)
                         self._settle()
                         self._begin_motion()
                         self._sample()
@@ -618,8 +621,7 @@ class Motion:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         if arriving is None:
-            state.resolve_jam(leaving=bounded)
-            self._count_end(t)
+            state.resolve_jam(UNSETTLED if self._ends_again(t) else SINGULAR, leaving=bounded)
         self._settle(arriving)
         self.work.settling[:] = 0
         self._begin_motion()
@@ -632,19 +634,20 @@ class Motion:
                 self._begin_motion()
         self._sample()
 
-    def _count_end(self, t: float) -> None:
-        """Let what comes to rest at the event last found settle, if it does so again and again."""
+    def _ends_again(self, t: float) -> bool:
+        """Let what comes to rest at the event last found settle, if it does again and again; tell whether so."""
         work = self.work
         if EVENTS[work.event_kind] is slip_end:
             source = int(work.closed_index[work.event_index])
         elif EVENTS[work.event_kind] is friction_reversal:
             source = work.contacts + work.limits + work.event_index
         else:
-            return
+            return False
         ends = self._ends.setdefault(source, deque(maxlen=CROWD))
         ends.append(t)
-        if len(ends) == CROWD and t - ends[0] < self._settling_time:
-            work.settling[source] = 1
+        again = len(ends) == CROWD and t - ends[0] < self._settling_time
+        work.settling[source] = again
+        return again
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
         """End a step where two shapes touch, or touch elsewhere."""
