@@ -635,7 +635,7 @@ class Motion:
         self._sample()
 
     def _ends_again(self, t: float) -> bool:
-        """Let what comes to rest at the event last found settle, if it does again and again; tell whether so."""
+        """Let what comes to rest at the event last found settle, if it does again and again; tell so."""
         work = self.work
         if EVENTS[work.event_kind] is slip_end:
             source = int(work.closed_index[work.event_index])
