@@ -38,7 +38,7 @@ def test_a_bouncing_ball_meets_its_times_and_heights_and_comes_to_rest_at_the_ze
     zeno = np.sqrt(2 * height / G) * (1 + e) / (1 - e)
     assert trajectory.modes[0].start == pytest.approx(zeno, abs=1e-5)
     assert trajectory.modes[0].end == 2.0
-    assert np.abs(trajectory.v[-1]).max() <= 1e-15
+    assert np.abs(trajectory.v[-1]).max() <= 1e-14
     assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-13)
     assert any("resting" in note.text for note in trajectory.notes)
 
