@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,9 @@ from ..robot.shape_pair import ShapePair, shape_pair
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 PAIR_ROUNDING = 1e-8
 """Part of a pair's size by which it has to stay apart."""
@@ -62,9 +65,9 @@ class SceneLayout:
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
         self._spare_dynamics: list[RobotDynamics] = []
         self.spare_data: list[pin.Data] = []
-        self._damping: tuple[bytes, float] | None = None
-        self._tables: tuple[tuple[Contact, ...], ContactTables] | None = None
-        self._pair_tables: tuple[tuple[Contact, ...], PairTables] | None = None
+        self._damping: _Last[bytes, float] = _Last()
+        self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
+        self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
 
     def holds_for(self, model: pin.Model) -> bool:
         """Return whether sizes, placements and joint limits of the model are what they were."""
@@ -143,31 +146,25 @@ class SceneLayout:
         """Return how fast damped joints (nv,) settle at the most, in the neutral configuration [1/s]."""
         if not damping.any():
             return 0.0
-        key = damping.tobytes()
-        if self._damping is None or self._damping[0] != key:
-            model = self._model
-            minverse = pin.computeMinverse(model, model.createData(), pin.neutral(model))
-            minverse = np.triu(minverse) + np.triu(minverse, 1).T
-            root = np.sqrt(damping)
-            self._damping = key, float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
-        return self._damping[1]
+        return self._damping.of(damping.tobytes(), lambda _: self._rate_of_damping(damping))
+
+    def _rate_of_damping(self, damping: NDArray[np.float64]) -> float:
+        model = self._model
+        minverse = pin.computeMinverse(model, model.createData(), pin.neutral(model))
+        minverse = np.triu(minverse) + np.triu(minverse, 1).T
+        root = np.sqrt(damping)
+        return float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
 
     def tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
         """Return what runs need of contacts, those of the scene or others; not to be changed in place."""
-        if self._tables is None or self._tables[0] != contacts:
-            self._tables = contacts, self._make_tables(contacts)
-        return self._tables[1]
+        return self._tables.of(contacts, self._make_tables)
 
     def pair_tables(self, contacts: tuple[Contact, ...]) -> PairTables:
         """Return what runs need of contacts of two shapes; not to be changed in place."""
-        if self._pair_tables is None or self._pair_tables[0] != contacts:
-            self._pair_tables = (
-                contacts,
-                self._make_pair_tables([self.pairs[contact] for contact in contacts]),
-            )
-        return self._pair_tables[1]
+        return self._pair_tables.of(contacts, self._make_pair_tables)
 
-    def _make_pair_tables(self, pairs: Sequence[ShapePair]) -> PairTables:
+    def _make_pair_tables(self, contacts: tuple[Contact, ...]) -> PairTables:
+        pairs = [self.pairs[contact] for contact in contacts]
         sides = [side for pair in pairs for side in (pair.a, pair.b)]
         placed = [
             side.shape.vertices @ side.in_joint.rotation.T + side.in_joint.translation for side in sides
@@ -211,6 +208,19 @@ class SceneLayout:
             np.array(blocks, dtype=np.int64).reshape(-1, 3),
             np.array(spheres).reshape(-1, CONSTANTS),
         )
+
+
+class _Last(Generic[K, V]):
+    """What was last made, and of what: runs ask for the same again, and comparing is cheaper than hashing."""
+
+    def __init__(self) -> None:
+        self._known: tuple[K, V] | None = None
+
+    def of(self, key: K, make: Callable[[K], V]) -> V:
+        """Return what `make` makes of a key, made anew where it is not the last one."""
+        if self._known is None or self._known[0] != key:
+            self._known = key, make(key)
+        return self._known[1]
 
 
 class PairTables(NamedTuple):

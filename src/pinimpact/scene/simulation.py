@@ -287,16 +287,14 @@ class Motion:
         self.work.control_force[:] = tau
         self._begin_motion()
         if not smooth_motion.modes_go_on(self.work):
-            self._settle()
-            self._begin_motion()
+            self._settle_and_begin()
 
     def resume(self) -> None:
         """Go on where an event may have ended the motion; `max_impacts` counts from here."""
         self._counted = len(self.state.impacts)
         if self.ended_by is not None:
             self.ended_by = None
-            self._settle()
-            self._begin_motion()
+            self._settle_and_begin()
 
     def copy(self) -> Motion:
         """Return a motion that goes on from here on its own."""
@@ -482,8 +480,7 @@ class Motion:
                     if self._modes_anew_at != t:
                         self._modes_anew_at = t
                         state.resolve_jam(UNSETTLED)
-                        self._settle()
-                        self._begin_motion()
+                        self._settle_and_begin()
                         self._sample()
                         return h
                     work.friction_may_drive = True
@@ -572,9 +569,7 @@ class Motion:
             work.settling[:] = 1
             state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
         self._mark_progress()
-        self._settle()
-        work.settling[:] = 0
-        self._begin_motion()
+        self._settle_and_begin()
         self._sample()
         return True
 
@@ -587,8 +582,7 @@ class Motion:
         self._sample()
         self._go_on_after(interruption)
         if self.ended_by is None:
-            self._settle(arriving)
-            self._begin_motion()
+            self._settle_and_begin(arriving)
         if interruption.velocity is not None:
             self._sample()
 
@@ -622,9 +616,7 @@ class Motion:
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         if arriving is None:
             state.resolve_jam(UNSETTLED if self._ends_again(t) else SINGULAR, leaving=bounded)
-        self._settle(arriving)
-        self.work.settling[:] = 0
-        self._begin_motion()
+        self._settle_and_begin(arriving)
         # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
         # have led back to this instant are none
         if bounded and self.work.force_bound_ignored:
@@ -658,9 +650,14 @@ class Motion:
         self._sample()
         if self.work.end_drift > self.largest_drift:
             state.correct_drift()
-        self._settle(state.shapes_meet(meeting, step))
-        self._begin_motion()
+        self._settle_and_begin(state.shapes_meet(meeting, step))
         self._sample()
+
+    def _settle_and_begin(self, arriving: Arriving = None) -> None:
+        """Let this instant settle, and begin the smooth motion after it."""
+        self._settle(arriving)
+        self.work.settling[:] = 0
+        self._begin_motion()
 
     def _settle(self, arriving: Arriving = None) -> None:
         """Let impacts, modes and the user's events of this instant settle."""

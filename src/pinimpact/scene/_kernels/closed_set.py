@@ -11,7 +11,6 @@ from ..._numeric.cone_program import cholesky
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
-from ..._numeric.products import apply_symmetric, products
 from .contact_forces import FREE, HELD, SLIP
 from .workspace import SceneWorkspace
 
@@ -115,14 +114,6 @@ def closed_rows(work, v, which, rows, speeds):
         speeds[total] = v[j]
         total += 1
     return total
-
-
-@inner
-def delassus_of_rows(rows, minverse, response, delassus):
-    """Fill the response M⁻¹ rowsᵀ, row by row, and the Delassus matrix rows M⁻¹ rowsᵀ."""
-    for a in range(len(rows)):
-        apply_symmetric(minverse, rows[a], response[a])
-    products(rows, response, delassus)
 
 
 @ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)

@@ -128,6 +128,14 @@ def set_up_equations(work, acceleration):
     return least
 
 
+@inner
+def delassus_of_rows(rows, minverse, response, delassus):
+    """Fill the response M⁻¹ rowsᵀ, row by row, and the Delassus matrix rows M⁻¹ rowsᵀ."""
+    for a in range(len(rows)):
+        apply_symmetric(minverse, rows[a], response[a])
+    products(rows, response, delassus)
+
+
 @ahead(SceneWorkspace)
 @separate
 def rows_independent(work):
@@ -135,9 +143,7 @@ def rows_independent(work):
     rows, minverse = work.equation_rows, work.minverse
     size, n = rows.shape
     response, gram = np.empty((size, n)), np.empty((size, size))
-    for a in range(size):
-        apply_symmetric(minverse, rows[a], response[a])
-    products(rows, response, gram)
+    delassus_of_rows(rows, minverse, response, gram)
     return factor(gram, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
 
 

@@ -13,8 +13,8 @@ from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
-from .closed_set import close, delassus_of_rows, scalar_row, scalar_rows, stop_along
-from .contact_forces import FREE, HELD, RIGID, SLIP, STICK
+from .closed_set import close, scalar_row, scalar_rows, stop_along
+from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
     follow_surface,

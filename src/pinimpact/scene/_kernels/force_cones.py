@@ -283,16 +283,18 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             moved = max(moved, abs(corrected[a] - before[a]))
         if moved == 0.0:  # the same program again
             break
-    low, high = np.empty(ns), np.empty(ns)
-    for i in range(ns):
-        low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-    if best > USABLE and forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
-        for a in range(size):
-            x[a] = f[a] * scale_f[a]
-        worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-        worst = polish(
-            delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
-        )
+    if best > USABLE:
+        low, high = np.empty(ns), np.empty(ns)
+        for i in range(ns):
+            low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+        if forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
+            for a in range(size):
+                x[a] = f[a] * scale_f[a]
+            worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = polish(
+                *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst),
+                undecided,
+            )
     if best < worst:
         worst = best
         assign(x, best_x)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from ..._numeric.jit import jit
-from .closed_set import ALL, closed_rows, delassus_of_rows
-from .contact_forces import SLIP
+from .closed_set import ALL, closed_rows
+from .contact_forces import SLIP, delassus_of_rows
 from .dynamics import evaluate, set_state
 
 

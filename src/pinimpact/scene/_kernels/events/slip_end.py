@@ -41,12 +41,19 @@ def has_turned(work, k, velocity):
 
 
 @inner
+def least_reversal(work, speed):
+    """Return the speed of a reversal that is no rounding, nor the error of a step, of slip of some speed."""
+    error = min(work.atol + work.rtol * speed, 0.1 * work.stick_speed)
+    return max(BEHIND * work.stick_speed, error)
+
+
+@inner
 def first_against(work, k):
     """Return the first time within a step of `step_radau` at which slip goes against its friction."""
     slip, times = work.sample_slip, work.sample_times
+    least = least_reversal(work, abs(slip[0, k]))
     for i in range(1, work.samples - 1):
-        error = min(work.atol + work.rtol * abs(slip[0, k]), 0.1 * work.stick_speed)
-        if slip[i, k] < -max(BEHIND * work.stick_speed, error):
+        if slip[i, k] < -least:
             return work.step_start + times[i] * work.step_length
     return math.inf
 
@@ -90,8 +97,7 @@ def first(work, end):
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
                 continue
             speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
-            error = min(work.atol + work.rtol * speed, 0.1 * work.stick_speed)
-            found = first_fall(work, k, end, max(BEHIND * work.stick_speed, error))
+            found = first_fall(work, k, end, least_reversal(work, speed))
             if found == math.inf and end_speed <= 0.0 and has_turned(work, k, work.end_velocity):
                 against = value_at(work, k, start)[0] <= 0.0
                 speed = math.hypot(velocity[k, 0], velocity[k, 1])
