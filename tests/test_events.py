@@ -126,6 +126,16 @@ def test_a_wrong_way_before_another_event_does_not_hide_the_right_way_after_it()
     assert times(trajectory) == pytest.approx([0.07, (2 * math.pi - 2.0) / 40], abs=1e-14)
 
 
+def test_a_guard_is_asked_often_while_nothing_moves():
+    """sin ωt over a body at rest, whose steps grow: 0.3 s between its zeros, 0.08 s between the questions."""
+    scene = Scene(
+        slider(), [Contact("point", Plane())], events=lambda t, q, v: math.sin(t / 0.3 * math.pi + 0.1)
+    )
+    trajectory = simulate(scene, np.zeros(3), REST, 40.0)
+    wanted = 0.3 * (np.arange(1, 134) - 0.1 / math.pi)
+    assert times(trajectory) == pytest.approx(wanted, abs=1e-13)
+
+
 def test_zero_at_the_start_is_no_event():
     assert times(fall([height(1.0), Event(lambda t, q, v: v[2], name="rest")])) == []
 

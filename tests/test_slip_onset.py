@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+from scipy.special import erf
 
 from pinimpact import Contact, Plane, Scene
 from pinimpact.scene._kernels import radau, step_radau
@@ -46,6 +48,29 @@ def test_slip_begins_under_a_force_that_turns(rtol):
     assert trajectory.v[-1, :2] == pytest.approx(v, abs=20 * rtol)
 
 
+@pytest.mark.parametrize(("width", "rtol"), [(1.0, 1e-4), (0.03, 1e-4), (0.01, 1e-8)])
+@pytest.mark.parametrize("middle", [17.3, 37.123])
+def test_a_push_after_a_long_rest_is_not_missed(width, rtol, middle):
+    """F exp(−(t − t₀)²/w²) on a block: it slips from where F exceeds its friction on, until that stops it."""
+    force = 8.0
+
+    def control(t, q, v):
+        return np.array([force * np.exp(-(((t - middle) / width) ** 2)), 0.0, 0.0])
+
+    scene = Scene(slider(), [Contact("point", FLOOR, friction=MU)], control=control)
+    trajectory = run(scene, np.zeros(3), np.zeros(3), 45.0, audit=20 * rtol, rtol=rtol, atol=1e-6 * rtol)
+    onset = width * np.sqrt(np.log(force / (MU * G)))
+
+    def momentum(s):
+        pushed = 0.5 * np.sqrt(np.pi) * width * force * (erf(s / width) + erf(onset / width))
+        return pushed - MU * G * (s + onset)
+
+    end = brentq(momentum, onset, 10.0 * width)
+    moved = quad(momentum, -onset, end, epsabs=0.0, epsrel=1e-10)[0]
+    assert [m.mode for m in trajectory.modes] == ["stick", "slip", "stick"]
+    assert trajectory.q[-1, 0] == pytest.approx(moved, rel=20 * rtol)
+
+
 def test_the_onset_of_slip_takes_few_steps():
     scene = Scene(slider(MASS), [Contact("point", FLOOR, friction=MU)], control=turning)
     trajectory = run(scene, np.zeros(3), np.zeros(3), START + 0.3, rtol=1e-6)
@@ -61,7 +86,7 @@ def test_slip_of_four_corners_whose_loads_follow_its_direction_takes_few_steps()
         return np.append(pin.Quaternion(q[3:]).matrix().T @ turning(t), np.zeros(3))
 
     scene = Scene(box, [Contact(f"tip{k}", FLOOR, friction=MU) for k in range(4)], control=control)
-    trajectory = run(scene, [0, 0, 0, 0, 0, 0, 1], np.zeros(6), START + 0.3, rtol=1e-7)
+    trajectory = run(scene, [0, 0, 0, 0, 0, 0, 1], np.zeros(6), START + 0.3, rtol=1e-7, max_step=np.inf)
     assert trajectory.statistics["steps"] < 60  # 3000, if the loads did not follow
     # the loads turn it a little, so it is a point mass only nearly
     velocity = reference(START + 0.3)[1]

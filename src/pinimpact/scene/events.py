@@ -22,17 +22,15 @@ Guard = Callable[[float, Array, Array], float]
 Callback = Callable[[float, Array, Array], ArrayLike | None]
 """callback(t, q, v) -> (nv,) velocity to go on with, or None to leave it."""
 
-SAMPLES = (0.5, 1.0)
-"""Parts of a step at which guards are evaluated."""
-
 
 @dataclass(frozen=True, eq=False)
 class Event:
     """Something that happens where a function of time and state changes its sign.
 
-    The guard is evaluated where steps begin and end and in their middle, and its change of sign is then
-    located on the motion within the step to rounding. Like one of scipy's `solve_ivp`, a guard that changes
-    its sign twice in between can be missed; `max_step` bounds the time between. A guard that an impact takes
+    The guard is evaluated where steps begin and end, in their middle, and as often in between that a quarter
+    of `Scene.time_scale` does not go by; its change of sign is then located on the motion within the step to
+    rounding. One that changes its sign twice in between can be missed: `max_step=` makes steps shorter, and
+    so the time between. A guard that an impact takes
     to the other sign makes the event happen there, after the impact. A zero is no sign: a guard that is zero
     at the start, or comes to zero and turns back, makes nothing happen.
 
@@ -132,13 +130,17 @@ class Interruption:
 class EventWatch:
     """The events of one run: what sign each guard had, and what has happened.
 
+    Args:
+        events: The events.
+        every: The time after which guards are evaluated again at the latest [s].
+
     Attributes:
         records: The events that have happened, in order.
     """
 
-    def __init__(self, events: Sequence[Event]) -> None:
+    def __init__(self, events: Sequence[Event], every: float) -> None:
         self.records: list[EventRecord] = []
-        self._events = tuple(events)
+        self._events, self._every = tuple(events), every
         self._signs = [0.0] * len(self._events)
         self._times = [0] * len(self._events)
         self._instant = -math.inf
@@ -146,7 +148,7 @@ class EventWatch:
 
     def copy(self) -> EventWatch:
         """Return a watch that goes on from here on its own."""
-        twin = EventWatch(self._events)
+        twin = EventWatch(self._events, self._every)
         twin.records, twin._signs, twin._times = self.records.copy(), self._signs.copy(), self._times.copy()
         twin._instant, twin._happened = self._instant, self._happened.copy()
         return twin
@@ -173,8 +175,8 @@ class EventWatch:
         """Let the events happen that a step meets until `end`, up to one that interrupts it."""
         start = step.start
         while True:
-            times = [start + part * (end - start) for part in SAMPLES]
-            times[-1] = end
+            pieces = max(2, math.ceil((end - start) / self._every))
+            times = [start + k * ((end - start) / pieces) for k in range(1, pieces)] + [end]
             first = self._first(step, start, times)
             if first is None:
                 return None

@@ -270,8 +270,16 @@ class Scene:
         """The resting speed that is used [m/s]."""
         if self.resting_speed is not None:
             return self.resting_speed
-        gravity = float(np.linalg.norm(self.model.gravity.linear)) or STANDARD_GRAVITY
-        return RESTING_FRACTION * math.sqrt(gravity * self.extent)
+        return RESTING_FRACTION * math.sqrt(self._gravity * self.extent)
+
+    @property
+    def time_scale(self) -> float:
+        """The time √(L/g) [s] in which the robot falls half its size L, with g as for the resting speed."""
+        return math.sqrt(self.extent / self._gravity)
+
+    @property
+    def _gravity(self) -> float:
+        return float(np.linalg.norm(self.model.gravity.linear)) or STANDARD_GRAVITY
 
     @property
     def joint_damping(self) -> Array:

@@ -69,6 +69,10 @@ not help either it is taken, and told."""
 HIGH_ORDER = 10
 """Steps for which the order stays high where a low one has not been accurate enough."""
 
+SEEN_EVERY = 0.25
+"""The part of the scene's time scale after which functions of the user's own are asked again: a smooth force
+that comes after a long time without one is seen, unless it is over within some hundredth of that scale."""
+
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -88,7 +92,7 @@ def simulate(
     *,
     rtol: float = 1e-8,
     atol: float = 1e-10,
-    max_step: float = math.inf,
+    max_step: float | None = None,
     max_impacts: int = 10_000,
     progress: Progress | None = None,
 ) -> Trajectory:
@@ -105,7 +109,8 @@ def simulate(
         duration: Time to simulate [s].
         rtol: Relative tolerance of each step.
         atol: Absolute tolerance of each step, on coordinates [m, rad] and velocities.
-        max_step: Longest step [s]; needed where a control acts in pulses between which nothing happens.
+        max_step: Longest step [s]; None for a quarter of `Scene.time_scale` with a continuous control, so
+            that what it does is seen also where nothing has happened for long, and for no bound without.
         max_impacts: How many impacts to resolve before giving up.
         progress: Called with the time reached and the duration, after every step.
 
@@ -179,15 +184,15 @@ class Motion:
         v0: ArrayLike,
         rtol: float,
         atol: float,
-        max_step: float,
+        max_step: float | None,
         max_impacts: int,
     ) -> None:
         if not isinstance(scene, Scene):
             raise InputError(f"scene: {scene!r} is not a Scene", field="scene", value=scene)
         self._made_of = scene, q0, v0, rtol, atol, max_step, max_impacts
-        check_numbers(rtol=rtol, atol=atol, max_step=max_step, max_impacts=max_impacts)
+        check_numbers(rtol=rtol, atol=atol, max_impacts=max_impacts)
         # one type of each number, for kernels are compiled by type
-        rtol, atol, max_step = float(rtol), float(atol), float(max_step)
+        rtol, atol = float(rtol), float(atol)
         without = scene.without
         model = scene.model
         if "gravity" in without or "rotor inertia" in without:
@@ -215,7 +220,6 @@ class Motion:
         self.switched_off = scene.plan().switched_off if without else ()
         names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
         self.sources = (*layout.sources, *names)
-        self.max_step = max_step
         self.max_impacts = max_impacts
         self.w = np.zeros(WORKS)
         self.dense_steps: list[DenseStep] = []
@@ -226,7 +230,8 @@ class Motion:
         self.friction_drove = False
         self.bounce = math.inf
         self._closed: ClosedSet | None = None
-        self.events = EventWatch(as_events(scene.events) if "user events" not in without else ())
+        seen_every = SEEN_EVERY * scene.time_scale
+        self.events = EventWatch(as_events(scene.events) if "user events" not in without else (), seen_every)
         self.ended_by: str | None = None
         self._sampled = None
         self._continuous: Control | None = None
@@ -236,6 +241,10 @@ class Motion:
                 self._sampled = SampledControl(control, scene.period, scene.delay)
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
+        if max_step is None:
+            max_step = math.inf if self._continuous is None else seen_every
+        check_numbers(max_step=max_step)
+        self.max_step = float(max_step)
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
         self._ahead_at = self._modes_anew_at = self._rested_at = -math.inf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from copy import copy
 
 import numpy as np
@@ -47,7 +46,7 @@ class Stepper:
         *,
         rtol: float = 1e-8,
         atol: float = 1e-10,
-        max_step: float = math.inf,
+        max_step: float | None = None,
         max_impacts: int = 10_000,
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
