@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from pinimpact.errors import InputError
+from pinimpact.robot import touch_time as touch_time_module
 from pinimpact.robot.convex_pair import Touch, gap, touches
 from pinimpact.robot.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
 from pinimpact.robot.touch_time import PairState, first_touch
@@ -35,23 +36,31 @@ class Flight:
         self.shape, self.rotation = shape, np.array(rotation)
         self.origin, self.velocity, self.spin, self.gravity = map(np.array, (origin, velocity, spin, gravity))
 
-    def at(self, t: float) -> tuple[Any, np.ndarray]:
+    def at(self, t: float) -> tuple[Any, np.ndarray, np.ndarray]:
         rotation = pin.exp3(self.spin * t) @ self.rotation
         origin = self.origin + self.velocity * t + 0.5 * self.gravity * t * t
         velocity = self.velocity + self.gravity * t - np.cross(self.spin, origin)
-        return self.shape.at(rotation, origin), np.concatenate([velocity, self.spin])
+        acceleration = self.gravity - np.cross(self.spin, self.velocity + self.gravity * t)
+        return (
+            self.shape.at(rotation, origin),
+            np.concatenate([velocity, self.spin]),
+            np.concatenate([acceleration, np.zeros(3)]),
+        )
 
     @property
     def bend(self) -> float:
         return float(self.spin @ self.spin) * (float(np.linalg.norm(self.shape.center)) + self.shape.reach)
 
 
+def state_of(a: Flight, b: Flight, t: float) -> PairState:
+    return PairState(*(one for pair in zip(a.at(t), b.at(t), strict=True) for one in pair))
+
+
 def touch_time(a: Flight, b: Flight, end: float = 2.0, room: float = 0.0) -> float:
     """When the two first touch, with bounds of their accelerations that leave room; infinite where not."""
 
     def at(t: float) -> PairState:
-        (placed_a, velocity_a), (placed_b, velocity_b) = a.at(t), b.at(t)
-        return PairState(placed_a, placed_b, velocity_a, velocity_b)
+        return state_of(a, b, t)
 
     bend = float(np.linalg.norm(a.gravity - b.gravity)) + a.bend + b.bend + room
     found = first_touch(at, 0.0, end, bend, 1e-13)
@@ -113,6 +122,34 @@ def test_first_touch_of_random_bodies_is_the_root_of_coals_distance(kinds: tuple
             low, high = (middle, high) if coal_distance(a, b, middle) > 0.0 else (low, middle)
         assert found == pytest.approx(high, abs=2e-9)  # coal's boxes are larger by 1e-10
     assert hits > 0
+
+
+def test_what_parts_as_its_force_fades_takes_few_advances(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball leaves another like t³ while it goes round it fast; third rates of the gap see that it goes."""
+    monkeypatch.setattr(touch_time_module, "MAX_ADVANCES", 200)
+    a, b, turn = sphere(0.1), sphere(0.2), 8.0
+
+    def at(t: float) -> PairState:
+        away = 0.3 + 5.0 * t**3
+        rates = np.array([away, 15.0 * t * t, 30.0 * t])
+        c, s = math.cos(turn * t), math.sin(turn * t)
+        outward, along = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+        velocity = rates[1] * outward + turn * away * along
+        acceleration = (rates[2] - turn**2 * away) * outward + 2.0 * turn * rates[1] * along
+        still = np.zeros(3)
+        return PairState(
+            a.at(np.eye(3), away * outward),
+            b.at(np.eye(3), still),
+            np.concatenate([velocity, still]),
+            np.zeros(6),
+            np.concatenate([acceleration, still]),
+            np.zeros(6),
+        )
+
+    bend = 1.5 * (turn**2 * 0.3 + 30.0)
+    found = first_touch(at, 0.0, 0.1, bend, 1e-13)
+    assert found is not None
+    assert not found.touches
 
 
 def test_touch_of_balls_and_capsules_in_closed_form() -> None:
@@ -201,8 +238,7 @@ def test_heights_over_the_plane_of_two_edges_bend_by_no_more_than_their_bound(se
     ]
 
     def at(t: float) -> PairState:
-        (a, velocity_a), (b, velocity_b) = (one.at(t) for one in flights)
-        return PairState(a, b, velocity_a, velocity_b)
+        return state_of(*flights, t)
 
     spins = [float(np.linalg.norm(one.spin)) for one in flights]
     spin, faster = sum(spins), sum(s * s for s in spins) + sum(spins) ** 2

@@ -11,6 +11,10 @@ of a face or an edge, rise alike: the normal goes with what is about to touch. S
 leaves its square, and the last one comes to touch to rounding, from the one side: no touch is missed, however
 short. With α the largest acceleration of a point of the one shape against a point of the other, and v and l
 the largest velocity and distance between such, β = α + 2 |Ω| (v + α h) + Ω² l.
+
+Shapes that part as the force between them fades rise like h³ only, which no such bound sees. So second rates
+at t are taken too, as far as they close the gap, and the third rate of the gap is bounded, by γ h³/6: of both
+bounds the one that reaches farther counts.
 """
 
 from __future__ import annotations
@@ -31,6 +35,9 @@ MAX_ADVANCES = 20_000
 """Advances, after which a pair that neither touches nor parts is given up; one that parts at a thousandth of
 the acceleration that its bound allows takes some thousands."""
 
+SAMPLES, SAFETY = 8, 1.5
+"""Samples of a step for its largest accelerations and their rates, and what they are taken times."""
+
 
 class PairState(NamedTuple):
     """Two shapes at a time.
@@ -39,12 +46,15 @@ class PairState(NamedTuple):
         a, b: The shapes where they are.
         velocity_a, velocity_b: (6,) of their bodies' points at the world's origin, linear over angular, in
             world axes.
+        acceleration_a, acceleration_b: (6,) rates of these, at the same place in space.
     """
 
     a: PlacedShape
     b: PlacedShape
     velocity_a: Array
     velocity_b: Array
+    acceleration_a: Array
+    acceleration_b: Array
 
 
 class Advance(NamedTuple):
@@ -71,6 +81,8 @@ class Front(NamedTuple):
         value: The gap [m].
         bend: What the second rates do not exceed, for as long as `until` [m/s²].
         until: For how long [s].
+        closing_a, closing_b: (n,), (m,) second rates as far as they close the gap, up to a common one [m/s²].
+        third: What the third rate of the gap does not exceed, for as long [m/s³].
     """
 
     heights_a: Array
@@ -81,6 +93,9 @@ class Front(NamedTuple):
     value: float
     bend: float
     until: float = math.inf
+    closing_a: Array | None = None
+    closing_b: Array | None = None
+    third: float = math.inf
 
 
 def first_touch(
@@ -100,22 +115,26 @@ def first_touch(
         None where they neither touch nor part within `MAX_ADVANCES`.
     """
     near: Array | None = None
+    fastest: Fastest | None = None
 
     def fronts(t: float) -> list[Front]:
-        nonlocal near
+        nonlocal near, fastest
+        if fastest is None and t > start:  # second rates alone let many steps pass
+            fastest = _fastest(at, start, end)
         state = at(t)
         value, near = gap(state.a, state.b, near)
         size = state.a.shape.reach + state.b.shape.reach
         turns = [_goes_with(state, value, near)]
         if state.a.shape.radius + state.b.shape.radius > 0.0:
             if value <= TOUCHING * size:
-                found = touches(state.a, state.b, near, TOUCHING * size)
-                turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in found]
-            return [_front(state, value, near, bend, turn) for turn in turns]
+                facing = touches(state.a, state.b, near, TOUCHING * size)
+                turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in facing]
+            return [_front(state, value, near, bend, fastest, turn) for turn in turns]
         if value > TOUCHING * size:
-            return [_front(state, value, near, bend, turns[0])]
+            return [_front(state, value, near, bend, fastest, turns[0])]
         return [
-            _front(state, value, one.normal, bend, _turn(state, one)) for one in ties(state.a, state.b, near)
+            _front(state, value, one.normal, bend, fastest, _turn(state, one))
+            for one in ties(state.a, state.b, near)
         ]
 
     return advance(fronts, start, end, floor)
@@ -163,7 +182,52 @@ def _edges_turn(u: Array, w: Array, normal: Array, spin_a: Array, spin_b: Array)
     return np.asarray(rate - (rate @ normal) * normal)
 
 
-def _front(state: PairState, value: float, normal: Array, bend: float, turn: Array) -> Front:
+class Fastest(NamedTuple):
+    """What the motion of points of two shapes against each other does not exceed over a step.
+
+    Attributes:
+        second: The acceleration [m/s²].
+        third: Its rate [m/s³].
+    """
+
+    second: float
+    third: float
+
+
+def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fastest:
+    """Return the largest relative acceleration of points, and its largest rate, from samples of a step."""
+    second = third = 0.0
+    before: tuple[Array, Array] | None = None
+    for t in np.linspace(start, end, 1 + SAMPLES).tolist():
+        now = _accelerations(at(t))
+        second = max(second, _most(*now))
+        if before is not None:
+            third = max(third, _most(now[0] - before[0], now[1] - before[1]) * SAMPLES / (end - start))
+        before = now
+    return Fastest(SAFETY * second, SAFETY * third)
+
+
+def _accelerations(state: PairState) -> tuple[Array, Array]:
+    """Return the accelerations (n, 3), (m, 3) of the vertices of both cores."""
+    found = []
+    for placed, velocity, rate in (
+        (state.a, state.velocity_a, state.acceleration_a),
+        (state.b, state.velocity_b, state.acceleration_b),
+    ):
+        moving = velocity[:3] + cross(velocity[3:], placed.vertices)
+        found.append(rate[:3] + cross(rate[3:], placed.vertices) + cross(velocity[3:], moving))
+    return found[0], found[1]
+
+
+def _most(one: Array, other: Array) -> float:
+    """Return what the difference of a vector (3,) of the one and one of the other does not exceed."""
+    mean = 0.5 * (one.mean(axis=0) + other.mean(axis=0))
+    return sum(float(np.linalg.norm(each - mean, axis=1).max()) for each in (one, other))
+
+
+def _front(
+    state: PairState, value: float, normal: Array, bend: float, fastest: Fastest | None, turn: Array
+) -> Front:
     """Return what faces each other along a normal that turns at a rate (3,)."""
     a, b = state.a, state.b
     size = a.shape.reach + b.shape.reach
@@ -172,13 +236,12 @@ def _front(state: PairState, value: float, normal: Array, bend: float, turn: Arr
     moving_a = state.velocity_a[:3] + cross(state.velocity_a[3:], a.vertices)
     moving_b = state.velocity_b[:3] + cross(state.velocity_b[3:], b.vertices)
     spin = float(np.linalg.norm(turn))
-    mean = 0.5 * (moving_a.mean(axis=0) + moving_b.mean(axis=0))
-    speed = sum(float(np.linalg.norm(one - mean, axis=1).max()) for one in (moving_a, moving_b))
+    speed = _most(moving_a, moving_b)
     until = math.sqrt(size / bend) if bend > 0.0 else math.inf
-    curving = bend
+    far, curving = size + max(value, 0.0), bend
     if spin > 0.0:
-        curving += 2.0 * spin * (speed + bend * until) + 2.0 * spin * spin * (size + max(value, 0.0))
-    return Front(
+        curving += 2.0 * spin * (speed + bend * until) + 2.0 * spin * spin * far
+    now = Front(
         heights_a,
         moving_a @ normal + (a.vertices - center) @ turn,
         heights_b,
@@ -187,6 +250,23 @@ def _front(state: PairState, value: float, normal: Array, bend: float, turn: Arr
         value,
         curving,
         until,
+    )
+    if fastest is None:
+        return now
+    seconds = [
+        speeding @ normal + 2.0 * (moving @ turn) - spin * spin * (placed.vertices - center) @ normal
+        for placed, moving, speeding in zip((a, b), (moving_a, moving_b), _accelerations(state), strict=True)
+    ]
+    common = 0.5 * (seconds[0][heights_a.argmin()] + seconds[1][heights_b.argmax()])
+    third = fastest.third
+    if spin > 0.0:
+        speed += fastest.second * until
+        far += speed * until
+        third += 3.0 * spin * fastest.second + 3.0 * spin * spin * speed + spin**3 * far
+    return now._replace(
+        closing_a=np.minimum(seconds[0] - common, 0.0),
+        closing_b=np.maximum(seconds[1] - common, 0.0),
+        third=third,
     )
 
 
@@ -236,7 +316,17 @@ def _step(now: Front, left: float, floor: float) -> float:
         lower = (now.heights_a + h * now.rates_a).min() - (now.heights_b + h * now.rates_b).max()
         return float(lower) + raised - now.apart - 0.5 * now.bend * h * h
 
-    return _clear(bound, longest)
+    step = _clear(bound, longest)
+    if now.closing_a is None or now.closing_b is None or step >= min(left, now.until):
+        return step
+    closing_a, closing_b = 0.5 * now.closing_a, 0.5 * now.closing_b
+
+    def bound_of_third(h: float) -> float:
+        low = (now.heights_a + h * (now.rates_a + h * closing_a)).min()
+        high = (now.heights_b + h * (now.rates_b + h * closing_b)).max()
+        return float(low - high) + raised - now.apart - now.third / 6.0 * h**3
+
+    return max(step, _clear(bound_of_third, min(left, now.until)))
 
 
 def _clear(bound: Callable[[float], float], longest: float) -> float:

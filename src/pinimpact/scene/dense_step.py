@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ._kernels import dense_output
@@ -13,6 +14,18 @@ Array = NDArray[np.float64]
 
 WORKS = 4
 """Works that are integrated along: of the control, in the joints, of sliding friction, of moving surfaces."""
+
+
+def _slopes() -> Array:
+    """Return what the derivatives of θ, θ(1 − θ), θ²(1 − θ), … are in powers of θ (7, 7)."""
+    slopes, term = np.zeros((7, 7)), Polynomial([1.0])
+    for k in range(7):
+        term = term * Polynomial([0.0, 1.0] if k % 2 == 0 else [1.0, -1.0])
+        slopes[k, : k + 1] = term.deriv().coef
+    return slopes
+
+
+SLOPES = _slopes()
 
 
 class DenseStep:
@@ -57,6 +70,12 @@ class DenseStep:
         theta = (t - self.start) / self.h
         dense_output.state(self.coefficients, theta, self.joints, self.q, self.v, q, v)
         return q, v
+
+    def acceleration(self, t: float) -> Array:
+        """Return v̇ (nv,) of the dense output at a time within the step."""
+        powers = ((t - self.start) / self.h) ** np.arange(7)
+        n = len(self.v)
+        return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 
     def works(self, t: float) -> Array:
         """Return the works w at a time within the step."""

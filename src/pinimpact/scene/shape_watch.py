@@ -35,6 +35,9 @@ Array = NDArray[np.float64]
 
 Placed = tuple[PlacedShape, PlacedShape]
 
+THIRDS = 8
+"""Parts of a step from which the third rates of corners' heights are estimated."""
+
 SAMPLES = (0.5, 1.0)
 """Parts of a step at which it is seen whether a point has left its face or edge."""
 
@@ -291,10 +294,13 @@ class ShapeWatch:
         model, data, pair = self._model, self._data, watched.pair
 
         def at(t: float) -> PairState:
-            q, v = step.at(t)
-            pin.forwardKinematics(model, data, q, v)
-            ends = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
-            return PairState(*pair.placed(data), *ends)
+            pin.forwardKinematics(model, data, *step.at(t), step.acceleration(t))
+            moving = (
+                data.oMi[joint].act(motions[joint]).vector
+                for motions in (data.v, data.a)
+                for joint in (pair.a.joint, pair.b.joint)
+            )
+            return PairState(*pair.placed(data), *moving)
 
         return at
 
@@ -410,7 +416,7 @@ class ShapeWatch:
         floor = max(0.25 * self._work.touching_gap, 0.1 * self.tolerance)  # what is closed drifts by more
         spin, faster = self._turning(watched, step, peak)
 
-        def front(t: float) -> list[Front]:
+        def heights_at(t: float) -> tuple[Array, Array, float, float]:
             here = at(t)
             there = follow(touch, here.a, here.b, normal)
             rate_of_normal = normal_rate(touch, there, here)
@@ -422,9 +428,25 @@ class ShapeWatch:
                 arm = vertices[mask] - origin
                 heights.append(sign * (arm @ there.normal))
                 rates.append(sign * (arm @ (rate_of_normal + cross(there.normal, velocity[3:]))))
-            height, rate = np.concatenate(heights), np.concatenate(rates)
             bend, until = bend_of_heights(touch, here, spin, faster)
-            return [Front(height, rate, np.zeros(1), np.zeros(1), 0.0, float(height.min()), bend, until)]
+            return np.concatenate(heights), np.concatenate(rates), bend, until
+
+        apart = (end - step.start) / THIRDS
+        little = 1e-3 * apart
+        third: float | None = None
+
+        def front(t: float) -> list[Front]:
+            nonlocal third
+            height, rate, bend, until = heights_at(t)
+            plane = np.zeros(1)
+            now = Front(height, rate, plane, plane, 0.0, float(height.min()), bend, until)
+            if t == step.start:  # second rates alone let most steps pass
+                return [now]
+            if third is None:
+                sampled = [heights_at(step.start + k * apart)[1] for k in range(THIRDS + 1)]
+                third = SAFETY * float(np.abs(np.diff(sampled, 2, axis=0)).max()) / apart**2
+            second = (heights_at(t + little)[1] - rate) / little - third * little
+            return [now._replace(closing_a=np.minimum(second, 0.0), closing_b=plane, third=third)]
 
         found = advance(front, step.start, end, floor)
         return self._settled(watched, found, step)
