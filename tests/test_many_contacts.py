@@ -349,6 +349,62 @@ def test_invariants_of_random_problems():
     assert np.quantile(moved, 0.97) < 1e-9
 
 
+def test_impacts_that_die_out_leave_the_slip_of_others_alone():
+    # a body in a groove bounces from side to side without end; slip keeps its direction, so that the whole
+    # chain is linear: v₃ = 0 at both sides, with friction −μ P₃ at one
+    turned = math.sqrt(0.5)
+    jacobian = np.zeros((6, 3))
+    jacobian[[0, 2]] = [[turned, -turned, turned], [turned, turned, -turned]]
+    jacobian[[3, 5]] = [[turned, turned, turned], [-turned, turned, turned]]
+    u, mu = np.array([0.3, -1.0, 1.0]), 0.5
+    push = np.array([jacobian[2], jacobian[5] - mu * jacobian[3]]).T
+    impulse = np.linalg.solve(jacobian[2::3] @ push, -(jacobian[2::3] @ u))
+    solution, after = collide(jacobian, np.eye(3), u, friction=[0.0, mu], restitution=0.05)
+    assert solution.events > 20
+    assert (jacobian @ u)[3] > 0.0
+    assert (jacobian @ after)[3] > 0.1  # it slides on
+    assert solution.impulse[:, 2] == pytest.approx(impulse, abs=1e-9)
+    assert after == pytest.approx(u + push @ impulse, abs=1e-9)
+
+
+def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
+    # slip at three contacts and an approach end together; in other coordinates rounding is another
+    jacobian = np.array(
+        [
+            *([-0.0513, 1.4280, -0.1032], [0.5254, 0.2257, -1.2808], [0.7010, 1.2363, -1.7537]),
+            *([-0.0217, -1.8394, -1.0865], [-0.1825, -1.9483, 2.2871], [0.3352, 0.3917, -0.2450]),
+            *([-0.1192, 1.6405, -0.0597], [0.6650, 0.0031, 2.3085], [-0.2617, -0.0172, 1.5924]),
+        ]
+    )
+    u, mu = np.array([-1.5749, -0.1310, 0.1704]), [0.9522, 0.1968, 0.2709]
+    for seed in range(12):
+        turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+        solution, after = collide(jacobian @ turn, np.eye(3), turn.T @ u, friction=mu)
+        assert solution.events < 10
+        assert np.abs(solution.velocity).max() < 1e-12
+        assert np.abs(after).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", [3, 17, 29])
+def test_the_numbering_of_contacts_does_not_matter_to_the_bit(seed):
+    jacobian, inverse, u, mu, e = draw(seed)
+    n = len(mu)
+    delassus, velocity = jacobian @ inverse @ jacobian.T, (jacobian @ u).reshape(n, 3)
+    delassus = 0.5 * (delassus + delassus.T)
+    solution = solve_impact(ImpactProblem(delassus, velocity, mu, e, "energetic"), record=True)
+    order = np.random.default_rng(seed).permutation(n)
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    problem = ImpactProblem(delassus[np.ix_(rows, rows)], velocity[order], mu[order], e[order], "energetic")
+    other = solve_impact(problem, record=True)
+    assert (order != np.arange(n)).any()
+    assert (other.velocity == solution.velocity[order]).all()
+    assert (other.impulse == solution.impulse[order]).all()
+    assert other.segments == tuple(solution.segments[j] for j in order)
+    assert (other.path.impulse == solution.path.impulse[:, order]).all()
+    assert (other.path.velocity == solution.path.velocity[:, order]).all()
+    assert (other.work.friction == solution.work.friction[order]).all()
+
+
 def test_scaling_of_speeds_and_masses():
     jacobian, inverse, u, mu, e = draw(11)
     _, after = collide(jacobian, inverse, u, friction=mu, restitution=e)

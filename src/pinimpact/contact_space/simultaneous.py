@@ -364,11 +364,15 @@ def _together(inputs: ManyInputs, record: bool) -> ManySolution:
     n = len(inputs.velocity)
     velocity = inputs.velocity.ravel()
     compression, restitution = np.zeros((2, 3 * n))
-    missed = impulses_together(inputs.delassus, velocity, inputs.friction, np.zeros(n), compression)
+    missed = impulses_together(
+        *(inputs.delassus, velocity, inputs.friction, np.zeros(n), np.zeros(n), compression)
+    )
     between = velocity + inputs.delassus @ compression
     given = inputs.restitution * np.maximum(compression[2::3], 0.0)
     if given.any():
-        further = impulses_together(inputs.delassus, between, inputs.friction, given, restitution)
+        further = impulses_together(
+            *(inputs.delassus, between, inputs.friction, given, np.zeros(n), restitution)
+        )
         missed = max(missed, further)
     after = between + inputs.delassus @ restitution
     rest = 1e-6 * float(np.abs(velocity).max(initial=0.0))
@@ -404,8 +408,7 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
     start = inputs.velocity.ravel()
     rest = RESTS * float(np.abs(start).max(initial=0.0))
     plastic, elastic, part = np.zeros((3, 3 * n))
-    none = np.zeros(n)
-    impulses_together(inputs.delassus, start, inputs.friction, none, plastic)
+    impulses_together(inputs.delassus, start, np.zeros(n), np.zeros(n), np.zeros(n), plastic)
     velocity, count = start.copy(), 0
     while (velocity[2::3] < -rest).any():
         if count >= MOST_IMPACTS * n:
@@ -418,7 +421,8 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
         rows = (3 * struck[:, None] + np.arange(3)).ravel()
         found = np.zeros(len(rows))
         block = np.ascontiguousarray(inputs.delassus[np.ix_(rows, rows)])
-        impulses_together(block, velocity[rows], np.zeros(len(struck)), np.zeros(len(struck)), found)
+        none = np.zeros(len(struck))
+        impulses_together(block, velocity[rows], none, none, none, found)
         part[:] = 0.0
         part[rows] = 2.0 * found
         elastic += part

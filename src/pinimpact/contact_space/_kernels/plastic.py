@@ -14,6 +14,12 @@ from ..._numeric.loops import repeated
 STOPPED = 1e-6
 """Part of the largest velocity that an approach may keep by rounding."""
 
+TINY, SWEEPS = 1e-14, 100
+"""Part of the largest velocity that is zero, and how often approaches at rest are taken away at most."""
+
+FOUND = 1e-6
+"""What the last repetition may change of the velocities where Coulomb's law is met well enough."""
+
 REPETITIONS, SETTLED = 500, 1e-12
 """Of the search for Coulomb's law, and the change of velocities, in parts of the largest, that ends it."""
 
@@ -72,20 +78,23 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
         impulse[3 * j + 2] += given[j]
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
+@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
-def impulses_together(w, v, friction, given, impulse):
+def impulses_together(w, v, friction, given, shift, impulse):
     """Fill the impulses (3n,) of Coulomb's law on impulses: sliding contacts neither part nor approach.
 
     The least power of `plastic_impulses` lets what slides part at μ |v_t|; the shift that takes this away is
     found by repetition. (14.7)
 
+    Args:
+        w, v, friction, given, impulse: As there.
+        shift: (n,) the shift to begin with, ≥ 0; takes what is found.
+
     Returns:
         What the last repetition has changed, in parts of the largest velocity.
     """
     n = len(friction)
-    shift, before = np.zeros(n), np.empty(3 * n)
-    largest = 1e-300
+    before, largest = np.empty(3 * n), 1e-300
     for i in range(3 * n):
         largest = max(largest, abs(v[i]))
     change = 0.0
@@ -106,20 +115,51 @@ def impulses_together(w, v, friction, given, impulse):
 
 
 @inner
+def come_to_rest(system, state, works):
+    """Take away approaches that are too slow to be seen, one after the other, by their normals alone.
+
+    A convex program is no use here: it knows the shift of (14.7), and so what sliding contacts are given,
+    to a part of the slip only.
+    """
+    w, v = system.w, state.v
+    for _ in range(SWEEPS):
+        approaches = False
+        for z in range(2, len(v), 3):
+            if v[z] < -TINY and w[z, z] > 0.0:
+                approaches = True
+                push = -v[z] / w[z, z]
+                works[z // 3, 0] += 0.5 * v[z] * push
+                for i in range(len(v)):
+                    v[i] += w[i, z] * push
+                v[z] = 0.0
+                state.impulse[z] += push
+        if not approaches:
+            break
+
+
+@inner
 def end_plastically(system, state, works):
-    """Bring an impact to its end by a plastic one; return whether that stops all approaches."""
+    """Bring an impact to its end by a plastic one; return whether that stops all approaches.
+
+    What slides begins with the shift that keeps it on its surface, so that where hardly anything approaches
+    hardly anything changes. Where no shift is found the rest loses as much energy as it can. (14.6)
+    """
+    w, v = system.w, state.v
     n = len(system.friction)
-    impulse, zero = np.empty(3 * n), np.zeros(n)
-    plastic_impulses(system.w, state.v, system.friction, zero, zero, impulse)
+    impulse, zero, shift = np.empty(3 * n), np.zeros(n), np.empty(n)
+    for j in range(n):
+        shift[j] = system.friction[j] * math.hypot(v[3 * j], v[3 * j + 1])
+    if not impulses_together(w, v, system.friction, zero, shift, impulse) <= FOUND:
+        plastic_impulses(w, v, system.friction, zero, zero, impulse)
     stopped = True
     for i in range(3 * n):
         change = 0.0
         for k in range(3 * n):
-            change += system.w[i, k] * impulse[k]
-        works[i // 3, 0 if i % 3 == 2 else 2] += (state.v[i] + 0.5 * change) * impulse[i]
+            change += w[i, k] * impulse[k]
+        works[i // 3, 0 if i % 3 == 2 else 2] += (v[i] + 0.5 * change) * impulse[i]
     for i in range(3 * n):
         for k in range(3 * n):
-            state.v[i] += system.w[i, k] * impulse[k]
+            v[i] += w[i, k] * impulse[k]
         state.impulse[i] += impulse[i]
-        stopped = stopped and (i % 3 != 2 or state.v[i] > -STOPPED)
+        stopped = stopped and (i % 3 != 2 or v[i] > -STOPPED)
     return stopped

@@ -28,7 +28,7 @@ from .codes import (
     STUCK,
 )
 from .first_fall import NEVER, first_fall, value_at
-from .plastic import end_plastically
+from .plastic import TINY, come_to_rest, end_plastically
 from .propagation_friction import AT_BOUND, NEAR_BOUND, SLIP_SPEED, settle, unknown_after
 from .propagation_series import (
     TIED,
@@ -43,9 +43,6 @@ from .propagation_series import (
 
 ORDER, SHORT, FIRST = np.int64(24), np.int64(2), np.int64(1)
 """Of the series; what is left of it where a slip runs straight at zero; what tells the pace of slips."""
-
-TINY = 1e-14
-"""Velocities, indentations and forces below this part of the largest are zero."""
 
 AT_REST = 1e-11
 """A tangential velocity below this part of the largest is rounding of what a robot's is formed from."""
@@ -72,7 +69,10 @@ MOVED = 1e-10
 """A speed at which what was thought to be held is not, and from which on what slips beside it is."""
 
 RESTING = 1e-10
-"""A speed of approach, in parts of the largest velocity, below which all that is left is a plastic impact."""
+"""A speed of approach, in parts of the largest velocity, below which all that is left is rest."""
+
+DRIFT = 1e-12
+"""Part of the largest velocity by which one may differ from what the impulses make of it."""
 
 MOST_EVENTS = 200
 """Events per contact after which the rest is a plastic impact."""
@@ -131,8 +131,8 @@ def propagate(
         v: (3n,) takes the velocities after it.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
-        counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, else
-            by a plastic impact, 1 since all was slow, 2 since the count of steps or events was at its bound.
+        counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, 1
+            since all was slow, 2 by a plastic impact since the count of steps or events was at its bound.
         rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
         path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
 
@@ -142,63 +142,101 @@ def propagate(
         or energy that they create, in parts of the works' sizes.
     """
     n = len(friction)
+    order = _of_their_own(w, start, friction, restitution, stiffness)
+    places = np.empty(3 * n, dtype=np.int64)
     scale, most = 0.0, 0.0
-    for i in range(3 * n):
-        scale = max(scale, abs(start[i]))
-        impulse[i] = 0.0
     for j in range(n):
-        most = max(most, stiffness[j] * w[3 * j + 2, 3 * j + 2])
         for k in range(3):
-            works[j, k] = 0.0
+            places[3 * j + k] = 3 * order[j] + k
+            scale = max(scale, abs(start[3 * j + k]))
+        most = max(most, stiffness[j] * w[3 * j + 2, 3 * j + 2])
     scale, most = scale if scale > 0.0 else 1.0, most if most > 0.0 else 1.0
-    ratios = np.empty(n)
-    for j in range(n):
-        ratios[j] = stiffness[j] / most
+    own_w, before, p = np.empty((3 * n, 3 * n)), np.empty(3 * n), np.zeros(3 * n)
+    numbers, own_works = np.empty((3, n)), np.zeros((n, 3))
     for i in range(3 * n):
-        v[i] = start[i] / scale
+        before[i] = start[places[i]] / scale
+        for k in range(3 * n):
+            own_w[i, k] = w[places[i], places[k]]
+    for j in range(n):
+        numbers[0, j], numbers[1, j] = friction[order[j]], restitution[order[j]]
+        numbers[2, j] = stiffness[order[j]] / most
+    u = before.copy()
     stopped = _follow(
-        w,
-        v,
-        friction,
-        restitution,
-        ratios,
+        own_w,
+        u,
+        numbers[0],
+        numbers[1],
+        numbers[2],
         exponent,
         accuracy,
         most_steps,
-        impulse,
-        works,
+        p,
+        own_works,
         counts,
         rows,
         path,
     )
     missed = gained = size = 0.0
+    made = before.copy()
     for i in range(3 * n):
-        made = start[i] / scale
         for k in range(3 * n):
-            made += w[i, k] * impulse[k]
-        missed = max(missed, abs(v[i] - made))
-        stopped = stopped and math.isfinite(v[i]) and math.isfinite(impulse[i])
+            made[i] += own_w[i, k] * p[k]
+        missed = max(missed, abs(u[i] - made[i]))
+        stopped = stopped and math.isfinite(u[i]) and math.isfinite(p[i])
+    if missed > DRIFT:  # what has been set to zero at many events adds up
+        u = made
     strongest = outside = 0.0
     for j in range(n):
-        p1, p2, p3 = impulse[3 * j], impulse[3 * j + 1], impulse[3 * j + 2]
-        strongest = max(strongest, p3)
-        outside = max(outside, math.hypot(p1, p2) - friction[j] * p3)
+        strongest = max(strongest, p[3 * j + 2])
+        outside = max(outside, math.hypot(p[3 * j], p[3 * j + 1]) - numbers[0, j] * p[3 * j + 2])
+        for k in range(3):
+            gained += own_works[j, k]
+            size += abs(own_works[j, k])
+            works[order[j], k] = own_works[j, k] * scale * scale
     missed = max(missed, outside / max(strongest, 1e-300))
     for i in range(3 * n):
-        v[i] *= scale
-        impulse[i] *= scale
-    for j in range(n):
-        for k in range(3):
-            gained += works[j, k]
-            size += abs(works[j, k])
-            works[j, k] *= scale * scale
+        v[places[i]] = u[i] * scale
+        impulse[places[i]] = p[i] * scale
     for row in range(min(counts[2], len(rows))):
+        rows[row, 0] = order[int(rows[row, 0])]
         rows[row, 3] *= scale
         rows[row, 4] *= scale
     for row in range(min(counts[3], len(path))):
-        for i in range(1, 6 * n + 1):
-            path[row, i] *= scale
+        point = path[row].copy()
+        for i in range(3 * n):
+            path[row, 1 + places[i]] = point[1 + i] * scale
+            path[row, 1 + 3 * n + places[i]] = point[1 + 3 * n + i] * scale
     return stopped, max(missed, gained / max(size, 1e-300))
+
+
+@inner
+def _of_their_own(w, v, friction, restitution, stiffness):
+    """Return an order (n,) of the contacts by what they are, so that nothing comes of how they are numbered.
+
+    Where rounding decides, as at ties, sums in another order decide otherwise.
+    """
+    n = len(friction)
+    keys, order = np.empty((n, 9)), np.empty(n, dtype=np.int64)
+    for j in range(n):
+        for k in range(3):
+            keys[j, k] = v[3 * j + 2 - k]
+            keys[j, 3 + k] = w[3 * j + 2 - k, 3 * j + 2 - k]
+        keys[j, 6], keys[j, 7], keys[j, 8] = friction[j], restitution[j], stiffness[j]
+        place = j
+        while place > 0 and _comes_first(keys, j, order[place - 1]):
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = j
+    return order
+
+
+@inner
+def _comes_first(keys, i, j):
+    """Return whether row i comes before row j where their first numbers differ."""
+    for k in range(keys.shape[1]):
+        if keys[i, k] != keys[j, k]:
+            return keys[i, k] < keys[j, k]
+    return False
 
 
 @inner
@@ -247,8 +285,13 @@ def _follow(
         time = _next_closing(state)
         if not presses and time == NEVER:
             break
-        if steps >= most_steps or events >= MOST_EVENTS * n or _rests(system, state):
-            counts[4] = 1 if _rests(system, state) else 2
+        if _rests(system, state):
+            counts[4] = 1
+            come_to_rest(system, state, works)
+            points = _record(path, points, clock, state)
+            break
+        if steps >= most_steps or events >= MOST_EVENTS * n:
+            counts[4] = 2
             if not end_plastically(system, state, works):
                 return False
             points = _record(path, points, clock, state)
@@ -613,6 +656,9 @@ def _apply(system, state, series, roots, first, tie):
         z = 3 * j + 2
         state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
         normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
+        mode = state.normal[j]
+        if mode in (LOADING, RISING, SINKING):  # at zero with what has come there, but for rounding
+            normal = normal or abs(state.v[z]) <= TINY < abs(series.v[0, z])
         if tangent and before[j] == SLIPPING:
             _stick(state, j)
             for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
@@ -628,7 +674,6 @@ def _apply(system, state, series, roots, first, tie):
                 state.fresh[j] = AT_BOUND
         if not (normal or held):
             continue
-        mode = state.normal[j]
         if mode == OPEN:
             _close(system, state, j)
         elif mode == LOADING or (mode == SINKING and normal):
