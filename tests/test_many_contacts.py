@@ -385,6 +385,29 @@ def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
         assert np.abs(after).max() < 1e-12
 
 
+@pytest.mark.parametrize("policy", ["sequence", "any"])
+@pytest.mark.parametrize("e", [0.0, 0.5, [0.2, 0.9]])
+def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
+    # a slot that narrows by two degrees: bounces from side to side turn the velocity hardly, so that they go
+    # on by the ten thousands; all of them leave what J v = 0 has, and nothing else lasts
+    turn = math.radians(1.0)
+    jacobian = np.zeros((6, 3))
+    jacobian[2], jacobian[5] = (
+        [math.cos(turn), math.sin(turn), 0.0],
+        [-math.cos(turn), math.sin(turn), 0.0],
+    )
+    inverse = np.array([[1.0, 0.2, 0.1], [0.2, 0.7, 0.3], [0.1, 0.3, 0.9]])
+    u, normals = np.array([0.3, -1.0, 0.4]), jacobian[2::3]
+    solution, after = collide(jacobian, inverse, u, restitution=e, simultaneous=policy)
+    impulse = -np.linalg.solve(normals @ inverse @ normals.T, normals @ u)
+    assert solution.impulse[:, 2] == pytest.approx(impulse, rel=1e-8)
+    assert after == pytest.approx(u + inverse @ normals.T @ impulse, abs=1e-9)
+    mass = np.linalg.inv(inverse)
+    assert solution.work.total.sum() == pytest.approx(0.5 * (after @ mass @ after - u @ mass @ u), abs=1e-9)
+    assert "After 400 impacts one after another" in solution.notes[0]
+    assert solution.notes[0].count("contact 0 at") + solution.notes[0].count("contact 1 at") == 5
+
+
 @pytest.mark.parametrize("seed", [3, 17, 29])
 def test_the_numbering_of_contacts_does_not_matter_to_the_bit(seed):
     jacobian, inverse, u, mu, e = draw(seed)

@@ -284,6 +284,29 @@ def test_policies_of_scenes_differ(landing):
     assert np.abs(after["sequence"][[1, 3, 5]]).max() > 1e-4  # one foot after the other
 
 
+def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
+    # a point in a slot that narrows by two degrees: what is left of its velocity is that along the slot
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "point")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    turn = np.radians(1.0)
+    walls = [Plane(normal=(side * np.cos(turn), 0.0, np.sin(turn))) for side in (1.0, -1.0)]
+    contacts = [
+        Contact("tip", wall, restitution=0.5, name=name)
+        for name, wall in zip(("left", "right"), walls, strict=True)
+    ]
+    scene = Scene(model, contacts=contacts, simultaneous="sequence")
+    motion = simulate(scene, np.zeros(3), [0.3, 0.4, -1.0], 0.01)
+    assert motion.v[-1] == pytest.approx([0.0, 0.4, 0.0], abs=1e-9)
+    assert len(motion.impacts) == 402
+    notes = " ".join(note.text for note in motion.notes)
+    assert "After 400 impacts one after another" in notes
+    assert "left, right, left, right" in notes
+    lost = sum(impact.solution.work.total for impact in motion.impacts)
+    assert lost == pytest.approx(-0.5 * (0.3**2 + 1.0), abs=1e-9)
+
+
 def test_a_replay_shows_all_contacts_of_an_impact_at_once(landing):
     from pinimpact.visual.impact_marks import group_mark
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
@@ -293,8 +293,8 @@ def _refuse(inputs: ManyInputs) -> None:
 # ---- one after another
 
 
-MOST_IMPACTS = 1000
-"""Single impacts per contact after which a sequence is given up."""
+MOST_IMPACTS = 200
+"""Single impacts per contact after which the limit of what goes on without end is taken."""
 
 RESTS = 1e-12
 """Part of the largest velocity below which an approach is none, in a sequence."""
@@ -316,13 +316,8 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
     rest = RESTS * float(np.abs(velocity).max(initial=0.0))
     segments: list[list[Segment]] = [[] for _ in range(n)]
     law, count, iterations = find_law(inputs.law).code, 0, 0
-    while (velocity[2::3] < -rest).any():
-        if count >= MOST_IMPACTS * n:
-            raise PinimpactError(
-                f'simultaneous: after {count} single impacts contacts still approach; "propagate" ends',
-                field="simultaneous",
-                value=name,
-            )
+    last: list[str] = []
+    while count < MOST_IMPACTS * n and (velocity[2::3] < -rest).any():
         j = choose(velocity[2::3])
         rows = slice(3 * j, 3 * j + 3)
         w = inputs.delassus[rows, rows]
@@ -337,6 +332,7 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
             NO_FACTOR,
         )
         one = solve_inputs(numbers)
+        last = [*last[1 - LAST :], f"contact {j} at {-velocity[3 * j + 2]:.3g} m/s"]
         start = float(impulse[3 * j + 2])
         segments[j] += [Segment(s.mode, s.phase, start + s.start, start + s.end) for s in one.segments]
         works[j] += one.work.compression, one.work.restitution, one.work.friction
@@ -345,8 +341,26 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
         velocity[3 * j + 2] = one.velocity[2]
         count += 1
         iterations += one.iterations
+    notes: tuple[str, ...] = ()
+    if (velocity[2::3] < -rest).any():
+        rest_of_it = inputs._replace(velocity=velocity.reshape(n, 3), restitution=np.zeros(n))
+        limit = _together(rest_of_it, False)
+        velocity, impulse, works = (
+            limit.velocity.ravel(),
+            impulse + limit.impulse.ravel(),
+            works + limit.story.works,
+        )
+        notes = (without_end(count, last), *limit.notes)
     parts = partial(tuple, tuple(map(tuple, segments)))
-    return _answer(inputs, (name, inputs.law), velocity, impulse, works, (iterations, count), parts)
+    return _answer(inputs, (name, inputs.law), velocity, impulse, works, (iterations, count), parts, notes)
+
+
+def without_end(count: int, last: Sequence[str]) -> str:
+    """Tell of single impacts whose limit has been taken, the last few of them named. (14.8)"""
+    return (
+        f"After {count} impacts one after another contacts still approached, and their limit was taken, a "
+        f"plastic impact of all. The last of them: {', '.join(last[-LAST:])}."
+    )
 
 
 # ---- all at once
@@ -412,8 +426,10 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
     velocity, count = start.copy(), 0
     while (velocity[2::3] < -rest).any():
         if count >= MOST_IMPACTS * n:
+            named = ", ".join(map(str, np.flatnonzero(velocity[2::3] < -rest).tolist()))
             raise PinimpactError(
-                f'simultaneous: {count} reflections do not end; "propagate" does',
+                f"simultaneous: {count} reflections do not end, contacts {named} still approach; "
+                '"propagate" ends',
                 field="simultaneous",
                 value="reflect",
             )

@@ -229,7 +229,9 @@ class SceneImpacts:
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
-    def resolve_group(self, q: Array, v: Array, first: int, touching: Sequence[int]) -> GroupImpact | None:
+    def resolve_group(
+        self, q: Array, v: Array, first: int, touching: Sequence[int], limit: bool = False
+    ) -> GroupImpact | None:
         """Resolve the impact of all that touches and takes part in it; None for a contact on its own.
 
         Where others feel a contact but are lifted by it, and so take no part, it is not on its own if it
@@ -240,6 +242,8 @@ class SceneImpacts:
             v: (nv,) velocity before it.
             first: The contact or limit that collides.
             touching: All that touch, `first` among them, contacts before limits.
+            limit: Whether to take the limit of impacts one after another that have no end, a plastic impact
+                of all. (14.8)
         """
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
@@ -254,12 +258,15 @@ class SceneImpacts:
         if len(chosen) == 1 and (not felt or self._is_plastic(struck[0])):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
+        policy = self.policy
+        if limit:
+            policy, e = "together", [0.0] * len(struck)
         delassus, response = matrices.delassus, matrices.response
         if len(chosen) < len(touching):
             places = (3 * chosen[:, None] + np.arange(3)).ravel()
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
-        solved = self._solve(self.policy, struck, (delassus, velocity, friction, surface), e)
+        solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
         sources = [touching[k] for k in chosen.tolist()]
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
         return _group_impact(v, response, solved, sources, axes, 0.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import InputError, LockedPostureError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
@@ -66,9 +67,6 @@ ROUNDING = 1e-9
 
 NEARLY_FLAT = 1e-4
 """Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
-
-MAX_ROUNDS = 1000
-"""Impacts at one instant, after which the approach left is taken away at once (and noted)."""
 
 
 class SimulationState:
@@ -160,7 +158,7 @@ class SimulationState:
             starting: Whether the motion starts now, so that all that touches has just closed its gap.
 
         Raises:
-            SimulationError: Impacts without collision do not settle, or friction locks a contact.
+            SimulationError: Impacts do not settle, or friction locks a contact.
         """
         where, slow = self._where, self._slow
         where[:] = APART
@@ -173,24 +171,19 @@ class SimulationState:
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             self._check_rims(where)
-            if i >= 0 and len(resolved) < MAX_ROUNDS:
-                where[i] = TOUCHING
-                resolved += self._collide_together(i) or [self._collide(i, -rate)]
-                continue
             if i >= 0:
-                self.note(
-                    f"{MAX_ROUNDS} impacts at one instant did not settle; the approach left was taken away."
-                )
+                where[i] = TOUCHING
+                resolved += self._strike(i, -rate, resolved)
+                continue
             before, modes = self.v, self.dynamics.work.modes.copy()
             jammed = self._set_modes(slow)
             if jammed < 0 and self._forces_found:
                 break
             jams += 1
-            if jams > MAX_ROUNDS:
-                last = f", the last at {self.names[jammed]!r}" if jammed >= 0 else ""
+            if jams > MOST_IMPACTS:
                 raise SimulationError(
-                    f"scene: {MAX_ROUNDS} impacts without collision at t = {self.t:.6g} s do not settle"
-                    f"{last}; less friction would end them",
+                    f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not settle, "
+                    f"the last at {_last(resolved)}; less friction would end them",
                     field="scene",
                 )
             struck = self._without_forces(before, modes, jammed, jams > MOST_JAMS)
@@ -335,9 +328,35 @@ class SimulationState:
             self._note_rest(i)
         return self._take_over(i, impact)
 
-    def _collide_together(self, first: int) -> list[dict[str, Any]]:
-        """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
+    def _strike(self, i: int, approach: float, before: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Resolve the impact of what collides, with all that feels it; return the fields of records.
+
+        Impacts one after another may have no end; then their limit is taken.
+
+        Args:
+            i: The contact or limit that collides.
+            approach: Its speed of approach [m/s or rad/s].
+            before: The impacts of this instant so far.
+
+        Raises:
+            SimulationError: It still approaches after the limit.
+        """
         touching = self._closed(self._where != APART)
+        beyond = len(before) - MOST_IMPACTS * len(touching)
+        if beyond < 0:
+            return self._collide_together(i, touching) or [self._collide(i, approach)]
+        impact = self._impacts.resolve_group(self.q, self.v, i, touching, limit=True)
+        if impact is None or not impact.struck or beyond > len(touching):
+            raise SimulationError(
+                f"scene: {len(before)} impacts at t = {self.t:.6g} s do not settle, the last at "
+                f'{_last(before)}; simultaneous="propagate" ends by itself',
+                field="scene",
+            )
+        self.note(without_end(len(before), [fields["source"] for fields in before]))
+        return self._take_over_group(impact)
+
+    def _collide_together(self, first: int, touching: list[int]) -> list[dict[str, Any]]:
+        """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
         if len(touching) < 2 or not self._impacts.together:
             return []
         impact = self._impacts.resolve_group(self.q, self.v, first, touching)
@@ -571,6 +590,11 @@ class SimulationState:
                     field="v0",
                     value=speed,
                 )
+
+
+def _last(resolved: list[dict[str, Any]]) -> str:
+    """Return the names of what the last impacts were at."""
+    return ", ".join(repr(fields["source"]) for fields in resolved[-LAST:])
 
 
 def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
