@@ -385,6 +385,50 @@ def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
         assert np.abs(after).max() < 1e-12
 
 
+def test_slips_that_have_just_begun_do_not_decide_by_how_fast_they_turn():
+    # a body that stops at four pressed contacts at once, and goes on from there: it did so by chance
+    jacobian = np.array(
+        [
+            *(
+                [-1.4, 0.78, 1.22, -1.07, 2.09],
+                [-0.93, 1.51, -2.52, 1.32, -0.1],
+                [0.47, -0.01, -0.19, 1.25, -0.01],
+            ),
+            *(
+                [1.4, -3.76, -0.64, -0.54, -2.79],
+                [0.0, 2.98, -0.06, -0.57, 1.8],
+                [0.93, -0.77, 0.54, -3.57, -1.85],
+            ),
+            *(
+                [0.0, 0.0, 0.0, 0.0, 2.13],
+                [0.93, -0.77, 0.02, -0.75, -0.47],
+                [0.47, -0.76, 1.26, -1.93, -1.17],
+            ),
+            *(
+                [0.0, -1.49, -0.23, -0.21, -2.58],
+                [1.4, 2.94, -1.17, -0.99, -0.14],
+                [0.0, 0.0, 0.52, -1.55, -0.69],
+            ),
+            *(
+                [-2.33, 0.81, 1.09, -0.11, 0.65],
+                [0.47, -2.25, 0.51, -1.22, -2.34],
+                [-1.4, -0.7, 1.51, 1.61, 1.78],
+            ),
+        ]
+    )
+    u, mu, e = (
+        np.array([-0.77, -0.42, -0.07, -0.12, 0.94]),
+        [0.3, 0.3, 0.975, 0.5, 0.0],
+        [1.0, 0.0, 0.961, 0.0, 0.5],
+    )
+    _, after = collide(jacobian, np.eye(5), u, friction=mu, restitution=e)
+    for seed, shift in enumerate((1e-10, 1e-9, 1e-8)):
+        other = u + shift * np.random.default_rng(seed).normal(size=5)
+        solution, moved = collide(jacobian, np.eye(5), other, friction=mu, restitution=e)
+        assert solution.events < 300
+        assert moved == pytest.approx(after, abs=100.0 * shift)
+
+
 @pytest.mark.parametrize("policy", ["sequence", "any"])
 @pytest.mark.parametrize("e", [0.0, 0.5, [0.2, 0.9]])
 def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):

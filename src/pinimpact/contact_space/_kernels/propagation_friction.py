@@ -22,10 +22,14 @@ from .propagation_series import (
     friction_share,
     hold,
     loads,
+    natural_pace,
 )
 
 AHEAD = 1e-6
 """How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
+
+UNTURNED = 1e-3
+"""How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
@@ -115,6 +119,8 @@ def settle(system, state, series):
             normal[j] = HELD
     p, weight, cap = np.zeros(3 * n), np.zeros(n), np.zeros(n)
     near, far = (math.sqrt(AHEAD), math.sqrt(WEIGHED_AHEAD)) if root else (AHEAD, WEIGHED_AHEAD)
+    if not root:  # a slip that has just begun turns long before
+        near = min(near, UNTURNED * natural_pace(state, series))
     heaviest = 0.0
     for k in range(WEIGHED_ORDER, -1, -1):
         for i in range(3 * n):
