@@ -381,8 +381,8 @@ def test_8_planar_mechanism():
 def test_8_planar_mechanism_over_which_slip_settles():
     """The surface moves across at w. Slip settles where σ·d = β/μα, at u = σ·d |w|/√(1 − (σ·d)²) along d.
 
-    There v₃ grows at c − β²/α, so v₃ = v₃° + (c − β²/α) P₃ + (β/α)(u − u°) = 0 tells the impulse. What is left
-    of the turn is e⁻⁶⁰⁰ to e⁻⁸⁰⁰ of what it was, and as a double has all its digits, few or none.
+    There v₃ grows at c − β²/α, so v₃ = v₃° + (c − β²/α) P₃ + (β/α)(u − u°) = 0 tells the impulse. Of the turn
+    e⁻⁶⁰⁰ to e⁻⁸⁰⁰ is left by then, which as a double has all its digits, few or none.
     """
     alpha, beta, c, mu, w = 1.25, -0.75, 0.7, 0.9, -0.0056
     velocity = np.zeros((800, 3))
