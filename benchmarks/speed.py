@@ -9,13 +9,14 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from benchmarks.timing import best_of, publish, row
+from benchmarks.timing import best_of, publish, row, shared_rows
 
 import pinimpact
 from pinimpact.contact_space._kernels.timing import repeat_exact
 from pinimpact.contact_space.laws import law_code
 
 COUNT = 100_000
+SHARED = 40_000
 STATES = 16
 STATES_OF_LAWS = 500
 ROWS = 20_000
@@ -49,7 +50,7 @@ def batch() -> list[dict]:
 def laws() -> list[dict]:
     """The energetic law against Poisson's, works, and threads, on random spatial problems."""
     count = 4000
-    few, many = random_problems(count), random_problems(COUNT)
+    few, many = random_problems(count), random_problems(SHARED)
 
     def call(problems, law="poisson", **options):
         return lambda: pinimpact.solve_impacts(*problems, 0.3, 0.5, law, **options)
@@ -79,8 +80,10 @@ def laws() -> list[dict]:
         against = f"Poisson's {name}"
         rows.append(row(f"energetic law, {name}", seconds["energetic"], 1.5, against, seconds["poisson"]))
 
-    times = best_of({"one": call(many), "two": call(many, threads=2)}, rounds=20)
-    return [*rows, row("solve_impacts, two threads", times["two"], 1.0 / 1.8, "one", times["one"])]
+    def share(threads):
+        return pinimpact.solve_impacts(*many, 0.3, 0.5, threads=threads)
+
+    return [*rows, *shared_rows("solve_impacts", share, 1.0 / 1.8)]
 
 
 def robots() -> list[dict]:
@@ -129,16 +132,19 @@ def rows() -> list[dict]:
     times = best_of(
         {
             "one": lambda: pinimpact.impacts(model, data, q, v, contact),
-            "two": lambda: pinimpact.impacts(model, data, q, v, contact, threads=2),
             "crba": lambda: pin.crba(model, data, first),
         },
         rounds=30,
     )
-    one, two = times["one"] / ROWS, times["two"] / ROWS
+    one = times["one"] / ROWS
+
+    def share(threads):
+        return pinimpact.impacts(model, data, q, v, contact, threads=threads)
+
     return [
         row("impacts, panda, per row", one, 1 / 150_000),
         row("impacts, panda, per row", one, None, "crba(panda)", times["crba"]),
-        row("impacts, panda, two threads", two, 1 / 1.8, "one thread", one),
+        *shared_rows("impacts, panda", share, 1.0 / 1.8),
     ]
 
 

@@ -1,14 +1,21 @@
-"""Ratios of times taken in one run: the two sides alternate, and the best of many counts."""
+"""Ratios of times taken in one run: the two sides alternate, and the best of many counts.
+
+Where the two sides run on other cores, the median of many ratios does (`shared_rows`).
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import multiprocessing
+import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pinimpact.studies.cost import duration, machine
 
@@ -36,6 +43,71 @@ def best_of(
     return best
 
 
+@contextlib.contextmanager
+def _on(cores: set[int]) -> Iterator[None]:
+    """Keep this process to some cores meanwhile."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def _taken(call: Callable[[int], Any], threads: int) -> float:
+    begun = time.perf_counter()
+    call(threads)
+    return time.perf_counter() - begun
+
+
+def shared_rows(what: str, call: Callable[[int], Any], goal: float, rounds: int = 50) -> list[dict[str, Any]]:
+    """Time work on two cores as threads share it; each of many rounds has all ways in turn.
+
+    One thread is timed on each core, for cores differ and drift apart, and goes at the mean of their rates.
+    Two processes that do the work side by side, at the sum of theirs, are all that two cores can do.
+
+    Args:
+        what: The work,
+        call: and what does it in so many threads.
+        goal: Wanted of two threads over one.
+        rounds: How many.
+
+    Returns:
+        lines with the medians of the ratios, and between which the middle half of them lies.
+    """
+    cores = sorted(os.sched_getaffinity(0))[:2]
+    here, there = multiprocessing.Pipe()
+
+    def serve() -> None:
+        while there.recv():
+            there.send(_taken(call, 1))
+
+    def together() -> float:
+        here.send(True)
+        mine = _taken(call, 1)
+        return 1.0 / (1.0 / mine + 1.0 / here.recv())
+
+    call(2)
+    other = multiprocessing.get_context("fork").Process(target=serve, daemon=True)
+    other.start()
+    together()
+    times = np.empty((rounds, 4))
+    for each in times:
+        for k, core in enumerate(cores):
+            with _on({core}):
+                each[k] = _taken(call, 1)
+        each[2:] = _taken(call, 2), together()
+    here.send(False)
+    other.join()
+    one = 2.0 / (1.0 / times[:, :2]).sum(axis=1)
+    lines = []
+    for way, seconds, wanted in (("threads", times[:, 2], goal), ("processes", times[:, 3], None)):
+        low, middle, high = np.percentile(seconds / one, (25, 50, 75)).tolist()
+        line = row(f"{what}, two {way}", float(np.median(seconds)), wanted, "one", float(np.median(one)))
+        lines.append(line | {"ratio": middle, "middle_half": [low, high]})
+    return lines
+
+
 def row(
     what: str, seconds: float, goal: float | None = None, against: str = "", reference: float = 1.0
 ) -> dict[str, Any]:
@@ -60,6 +132,8 @@ def publish(name: str, rows: list[dict[str, Any]]) -> None:
         line = f"{r['what']:<44}{duration(r['seconds']):>10}"
         if r["against"]:
             line += f"  = {r['ratio']:5.3g} × {duration(r['reference_seconds'])} of {r['against']}"
+        if "middle_half" in r:
+            line += " ({:.3g} to {:.3g} in the middle half)".format(*r["middle_half"])
         if r["goal"] is not None:
             line += f"   (goal: ≤ {r['goal']:g}{' ×' if r['against'] else ' s'})"
         lines.append(line)

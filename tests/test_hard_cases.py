@@ -378,6 +378,23 @@ def test_8_planar_mechanism():
         assert solution.velocity[1] == pytest.approx(across, rel=1e-14)
 
 
+def test_8_planar_mechanism_over_which_slip_settles():
+    """The surface moves across at w. Slip settles where σ·d = β/μα, at u = σ·d |w|/√(1 − (σ·d)²) along d.
+
+    There v₃ grows at c − β²/α, so v₃ = v₃° + (c − β²/α) P₃ + (β/α)(u − u°) = 0 tells the impulse. Of the turn
+    e⁻⁶⁰⁰ to e⁻⁸⁰⁰ is left by then, which as a double has all its digits, few or none.
+    """
+    alpha, beta, c, mu, w = 1.25, -0.75, 0.7, 0.9, -0.0056
+    velocity = np.zeros((800, 3))
+    velocity[:, 0], velocity[:, 1], velocity[:, 2] = 0.002, w, -np.linspace(1.8, 2.4, 800)
+    solution = solve_impacts([[alpha, 0, beta], [0, 0, 0], [beta, 0, c]], velocity, mu, 0.0)
+    part = beta / (mu * alpha)
+    along = part * abs(w) / math.sqrt(1.0 - part * part)
+    impulse = -(velocity[:, 2] + beta / alpha * (along - velocity[:, 0])) / (c - beta * beta / alpha)
+    assert solution.impulse[:, 2] == pytest.approx(impulse, rel=1e-14)
+    assert solution.velocity[:, 0] == pytest.approx(np.full(800, along), rel=1e-14)
+
+
 def test_8_nothing_can_move():
     with pytest.raises(pinimpact.UnstoppableApproachError):
         solve(np.zeros((3, 3)), [0.0, 0.0, -1.0], 0.5)

@@ -280,6 +280,24 @@ def test_a_leaning_arm_that_is_nearly_stretched_out_creeps_as_its_exact_numbers_
     assert hit.solution.impulse == pytest.approx(P, rel=1e-3)
 
 
+def test_an_arm_weak_in_two_directions_creeps_until_its_exact_numbers_stop_it():
+    """Within 1e-7 of being stretched and of lying along the floor, where forces are 1e-15 of A's.
+
+    Slip dies out like the 3.7e-15th power of its angle to an invariant direction; impulses are 1e7 times
+    the common ones.
+    """
+    tilt, stretch = 1.050433347286944e-08, 6.204527366365593e-08
+    arm = Arm((0.0, 0.0, 0.0), (tilt, 0.0, 1.0), (-1.3855791555045882, stretch), (-1.36308, 1.30135))
+    case = Case("parallel", arm, 0.3887521995637984, 0.24556941523742737, "energetic")
+    W, v, axes = arm.contact_problem()
+    exact = solve_reference(W, v, case.friction, case.restitution, case.law)
+    solution = solve(case).solution
+    assert solution.status.name == exact.status == "LOCKED"
+    impulse = np.array(exact.impulse, dtype=float) @ np.array(axes, dtype=float)
+    assert impulse[2] > 1e7
+    assert solution.impulse == pytest.approx(impulse, rel=1e-6)
+
+
 @pytest.mark.parametrize("joints", [3, 25])
 @pytest.mark.parametrize("lightest", [1.0, 1e-4])
 def test_what_a_planar_chain_is_formed_from_does_not_grow_with_its_joints(joints, lightest):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
+import warnings
 
 import pytest
 
@@ -39,3 +42,33 @@ def test_an_error_is_raised_whichever_thread_meets_it(bad):
 
     with pytest.raises(IndexError, match="row"):
         in_threads(solve, 1000, 3)
+
+
+def test_threads_stay_and_are_no_more_than_cores():
+    before = threading.active_count()
+    for _ in range(20):
+        in_threads(lambda rows: None, 1000, 50)
+    assert threading.active_count() <= before + os.cpu_count()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes do not fork here")
+def test_a_child_of_the_process_has_threads_of_its_own():
+    """The parent's are not there, and who waited for them would wait for ever."""
+    other = threading.Event()
+
+    def solve(rows):
+        if rows.start > 0:
+            other.set()
+        elif rows.stop > 0:
+            other.wait()
+
+    in_threads(solve, 1000, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+        child = os.fork()
+    if child == 0:
+        signal.alarm(10)
+        other.clear()
+        in_threads(solve, 1000, 2)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import os
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +17,19 @@ T = TypeVar("T")
 
 LEAST_SHARE = 32
 """Rows that are worth a call of their own."""
+
+
+@functools.cache
+def _helpers() -> ThreadPoolExecutor:
+    """Return the threads that wait for work; there are never more of them than cores.
+
+    They stay, for where cores are busy a new thread starts beside the one that asked for it.
+    """
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="pinimpact")
+
+
+if hasattr(os, "register_at_fork"):  # a child of the process has none of its threads
+    os.register_at_fork(after_in_child=_helpers.cache_clear)
 
 
 def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]:
@@ -43,11 +58,15 @@ def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]
             results[place] = solve(share)
 
     solve(slice(0, 0))  # compiled before the threads start
-    with ThreadPoolExecutor(threads - 1) as pool:
-        others = [pool.submit(work) for _ in range(min(threads, len(shares)) - 1)]
+    others = [_helpers().submit(work) for _ in range(min(threads, len(shares)) - 1)]
+    try:
         work()
-        for other in others:
-            other.result()
+    finally:
+        shares.clear()  # there are some left where an error was raised
+        begun = [other for other in others if not other.cancel()]
+        wait(begun)
+    for other in begun:
+        other.result()
     return results
 
 

@@ -66,7 +66,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     p1, p2, p3, p4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
     terms = 1.0
     if weak > 0:
-        m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, bl, 0.0, 0.0)
+        m0, terms = along_slip(weak, a11, a12, a22, b1, b2, d1, d2, al, ax, bl, bp, 0.0, 0.0)
     t, start, sign = -root, 1.0, 1.0
     good = p1 < 0.0
     if leaving:

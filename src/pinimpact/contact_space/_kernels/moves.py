@@ -189,7 +189,8 @@ def slip_course(problem, units, state, fresh):
     terms = 1.0
     if units.weak > 0:
         m0, terms = along_slip(
-            units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, bl, turn, doubt
+            *(units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, ax, bl, bp),
+            *(turn, doubt),
         )
     bl *= units.omega
     bp *= units.omega

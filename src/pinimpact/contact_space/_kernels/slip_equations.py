@@ -95,7 +95,7 @@ def polynomials(al, ax, ap, bl, bp):
 
 
 @inner
-def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
+def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt):
     """Return m₀ = σᵀ(b − μAσ), and the size of the terms that it was summed from. (3.7), (6.4)
 
     Where A is weak along an axis w, as that of a nearly planar mechanism is, b∥ − A∥ cancels as slip comes to
@@ -104,7 +104,7 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
     Args:
         weak: 1 or 2: the weak axis.
         a11 … b2: μA/ω and b/ω.
-        al, bl: A∥ and b∥.
+        al, ax, bl, bp: A∥, A×, b∥ and b⊥.
         turn: p₀,
         doubt: and the size of the terms that it was summed from, if it was not carried here.
     """
@@ -116,7 +116,8 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, bl, turn, doubt):
     terms += abs(turned) + abs(doubt * cross) + abs(bl - al)  # the last for the rounding of w·σ
     if terms < abs(part) * (abs(bl) + abs(al)):
         return (rest - turned) / part, terms / abs(part)
-    return bl - al, 1.0
+    # the last two for the rounding of σ
+    return bl - al, abs(bl) + abs(al) + 2.0 * abs(ax) + abs(bp)
 
 
 @inner

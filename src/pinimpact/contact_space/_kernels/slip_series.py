@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..._numeric.jit import inlined, inner
 from ..._numeric.loops import power
+from .delassus import EPS
 from .slip_equations import Shape, moments
 
 SETTLED = 38.0
@@ -83,7 +84,8 @@ def halley(f, slope, bend):
 def leap(f, slope, bend):
     """Return the step to zero for a slope that is an exponential, as around an invariant direction."""
     bent = -bend * f / slope
-    if bent == 0.0 or not -0.99 < bent < math.inf:
+    # (a slope that all but stands is a straight one: a bend of 10⁻³¹⁰ has few digits left)
+    if abs(bent) <= EPS or not -0.99 < bent < math.inf:
         return halley(f, slope, bend)
     return math.log1p(bent) / bend
 
