@@ -78,6 +78,8 @@ def test_a_rod_jams_where_its_forces_have_no_bound(angle, rate, rtol):
     after = stopped(q, v)
     assert trajectory.at(jam.time, "right")[1] == pytest.approx(after, rel=1e-3)
     assert [m.mode for m in trajectory.modes] == ["slip"]
+    # where forces end to exist within a step, their end is not looked for all along it
+    assert trajectory.statistics["evaluations"] < 1500
 
 
 def forked_rod():

@@ -203,6 +203,18 @@ class SceneDynamics:
         self.check()
         return jammed, converged, energy
 
+    def slip_as(self, closed: Integers, modes: Integers, sliding: Array) -> None:
+        """Let modes that are set next take for slipping what has been, whatever was found in between.
+
+        Args:
+            closed: (k,) `closed_index` of the workspace as it was.
+            modes: (k,) `closed_mode` likewise.
+            sliding: (nv,) `sliding_friction` likewise.
+        """
+        work = self.work
+        work.closed_contacts = len(closed)
+        work.closed_index[:], work.closed_mode[:], work.sliding_friction[:] = closed, modes, sliding
+
     def pushes(self, t: float, q: Array, v: Array, touching: Sequence[int]) -> Array:
         """Return accelerations (k,) of gaps of contacts, and of limits past those, without contact forces."""
         contacts = [i for i in touching if i < self.work.contacts]

@@ -66,6 +66,9 @@ MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
 not help either it is taken, and told."""
 
+FALSE_ALARM = 0.2
+"""Part of a step to try next where forces have left their bounds only by its error."""
+
 HIGH_ORDER = 10
 """Steps for which the order stays high where a low one has not been accurate enough."""
 
@@ -402,8 +405,7 @@ class Motion:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
         state.review_shapes()
-        v = state.v.tolist()
-        error = self.atol + self.rtol * max(max(v), -min(v))
+        error = self._error()
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
         work.friction_may_drive = False
@@ -419,6 +421,11 @@ class Motion:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.forces_were_unique = unique
         self._closed = ClosedSet.of(work, state.shapes.swapped())
+
+    def _error(self) -> float:
+        """Return the error of a step in a velocity at the present state."""
+        v = self.state.v.tolist()
+        return self.atol + self.rtol * max(max(v), -min(v))
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next.
@@ -516,8 +523,8 @@ class Motion:
             self._end_at_meeting(step, meeting)
             return natural
         if time <= step.end:
-            self._end_at_event(step, time, arriving)
-            return natural
+            confirmed = self._end_at_event(step, time, arriving)
+            return natural if confirmed else FALSE_ALARM * trial
         self.w = self.w + step.coefficients[0, -WORKS:]
         state.t = step.end = stop if trial == left else step.end
         state.q, state.v = work.q0.copy(), work.v0.copy()
@@ -531,6 +538,7 @@ class Motion:
             self._begin_motion()
         else:
             self.bounce = math.inf
+            work.certain_speed = min(CERTAIN * self._error(), work.stick_speed)
         self._sample()
         longer = trial * work.growth
         self._cut_short = trial == left
@@ -611,8 +619,13 @@ class Motion:
             if self.ended_by is None:
                 self._settle_contacts()
 
-    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> None:
-        """End a step at an event and deal with it: something arrives, or else modes change."""
+    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> bool:
+        """End a step at an event and deal with it: something arrives, or else modes change.
+
+        Returns:
+            Whether it was one: forces that have left their bounds along the step, but are well within them at
+            the same modes found anew, have been off by the error of the step.
+        """
         state = self.state
         step.end = state.t = t
         state.q, state.v = step.at(t)
@@ -623,6 +636,7 @@ class Motion:
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
+        modes, impacts = self.work.modes.copy(), len(state.impacts)
         if arriving is None:
             state.resolve_jam(UNSETTLED if self._ends_again(t) else SINGULAR, leaving=bounded)
         self._settle_and_begin(arriving)
@@ -634,6 +648,8 @@ class Motion:
                 self._ahead_at, self._ahead = t, ahead
                 self._begin_motion()
         self._sample()
+        same = len(state.impacts) == impacts and bool((self.work.modes == modes).all())
+        return not (bounded and same and not self.work.force_bound_ignored)
 
     def _ends_again(self, t: float) -> bool:
         """Let what comes to rest at the event last found settle, if it does again and again; tell so."""

@@ -494,10 +494,12 @@ class SimulationState:
         """
         work = self.dynamics.work
         before = found = work.modes.copy()
+        present = work.closed_index.copy(), work.closed_mode.copy(), work.sliding_friction.copy()
         ahead, certain = LEAST_AHEAD * step.h, False
         while ahead <= beyond:
             ahead *= 4.0
         while ahead <= MOST_AHEAD * step.h and not certain:
+            self.dynamics.slip_as(*present)
             q, v = step.at(self.t + ahead)
             jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
             modes = work.modes.copy()
@@ -507,6 +509,8 @@ class SimulationState:
             found = modes if changed else before
             ahead *= 4.0
         if (found == before).all():
+            self.dynamics.slip_as(*present)
+            self._set_modes(self._slow)
             return 0.0
         work.force_bound_ignored = False
         self._tell_modes()

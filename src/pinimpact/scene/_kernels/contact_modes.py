@@ -272,7 +272,7 @@ def modes_of_contacts(
             stopped[b] = stopped[b + 1] = True
             continue
         modes[i] = SLIP
-        if speed == 0.0:  # slip begins from rest
+        if mu[k] > 0.0 and speed == 0.0:  # slip begins from rest
             stopped[b] = stopped[b + 1] = True
         reference[i, 0] = 1.0
         if speed > 0.0:

@@ -22,6 +22,10 @@ PARTS = 8
 DEPTH = 10
 """How often they are halved."""
 
+LOWEST = 10.0
+"""How far below zero values count, over the largest above it: past a jump, to where there are none for one,
+they show no curvature before it."""
+
 SHORTEST = 1.5 * 0.5**DEPTH
 
 BULGE = 1.5 / 8.0
@@ -146,7 +150,12 @@ def search_for_fall(value):
         values = np.empty(PARTS + 1)
         for k in range(PARTS + 1):
             values[k] = value_at(work, i, end if k == PARTS else start + k * width)[0]
-        second = 0.0
+        largest = second = 0.0
+        for k in range(PARTS + 1):
+            largest = max(largest, values[k])
+        lowest = -max(LOWEST * largest, 2.0 * floor)
+        for k in range(PARTS + 1):
+            values[k] = max(values[k], lowest)
         for k in range(1, PARTS):
             second = max(second, abs(values[k - 1] - 2.0 * values[k] + values[k + 1]))
         later, later_value, bulges = np.empty(DEPTH + 1), np.empty(DEPTH + 1), np.empty(DEPTH + 1)
@@ -169,7 +178,7 @@ def search_for_fall(value):
                 if splits and not (min(value_now, value_then) - bulge >= -floor or rises_clear):
                     depth += 1
                     later[depth] = middle
-                    later_value[depth] = value_at(work, i, middle)[0]
+                    later_value[depth] = max(value_at(work, i, middle)[0], lowest)
                     # the curvature that is seen here, which may be less than elsewhere in the step
                     bend = abs(value_now - 2.0 * later_value[depth] + value_then)
                     bulges[depth] = bulges[depth - 1] = max(BULGE * bend, FADING * bulge)

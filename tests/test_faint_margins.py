@@ -1,0 +1,90 @@
+"""Slip, loads and events that are faint beside all else: none is dropped, none is made up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene, simulate
+
+from . import random_control, random_scenes
+from .lawful import lost
+from .scene_models import free_body, run, unbounded
+
+
+@pytest.mark.parametrize("speed", [3e-7, 1e-5])
+def test_a_frictionless_slider_never_stops(speed):
+    """Slower than what may stick: without friction nothing does, however often modes are set anew."""
+    model = free_body(pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), [(0.0, 0.0, 0.0)])
+    scene = Scene(model, [Contact("tip0", Plane(), friction=0.0)])
+    q0 = pin.neutral(model)
+    trajectory = run(scene, q0, [speed, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0)
+    assert trajectory.q[-1][0] == pytest.approx(speed, rel=1e-9)
+
+
+def stretched_leg(bend):
+    """A hanging leg of two rods, its foot on the floor and its knee bent by little, and a finger of 10 g."""
+    model = pin.Model()
+    hip = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hip")
+    rod = pin.Inertia(0.5, np.array([0.0, 0.0, -0.25]), 0.01 * np.eye(3))
+    model.appendBodyToJoint(hip, rod, pin.SE3.Identity())
+    knee = model.addJoint(hip, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), "knee")
+    model.appendBodyToJoint(knee, rod, pin.SE3.Identity())
+    foot = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
+    model.addFrame(pin.Frame("foot", knee, 0, foot, pin.FrameType.OP_FRAME))
+    finger = model.addJoint(0, pin.JointModelPZ(), pin.SE3(np.eye(3), np.array([0.0, 1.0, 0.0])), "finger")
+    model.appendBodyToJoint(finger, pin.Inertia(0.01, np.zeros(3), 1e-6 * np.eye(3)), pin.SE3.Identity())
+    unbounded(model)
+    model.lowerPositionLimit[2] = 0.0
+    return model, np.array([-0.5 * bend, bend, 0.0])
+
+
+@pytest.mark.parametrize("bend", [1e-3, 1e-4, 2e-5, 1e-5])
+def test_a_leg_that_its_bent_knee_holds_bears_what_statics_says(bend):
+    """A motor stretches the knee: the foot is pressed down with 10⁵ N, beside a finger on its stop."""
+    model, q = stretched_leg(bend)
+    floor = Plane(point=(0.0, 0.0, -np.cos(0.5 * bend)))
+    torque = np.array([0.0, -1.0, 0.0])
+    scene = Scene(
+        model, [Contact("foot", floor, friction=0.5)], control=lambda t, q, v: (1.0 + 0.1 * t) * torque
+    )
+    trajectory = simulate(scene, q, np.zeros(3), 0.1)
+    assert np.abs(trajectory.v[-1]).max() < 1e-9
+    assert trajectory.statistics["steps"] < 100
+    data = model.createData()
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    frame = model.getFrameId("foot")
+    jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[[0, 2], :2]
+    for t in (0.02, 0.07):
+        load = pin.computeGeneralizedGravity(model, data, q) - (1.0 + 0.1 * t) * torque
+        force = np.linalg.solve(jacobian.T, load[:2])
+        assert force[1] > 0.5 / bend
+        found = trajectory.forces("foot on plane", [t])[0]
+        assert found[[0, 2]] == pytest.approx(force, rel=1e-4)
+
+
+def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motion():
+    """A foot begins to slip from rest; its direction is off at the start of a long step, not in a shorter."""
+    _, scene, q, v, rtol = random_scenes.draw(100000001001437)
+    times = []
+
+    def watch(t, _):
+        times.append(t)
+        assert len(times) < 3000
+
+    trajectory = simulate(scene, q, v, 0.8, rtol=rtol, atol=1e-2 * rtol, progress=watch)
+    assert trajectory.complete
+
+
+@pytest.mark.parametrize(
+    ("seed", "duration"),
+    [(101000001000931, 0.64), pytest.param(101000001000518, 0.375, marks=pytest.mark.slow)],
+)
+def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration):
+    """What began fast and has become slow; and what goes on slipping while others begin to."""
+    drawn = random_control.draw(seed)
+    tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
+    trajectory = simulate(drawn.scene, drawn.q, drawn.v, duration, **tolerances)
+    assert lost(drawn.scene, trajectory, drawn.rtol) == ""
