@@ -27,6 +27,8 @@ K = TypeVar("K")
 
 FLOATS, FLOAT_ROWS = types.float64[::1], types.float64[:, ::1]
 INTEGERS, INTEGER_ROWS = types.int64[::1], types.int64[:, ::1]
+FLOAT_STACK = types.float64[:, :, ::1]
+FLOAT_VIEW = types.float64[:, :]  # of some columns
 FLOAT_COLUMNS = types.float64[::1, :]
 FLAGS = types.boolean[::1]
 THREE, FOUR = types.UniTuple(types.float64, 3), types.UniTuple(types.int64, 4)

@@ -157,26 +157,32 @@ def possible_helpers() -> int:
 
 
 @contextmanager
-def company(jobs: Sequence[Job], helpers: int) -> Iterator[None]:
-    """Compile kernels with helpers, who go on with what is left of them until the context ends.
+def company(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
+    """Start helpers, who wait for kernels until the context ends.
 
     Args:
-        jobs: See `ahead.jobs`.
         helpers: How many.
+
+    Yields:
+        A function that compiles jobs, see `ahead.jobs`, with them; those it leaves go on with what is left.
     """
-    global present
     started: list[subprocess.Popen[bytes]] = []
     with ExitStack() as stack:
         with suppress(OSError):  # no place for claims, or no process to be had: alone, then
-            if helpers:
-                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=PACKAGE)))
-                stack.callback(_end, started)
-                for _ in range(helpers):
-                    started.append(_helper(folder, jobs))
-        if started:
-            present = Company(folder, started)
-            present.share(jobs)
-        yield
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=PACKAGE)))
+            stack.callback(_end, started)
+            for _ in range(helpers):
+                started.append(_helper())
+
+        def share(jobs: Sequence[Job]) -> None:
+            global present
+            if started:
+                for helper in started:
+                    _tell(helper, (numba.config.CACHE_DIR, folder, memory.known), list(jobs))
+                present = Company(folder, started)
+                present.share(jobs)
+
+        yield share
 
 
 def _end(helpers: Sequence[subprocess.Popen[bytes]]) -> None:
@@ -189,7 +195,7 @@ def _end(helpers: Sequence[subprocess.Popen[bytes]]) -> None:
             helper.communicate()
 
 
-def _helper(folder: Path, jobs: Sequence[Job]) -> subprocess.Popen[bytes]:
+def _helper() -> subprocess.Popen[bytes]:
     """Start a helper."""
     helper = subprocess.Popen(
         [sys.executable, "-I", "-c", _HELP.format(__name__)],
@@ -198,13 +204,16 @@ def _helper(folder: Path, jobs: Sequence[Job]) -> subprocess.Popen[bytes]:
         stderr=subprocess.DEVNULL,
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
+    _tell(helper, [str(ROOT.parent), *(path for path in sys.path if path)])
+    return helper
+
+
+def _tell(helper: subprocess.Popen[bytes], *messages: Any) -> None:
     assert helper.stdin is not None
-    paths = [str(ROOT.parent), *(path for path in sys.path if path)]
     with suppress(OSError):  # it has died already
-        for one in (paths, (numba.config.CACHE_DIR, folder, memory.known), list(jobs)):
+        for one in messages:
             pickle.dump(one, helper.stdin)
         helper.stdin.flush()
-    return helper
 
 
 def help_out() -> None:

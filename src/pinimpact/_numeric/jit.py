@@ -22,6 +22,7 @@ With NUMBA_DISABLE_JIT=1 all kernels are plain Python.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import partial
 from typing import Any, TypeVar
 
@@ -122,7 +123,7 @@ class _Compile:
         return self.alone(types)
 
 
-_together: Sequence[Any] = []
+_together: list[Any] = []
 
 
 @global_compiler_lock  # other threads wait
@@ -130,15 +131,25 @@ def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
     """Compile or load kernels for some types of arguments."""
     global _together
     wanted = [(kernel, types) for kernel, types in wanted if types not in kernel.overloads]
-    missing = [(kernel, types) for kernel, types in wanted if not kernel._cache.knows(types)]
-    _together = [kernel for kernel, _ in missing]
-    kept = all(kernel._cache.on_disk for kernel in _together)
-    long = expected(_together) > WORTH_HELP
-    helpers = company.possible_helpers() if kept and long else 0
+    missing: list[tuple[Any, Any]] = []
+    share, helpers = None, company.possible_helpers()
     try:
-        if missing:
-            tell(_together, kept, 1 + helpers)
-        with without_collecting(), company.company(jobs(missing) if helpers else [], helpers):
+        with without_collecting(), ExitStack() as stack:
+            for kernel, types in wanted:
+                if kernel._cache.knows(types):
+                    continue
+                missing.append((kernel, types))
+                _together.append(kernel)
+                worth = helpers and share is None and kernel._cache.on_disk
+                if worth and expected(_together) > WORTH_HELP:  # helpers start while others are looked for
+                    share = stack.enter_context(
+                        company.company(helpers)
+                    )  # who start while others are looked for
+            if missing:
+                kept = all(kernel._cache.on_disk for kernel in _together)
+                tell(_together, kept, 1 + helpers * (share is not None))
+            if share is not None:
+                share(jobs(missing))
             for done, (kernel, types) in enumerate(wanted, start=1):
                 kernel.compile.alone(types)
                 if kernel.stats.cache_misses:

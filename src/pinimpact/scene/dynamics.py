@@ -104,6 +104,12 @@ class SceneDynamics:
         calls = np.zeros(CALLS, dtype=np.int64)
         calls[: 2 * len(self._calls)] = call_addresses(self._calls)
         dry = scene.joint_friction * ("joint friction" not in without)
+        damping = scene.joint_damping * ("joint damping" not in without)
+        self._driven = len(motors.velocity) > 0
+        stiff = self._driven or layout.rate_of_damping(damping) > STIFF
+        rough = any(contact.sustained_friction != 0.0 for contact in self.contacts)
+        alone = len(contacts) + len(limits) < 2
+        _compile(rough, stiff, None if alone else scene.simultaneous)  # before anything else calls kernels
         charts = layout.joint_charts
         count = len(self.contacts)
         tables = layout.tables(tuple(self.contacts))
@@ -143,7 +149,7 @@ class SceneDynamics:
                 "drive_damping": motors.damping,
                 "drive_reference": motors.reference,
                 "drive_limit": motors.limit,
-                "damping": scene.joint_damping * ("joint damping" not in without),
+                "damping": damping,
                 "dry_friction": dry,
                 "joint_charts": charts,
                 "contact_constants": tables.constants.copy(),
@@ -162,11 +168,8 @@ class SceneDynamics:
         )
         if control is not None:
             control.work = self.work
-        self._driven = len(motors.velocity) > 0
-        self.work.stiff_joints = self._driven or layout.rate_of_damping(self.work.damping) > STIFF
+        self.work.stiff_joints = stiff
         self.work.force_margin = math.inf
-        alone = len(contacts) + len(limits) < 2
-        _compile(self.work, None if alone else scene.simultaneous)
         closed_set.close_held(self.work)
 
     # ---- calls from kernels
@@ -321,7 +324,7 @@ class SceneDynamics:
 _compiled: set[tuple[bool, bool, str | None]] = set()
 
 
-def _compile(work: SceneWorkspace, policy: str | None) -> None:
+def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
     """Compile or load all kernels that a scene can call for, so that no run waits in its middle.
 
     The types of what they take are the same for every scene; only one with friction takes steps in which slip
@@ -329,47 +332,39 @@ def _compile(work: SceneWorkspace, policy: str | None) -> None:
     instant impacts are resolved together.
 
     Args:
-        work: The workspace.
+        rough: Whether a contact has friction.
+        stiff: Whether there are drives, or damping that is stiff.
         policy: For impacts at one instant, if there can be any.
     """
-    rough, driven = bool(work.friction.any()), bool(work.stiff_joints)
-    if (rough, driven, policy) in _compiled:
+    if (rough, stiff, policy) in _compiled:
         return
-    _compiled.add((rough, driven, policy))
-    q, v, coefficients, numbers = work.q0, work.v0, work.dense_coefficients, np.zeros(1, dtype=np.int64)
-    three, jacobian = np.zeros((1, 3)), np.zeros((1, 3, len(v)))
-    compile_all(
-        (closed_set.close_held, work),
-        (smooth_motion.gaps_at, work, q, v, work.start_gaps),
-        (smooth_motion.free_motion_at, work, 0.0, q, v, numbers, v, jacobian, three, three, three, v),
-        (approach.fastest_approach, work, q, v, True, numbers, numbers),
-        (contact_modes.set_modes, work, 0.0, q, v, numbers),
-        (smooth_motion.begin, work, 0.0, q, v),
-        (smooth_motion.modes_go_on, work),
-        (force_bound.margin_of_forces, work, 0.0),
-        (step_dop853.attempt, work, 0.0, 0.0, 0.0, 0.0),
-        (smooth_motion.finish, work, 0.0, 0.0, 0.0, True),
-        (drifting.correct_drift, work, 0.0, q, v),
-        (jamming.forces_unbounded, work, 0.0, q, v, True, 0.0),
-        (dense_output.state, coefficients, 0.0, work.joint_charts, q, v, q, v),
-        (dense_output.interpolate, coefficients[:, -WORKS:], 0.0, v),
-        (robot_impact.robot_impact,),
-        (contact_kinematics.locate,),
-        (contact_kinematics.jacobian,),
-        (tree_matrices.evaluate_tree,),
-        (responses.half_solve,),
-        (responses.respond,),
-        *(_of_groups(policy) if policy else ()),
-        *(((step_radau.attempt, work, 0.0, 0.0, 0.0, 0.0),) if rough else ()),
-        *(_of_drives(work, q, v) if driven else ()),
-    )
-
-
-def _of_groups(policy: str) -> tuple[tuple[Any, ...], ...]:
-    """Return the kernels that impacts at one instant need."""
-    return (responses.taking_part,), *((kernel,) for kernel in find_policy(policy).kernels())
-
-
-def _of_drives(work: SceneWorkspace, q: Array, v: Array) -> tuple[tuple[Any, ...], ...]:
-    """Return the kernels that drives need."""
-    return (drives.set_saturation, work, q, v), (step_drives.attempt, work, 0.0, 0.0, 0.0, 0.0)
+    _compiled.add((rough, stiff, policy))
+    kernels = [
+        closed_set.close_held,
+        smooth_motion.gaps_at,
+        smooth_motion.free_motion_at,
+        approach.fastest_approach,
+        contact_modes.set_modes,
+        smooth_motion.begin,
+        smooth_motion.modes_go_on,
+        force_bound.margin_of_forces,
+        step_dop853.attempt,
+        smooth_motion.finish,
+        drifting.correct_drift,
+        jamming.forces_unbounded,
+        dense_output.state,
+        dense_output.interpolate,
+        robot_impact.robot_impact,
+        contact_kinematics.locate,
+        contact_kinematics.jacobian,
+        tree_matrices.evaluate_tree,
+        responses.half_solve,
+        responses.respond,
+    ]
+    if policy:
+        kernels += [responses.taking_part, *find_policy(policy).kernels()]
+    if rough:
+        kernels.append(step_radau.attempt)
+    if stiff:
+        kernels += [drives.set_saturation, step_drives.attempt]
+    compile_all(*((kernel,) for kernel in kernels))

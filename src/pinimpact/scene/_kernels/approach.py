@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._numeric.ahead import FLOATS, INTEGERS, ahead
 from ..._numeric.jit import jit
 from .contact_forces import FREE
 from .dynamics import all_gaps
+from .workspace import SceneWorkspace
 
 APART, TOUCHING, ARRIVING = range(3)
 """Where a contact or limit is at an instant; arriving: its gap closes now."""
 
 
+@ahead(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)
 @jit
 def fastest_approach(work, q, v, starting, where, slow):
     """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].

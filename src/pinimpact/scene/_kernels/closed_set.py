@@ -81,6 +81,7 @@ def close(work, reference):
         known[m] = 0.0
 
 
+@ahead(SceneWorkspace)
 @jit
 def close_held(work):
     """Close what the scene holds, and nothing else."""

@@ -43,6 +43,7 @@ NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
 
 
+@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
 @jit
 def set_modes(work, t, q, v, slow):
     """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `find_modes`."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGER_ROWS, ahead
+from ..._numeric.ahead import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, ahead
 from ..._numeric.jit import inner, jit, separate
 from .lie_charts import advance
 from .workspace import SceneWorkspace
 
 
+@ahead(FLOAT_VIEW, float, FLOATS)
 @jit
 def interpolate(coefficients, theta, out):
     """Fill the increments at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …))))."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inner, jit
 from ..._numeric.loops import assign
 from . import lie_charts
 from .closed_set import NORMAL, closed_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
+from .workspace import SceneWorkspace
 
 
 @inner
@@ -31,6 +33,7 @@ def drift(work, v):
     return worst
 
 
+@ahead(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def correct_drift(work, t, q, v):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.

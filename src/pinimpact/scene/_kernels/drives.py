@@ -6,7 +6,9 @@ reaches or leaves the bound is an event.
 
 from __future__ import annotations
 
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inner, jit
+from .workspace import SceneWorkspace
 
 CLEAR = 1e-9
 """A law beyond the bound of its effort by less than this part of it is at the bound."""
@@ -27,6 +29,7 @@ def drive(work):
         work.control_force[j] = law(work, j) if side == 0 else side * work.drive_limit[j]
 
 
+@ahead(SceneWorkspace, FLOATS, FLOATS)
 @jit
 def set_saturation(work, q, v):
     """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""

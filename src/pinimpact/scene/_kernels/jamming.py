@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import jit
 from .closed_set import ALL, closed_rows
 from .contact_forces import SLIP, delassus_of_rows
 from .dynamics import evaluate, set_state
+from .workspace import SceneWorkspace
 
 
+@ahead(SceneWorkspace, float, FLOATS, FLOATS, bool, float)
 @jit
 def forces_unbounded(work, t, q, v, without_forces, singular):
     """Return whether contacts that slip drive the surface in until their forces have no bound.

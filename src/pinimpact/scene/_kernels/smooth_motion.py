@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit
 from ..._numeric.loops import assign
 from . import step_dop853
@@ -28,8 +29,10 @@ from .friction_power import friction_drives
 from .samples import along, record_sample
 from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
 from .step_drives import rate_of_drives
+from .workspace import SceneWorkspace
 
 
+@ahead(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def begin(work, t, q, v):
     """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
@@ -90,6 +93,7 @@ def note_flat_bounce(work, rate, fall):
         work.flat_bounce = max(work.flat_bounce, rate)
 
 
+@ahead(SceneWorkspace)
 @jit
 def modes_go_on(work):
     """Whether the modes that hold do so under a force that has jumped, at the start of a smooth motion.
@@ -118,6 +122,7 @@ def modes_go_on(work):
     return True
 
 
+@ahead(SceneWorkspace, float, float, float, bool)
 @jit
 def finish(work, t, h, error, explicit):
     """Finish a step whose error is small enough: look for the first event in it.
@@ -186,12 +191,26 @@ def set_growth(work, h, error):
     work.growth = max(factor, 0.2)
 
 
+@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def gaps_at(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
     all_gaps(work, q, v, found)
 
 
+@ahead(
+    SceneWorkspace,
+    float,
+    FLOATS,
+    FLOATS,
+    INTEGERS,
+    FLOATS,
+    FLOAT_STACK,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOATS,
+)
 @jit
 def free_motion_at(work, t, q, v, index, joints, jacobian, velocity, acceleration, surface, gap):
     """Fill v̇ and the motion of some contacts without contact forces, see `dynamics.motion_of_contact`."""

@@ -56,6 +56,7 @@ def method(work):
     return 1 if work.low_order else 0
 
 
+@ahead(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it leads too far."""

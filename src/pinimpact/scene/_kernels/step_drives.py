@@ -114,6 +114,7 @@ def rate_of_drives(work):
     return fastest
 
 
+@ahead(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from ..._numeric.ahead import ahead
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.jit import inner, jit
 from ..._numeric.least_norm import least_norm
@@ -35,6 +36,7 @@ from .radau import (
     start_rates,
 )
 from .slip import restore_directions
+from .workspace import SceneWorkspace
 
 ITERATIONS = 12
 STIFF = 3.0
@@ -68,6 +70,7 @@ def turn(work, k, s1, s2, across, effect):
             effect[j] += response[m, j] * reaction[m]
 
 
+@ahead(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""

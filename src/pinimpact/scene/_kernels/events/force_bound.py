@@ -25,6 +25,7 @@ def value(work, _, t):
     return max(margin_of_forces(work, 0.0), -1e300), 0.0
 
 
+@ahead(SceneWorkspace, float)
 @jit
 def margin_of_forces(work, enough):
     """Return by how much forces can keep to what their modes allow, at the state last evaluated.
