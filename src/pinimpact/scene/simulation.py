@@ -646,7 +646,7 @@ class Motion:
             ahead = state.set_modes_ahead(step, self._ahead if self._ahead_at == t else 0.0)
             if ahead > 0.0:
                 self._ahead_at, self._ahead = t, ahead
-                self._begin_motion()
+            self._begin_motion()  # with the forces by which the modes were found, if those ahead are the same
         self._sample()
         same = len(state.impacts) == impacts and bool((self.work.modes == modes).all())
         return not (bounded and same and not self.work.force_bound_ignored)

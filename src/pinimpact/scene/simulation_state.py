@@ -509,6 +509,7 @@ class SimulationState:
             found = modes if changed else before
             ahead *= 4.0
         if (found == before).all():
+            work.modes[:] = before
             self.dynamics.slip_as(*present)
             self._set_modes(self._slow)
             return 0.0
