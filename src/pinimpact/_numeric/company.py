@@ -136,6 +136,8 @@ class Company:
             with suppress(Exception):  # types that it cannot be called with; or else whoever calls it tells
                 getattr(importlib.import_module(job.module), job.name).compile(job.types)
             self.release(job)
+            if self._helpers:  # a second at the end, while nobody helps any more; a helper ends before
+                gc.collect(0)
 
     def _is_at_work(self, job: Job) -> bool:
         return self._at_work is not None and self._at_work[:3] == job[:3]

@@ -13,7 +13,6 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from functools import cache
 from types import BuiltinFunctionType
 from typing import Any
-from unittest.mock import patch
 
 from llvmlite.ir import IRBuilder, Type
 from llvmlite.ir.instructions import InsertValue
@@ -282,11 +281,26 @@ _SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
 
 
 @contextmanager
+def _replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+    """Give a class or module another attribute, as `unittest.mock` does, which takes long to import."""
+    own = name in vars(owner)
+    original = vars(owner).get(name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        if own:
+            setattr(owner, name, original)
+        else:
+            delattr(owner, name)
+
+
+@contextmanager
 def shortcuts() -> Iterator[None]:
     """Let numba take the shortcuts."""
     with ExitStack() as stack:
         for owner, name, shortcut in _SHORTCUTS:
-            stack.enter_context(patch.object(owner, name, shortcut))
+            stack.enter_context(_replaced(owner, name, shortcut))
         yield
 
 
@@ -345,6 +359,6 @@ class Rewrites(FunctionPass):
 
     def run_pass(self, state: Any) -> bool:
         """Rewrite the function."""
-        with patch.object(postproc.PostProcessor, "run", lambda self: None):
+        with _replaced(postproc.PostProcessor, "run", lambda self: None):
             rewrite_registry.apply("before-inference", state)
         return True
