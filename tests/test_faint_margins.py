@@ -9,7 +9,7 @@ import pytest
 from pinimpact import Contact, Plane, Scene, simulate
 
 from . import random_control, random_scenes
-from .lawful import lost
+from .lawful import lost, unlawful
 from .scene_models import free_body, run, unbounded
 
 
@@ -88,3 +88,12 @@ def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration)
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, duration, **tolerances)
     assert lost(drawn.scene, trajectory, drawn.rtol) == ""
+
+
+@pytest.mark.slow
+def test_forces_that_only_just_fit_at_the_start_of_a_motion_give_way_to_others():
+    """Two soles share their loads; of least norm a corner's friction was too much a little later."""
+    drawn = random_control.draw(101000001001656)
+    tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
+    trajectory = simulate(drawn.scene, drawn.q, drawn.v, 1.0, **tolerances)
+    assert not unlawful(drawn.scene, trajectory, drawn.rtol, 1)

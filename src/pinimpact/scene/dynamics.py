@@ -23,6 +23,7 @@ from ._kernels import (
     contact_modes,
     dense_output,
     drives,
+    force_choice,
     jamming,
     smooth_motion,
     step_dop853,
@@ -44,10 +45,6 @@ CLOSABLE = 64
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-DOUBTFUL = 1e-8
-"""Part of the largest force within which forces that are not unique are known."""
 
 
 class FreeMotion(NamedTuple):
@@ -253,8 +250,7 @@ class SceneDynamics:
     @property
     def forces_doubtful(self) -> bool:
         """Whether no forces clearly keep to what their modes allow, at the start of a smooth motion."""
-        largest = float(np.abs(self.work.solution).max(initial=0.0))
-        doubtful = 2.0 * self.work.force_tolerance + DOUBTFUL * largest
+        doubtful = float(force_choice.doubtful_margin(self.work))
         margin: float = force_bound.margin_of_forces(self.work, doubtful)
         return margin <= doubtful
 
@@ -348,6 +344,7 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         smooth_motion.begin,
         smooth_motion.modes_go_on,
         force_bound.margin_of_forces,
+        force_choice.doubtful_margin,
         step_dop853.attempt,
         smooth_motion.finish,
         drifting.correct_drift,

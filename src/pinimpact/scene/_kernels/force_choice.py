@@ -11,12 +11,15 @@ from __future__ import annotations
 import math
 
 from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import inner, separate
+from ..._numeric.jit import inner, jit, separate
 from .closed_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .dynamics import evaluate
 from .widest_margin import ANY_MOTION, SAME_MOTION, widest_margin
 from .workspace import SceneWorkspace
+
+DOUBTFUL = 1e-8
+"""Part of the largest force by which others may miss their bounds for the error of a step alone."""
 
 BACKWARDS = 1e-9
 """Part of the largest acceleration of a contact by which slip may begin against its direction."""
@@ -26,30 +29,46 @@ BACKWARDS = 1e-9
 @separate
 def choose_forces(work, t, out):
     """Choose the forces of a motion that begins, evaluated at its start; see `dynamics.evaluate`."""
-    if work.forces_unique or fit(work, t, out) or not rubs(work):
+    if work.forces_unique:
         return
-    known = work.inner_forces
-    take_found(work)
-    evaluate(work, t, out)
-    if fit(work, t, out):
+    if not rubs(work):
+        fit(work, t, out, 0.0)
         return
-    if widest_margin(work, ANY_MOTION, known) > 0.0:
-        evaluate(work, t, out)
-        if fit(work, t, out):
+    known, doubtful = work.inner_forces, doubtful_margin(work)
+    for enough in (doubtful, 0.0):  # forces that only just fit leave their bounds soon
+        if fit(work, t, out, enough):
             return
-    for a in range(len(known)):
-        known[a] = 0.0
-    evaluate(work, t, out)
+        take_found(work)
+        evaluate(work, t, out)
+        if fit(work, t, out, enough):
+            return
+        if widest_margin(work, ANY_MOTION, known) > enough:
+            evaluate(work, t, out)
+            if fit(work, t, out, enough):
+                return
+        for a in range(len(known)):
+            known[a] = 0.0
+        evaluate(work, t, out)
+
+
+@ahead(SceneWorkspace)
+@jit
+def doubtful_margin(work):
+    """Return a margin up to which forces do not clearly keep to what their modes allow."""
+    largest = 0.0
+    for force in work.solution:
+        largest = max(largest, abs(force))
+    return 2.0 * work.force_tolerance + DOUBTFUL * largest
 
 
 @inner
-def fit(work, t, out):
-    """Return whether the forces last evaluated are within their bounds, or others with the same motion.
+def fit(work, t, out, enough):
+    """Return whether the forces last evaluated are so far in their bounds, or others with the same motion.
 
     These act then. And whether no slip begins backwards, nor a joint against its dry friction.
     """
-    if work.force_margin < 0.0:
-        if not widest_margin(work, SAME_MOTION, work.inner_forces) > 0.0:
+    if work.force_margin < enough:
+        if not widest_margin(work, SAME_MOTION, work.inner_forces) > enough:
             return False
         evaluate(work, t, out)
     mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
