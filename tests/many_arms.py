@@ -230,7 +230,11 @@ def mechanics(group: Group, hits) -> dict[str, np.ndarray]:
     }
     if group.case.kind.startswith("upright") and abs(group.tilt) < 1e-14:  # 0, or a few roundings of the base
         axis = pin.rpy.rpyToMatrix(*arm.rpy)[:, 2]  # of its joints: nothing moves along it
-        wrong[SIDEWAYS] = np.abs(P @ axis) > noise * size
+        whole = np.linalg.norm(J, axis=(1, 2))
+        across = np.linalg.norm(J - np.einsum("i,j,njk->nik", normal, normal, J), axis=(1, 2))
+        felt = across > 16 * EPS * whole  # a motion of which the direction is known, to rounding of the whole
+        unsure = np.divide(4 * EPS * whole, across, out=np.zeros_like(whole), where=felt)
+        wrong[SIDEWAYS] = np.abs(P @ axis) > np.maximum(noise, unsure) * size
     return wrong
 
 
