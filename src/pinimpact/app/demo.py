@@ -205,8 +205,8 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
     shapes = [robot.collision_model, robot.visual_model]
     reduced, shapes = pin.buildReducedModel(model, shapes, idle, robot.q0)
     whole = pin.RobotWrapper(reduced, *shapes)
-    kept = [j for j in range(1, model.njoints) if j not in idle]
-    whole.q0 = np.concatenate([robot.q0[model.idx_qs[j] : model.idx_qs[j] + model.nqs[j]] for j in kept])
+    moving = [j for j in range(1, model.njoints) if j not in idle]
+    whole.q0 = np.concatenate([robot.q0[model.idx_qs[j] : model.idx_qs[j] + model.nqs[j]] for j in moving])
     return whole, tuple(model.names[j] for j in idle)
 
 

@@ -35,10 +35,11 @@ def suggested_frames(model: pin.Model) -> list[int]:
     order = (FEET, TOOLS, TIPS) if free_base(model) else (TOOLS, FEET, TIPS)
     kinds = [_kind_of_frame(frame.name, order) for frame in model.frames]
     for i in _chain_ends(model):
-        joint, parent, seen = model.frames[i].parentJoint, model.frames[i].parentFrame, {i}
-        while parent not in seen and model.frames[parent].parentJoint == joint:  # reduced models have circles
+        joint, parent, passed = model.frames[i].parentJoint, model.frames[i].parentFrame, {i}
+        # reduced models have circles
+        while parent not in passed and model.frames[parent].parentJoint == joint:
             kinds[i] = min(kinds[i], kinds[parent])
-            seen.add(parent)
+            passed.add(parent)
             parent = model.frames[parent].parentFrame
     best: dict[Any, tuple[tuple[float, ...], int]] = {}
     for i, frame in enumerate(model.frames):

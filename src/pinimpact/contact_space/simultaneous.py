@@ -211,8 +211,8 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             break
     if not (stopped and missed <= max(MISSED, 100.0 * rtol)):  # never a wrong answer without a word
         plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
-        told = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
-        return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, told))
+        text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
+        return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, text))
     notes = _of_law(inputs)
     if ended == 2:
         notes += (

@@ -397,13 +397,13 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
     size = a.shape.reach + b.shape.reach
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
     radius = a.shape.radius + b.shape.radius
-    kept: list[Touch] = []
+    distinct: list[Touch] = []
     for touch in found:
         between = touch.point - touch.other
         off = abs(float(between @ normal) - radius)
         across = float(np.linalg.norm(between - (between @ normal) * normal))
         if off > 4.0 * tolerance or across > 1e-9 * size + math.sqrt(2.0 * tolerance * radius):
             continue
-        if all(np.linalg.norm(touch.point - other.point) > 1e-9 * size for other in kept):
-            kept.append(touch)
-    return kept
+        if all(np.linalg.norm(touch.point - other.point) > 1e-9 * size for other in distinct):
+            distinct.append(touch)
+    return distinct

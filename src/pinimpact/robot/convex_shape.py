@@ -57,11 +57,11 @@ class ConvexShape:
         """(k, 3) unit directions of the edges, parallel ones once."""
         found = self.vertices[self.edges[:, 1]] - self.vertices[self.edges[:, 0]]
         found /= np.linalg.norm(found, axis=1)[:, None]
-        kept: list[Array] = []
+        directions: list[Array] = []
         for direction in found:
-            if not any(abs(direction @ other) > 1.0 - 1e-15 for other in kept):
-                kept.append(direction)
-        return np.array(kept).reshape(-1, 3)
+            if not any(abs(direction @ other) > 1.0 - 1e-15 for other in directions):
+                directions.append(direction)
+        return np.array(directions).reshape(-1, 3)
 
     def at(self, rotation: Array, translation: Array) -> PlacedShape:
         """Return the shape at a placement."""

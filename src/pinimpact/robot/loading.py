@@ -250,10 +250,10 @@ def _mimic_joints(path: Path, model: pin.Model) -> dict[str, _Mimic]:
             multiplier, offset = float(tag.get("multiplier") or 1.0), float(tag.get("offset") or 0.0)
             found[joint.get("name", "")] = _Mimic(tag.get("joint", ""), multiplier, offset)
     for name in found:
-        seen = {name}
-        while found[name].leader in found and found[name].leader not in seen:
+        passed = {name}
+        while found[name].leader in found and found[name].leader not in passed:
             leader, a, b = found[name]
-            seen.add(leader)
+            passed.add(leader)
             further, multiplier, offset = found[leader]
             found[name] = _Mimic(further, a * multiplier, a * offset + b)
     return found

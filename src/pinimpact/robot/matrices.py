@@ -310,8 +310,8 @@ def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
     """
     tolerance = 32.0 * _EPS * max(anchored.shape)
     left, sizes, right = np.linalg.svd(anchored, full_matrices=False)
-    kept = sizes > tolerance * sizes[0]
-    left, sizes, right = left[:, kept], sizes[kept], right[kept]
+    above = sizes > tolerance * sizes[0]
+    left, sizes, right = left[:, above], sizes[above], right[above]
     balanced = right @ y.T
     impulses = -left @ (balanced / sizes[:, None])
     rest = y - balanced.T @ right

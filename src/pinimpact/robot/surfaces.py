@@ -85,8 +85,8 @@ class Surface(ABC):
 
     def at_rest(self) -> Surface:
         """Return the surface with its material at rest on its carrier."""
-        still: Any = self  # subclasses are dataclasses
-        return cast(Surface, replace(still, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)))
+        surface: Any = self  # subclasses are dataclasses
+        return cast(Surface, replace(surface, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)))
 
     def _check(self) -> None:
         """Check the fields that all surfaces have, and keep them as numbers."""

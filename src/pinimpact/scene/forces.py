@@ -16,7 +16,7 @@ from .dense_step import DenseStep
 
 Array = NDArray[np.float64]
 
-NODES = 7
+FORCE_SAMPLES = 7
 """Nodes of a step at which the forces of a saved trajectory are kept; between them they are interpolated."""
 
 
@@ -189,8 +189,8 @@ class TabulatedForces:
     Args:
         contacts: Names of the contacts.
         rows: (m,) numbers of the steps in which something is closed.
-        world, points, normals: (m, `NODES`, n, 3), see `Forces`.
-        joints: (m, `NODES`, nv).
+        world, points, normals: (m, `FORCE_SAMPLES`, n, 3), see `Forces`.
+        joints: (m, `FORCE_SAMPLES`, nv).
         unique: (m,).
     """
 
@@ -228,7 +228,7 @@ class TabulatedForces:
 
         def table(part: Callable[[Forces], Array], *shape: int) -> Array:
             return np.array([[part(one) for one in step] for step in found]).reshape(
-                len(found), NODES, *shape
+                len(found), FORCE_SAMPLES, *shape
             )
 
         return cls(
@@ -260,7 +260,7 @@ class TabulatedForces:
 
 def nodes() -> Array:
     """Return the Chebyshev nodes of the second kind in [0, 1]."""
-    return 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(FORCE_SAMPLES) / (FORCE_SAMPLES - 1))
 
 
 def _weights(x: float) -> Array:
@@ -269,7 +269,7 @@ def _weights(x: float) -> Array:
     hit = away == 0.0
     if hit.any():
         return hit.astype(float)
-    signs = (-1.0) ** np.arange(NODES)
+    signs = (-1.0) ** np.arange(FORCE_SAMPLES)
     signs[[0, -1]] *= 0.5
     weights: Array = signs / away
     return weights / weights.sum()

@@ -37,7 +37,7 @@ class ModeIntervals:
         self._names = [*contacts, *limits]
         self._joints: dict[int, str] = {}
         self._drives: dict[int, str] = {}
-        self._seen = b""
+        self._last = b""
 
     def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
         """Take what holds from t on: some intervals end, others begin.
@@ -47,10 +47,10 @@ class ModeIntervals:
             modes: (n + nl + nv,) the modes.
             sides: (nv,) not zero for the drives that are at the bounds of their efforts.
         """
-        seen = modes.tobytes() + sides.tobytes()
-        if seen == self._seen:
+        present = modes.tobytes() + sides.tobytes()
+        if present == self._last:
             return
-        self._seen = seen
+        self._last = present
         active = np.flatnonzero(modes)
         now = dict(
             self._names_of(i, mode) for i, mode in zip(active.tolist(), modes[active].tolist(), strict=True)
@@ -66,7 +66,7 @@ class ModeIntervals:
 
     def take_over(self, other: ModeIntervals) -> None:
         """Go on from the modes of another run of the same scene."""
-        self.ended, self.present, self._seen = other.ended.copy(), other.present.copy(), other._seen
+        self.ended, self.present, self._last = other.ended.copy(), other.present.copy(), other._last
 
     def _drive(self, velocity: int) -> str:
         """Return the name of a drive."""

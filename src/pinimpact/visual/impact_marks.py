@@ -137,8 +137,8 @@ def contact_mark(
     if along and (whole is None or solution.path is not None):
         path = smooth_path(problem, solution)
         every = EVERY if whole is None else 1
-        kept = np.unique(np.append(np.arange(0, len(path.velocity), every), len(path.velocity) - 1))
-        velocity, impulse = path.velocity[kept], path.impulse[kept]
+        shown = np.unique(np.append(np.arange(0, len(path.velocity), every), len(path.velocity) - 1))
+        velocity, impulse = path.velocity[shown], path.impulse[shown]
         segments = [(s.mode, s.phase, s.start, s.end) for s in solution.segments]
         if whole is not None:  # all of them go through the impact together
             clock = whole.path.clock / max(float(whole.path.clock[-1]), 1e-300)

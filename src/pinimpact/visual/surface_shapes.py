@@ -22,7 +22,7 @@ MARGIN = 0.15
 """How far a plate reaches beyond the contacts' way over it [m]."""
 THICKNESS = 0.02
 """Of a plate [m]."""
-NEAR = 0.2
+REACH = 0.2
 """A plate on a body reaches as far as points come within this distance of it [m]."""
 
 
@@ -47,11 +47,11 @@ def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Ar
         points: (k, frames, 3) where the contacts that may meet it are, in world axes.
     """
     joint, place = carrier(model, surface)
-    seen = [
+    views = [
         (pin.XYZQUATToSE3(pose) * place).inverse()
         for pose in (poses[:, joint] if joint else poses[:1, 0].repeat(poses.shape[0], axis=0))
     ]
-    local = np.array([[at.act(p) for at, p in zip(seen, way, strict=True)] for way in points]).reshape(-1, 3)
+    local = np.array([[at.act(p) for at, p in zip(views, way, strict=True)] for way in points]).reshape(-1, 3)
     kind, size, inner = _SOLIDS[type(surface)](surface, local)
     matrix = place.homogeneous @ inner
     spin = np.asarray(surface.angular_velocity)
@@ -71,7 +71,7 @@ def _plate(plane: Plane, points: Array) -> tuple[str, list[float], Array]:
     axes = contact_axes(plane.normal)
     local = (points - np.asarray(plane.point)) @ axes.T
     if plane.body is not None:
-        local = np.vstack([local[np.abs(local[:, 2]) < NEAR], np.zeros(3)])
+        local = np.vstack([local[np.abs(local[:, 2]) < REACH], np.zeros(3)])
     low, high = local.min(axis=0) - MARGIN, local.max(axis=0) + MARGIN
     matrix = np.eye(4)
     matrix[:3, :3] = axes.T

@@ -128,8 +128,8 @@ def _draw_solid(ax: Any, impact: OneImpact, impulse: Array) -> None:
     ax.plot(x[-1], y[-1], level[-1], color=STICK, lw=1.2)
     p3 = np.linspace(0.0, top, 200)
     sticking = -np.linalg.pinv(w[:2, :2]) @ (v[:2, None] + w[:2, 2:] * p3)
-    seen = np.abs(sticking).max(axis=0) <= aside
-    ax.plot(*sticking[:, seen], p3[seen], "--", color=GREEN, lw=1.8, label="line of sticking")
+    within = np.abs(sticking).max(axis=0) <= aside
+    ax.plot(*sticking[:, within], p3[within], "--", color=GREEN, lw=1.8, label="line of sticking")
     if w[2, 2] > 0.0:
         ticks = np.linspace(-aside, aside, 25)
         p1, p2 = np.meshgrid(ticks, ticks)
