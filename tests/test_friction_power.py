@@ -62,3 +62,13 @@ def test_a_joint_whose_friction_has_the_wrong_sign_is_mended():
     motion.advance(1.0)
     assert motion.state.v[0] == pytest.approx(0.5)
     assert motion.state.q[0] == pytest.approx(0.75)
+
+
+def test_forces_beyond_their_bounds_are_told_once_and_what_a_step_leaves_unknown_is_not():
+    motion = sliding()
+    motion._note_beyond(1e-9 * G)
+    assert motion.state.notes == []
+    motion._note_beyond(0.1)
+    motion._note_beyond(0.2)
+    (note,) = motion.state.notes
+    assert "leave by 0.1 N" in note.text

@@ -230,7 +230,7 @@ class Motion:
         self.steps = self.rejected = 0
         self._mark_progress()
         self.forces_were_unique = True
-        self.friction_drove = False
+        self.friction_drove = self.forces_beyond = False
         self.bounce = math.inf
         self._closed: ClosedSet | None = None
         seen_every = SEEN_EVERY * scene.time_scale
@@ -322,6 +322,7 @@ class Motion:
                 "last_progress",
                 "forces_were_unique",
                 "friction_drove",
+                "forces_beyond",
                 "bounce",
                 "ended_by",
             ),
@@ -532,6 +533,7 @@ class Motion:
             work.force_bound_ignored = False
         if self.dynamics.constrained and (work.end_drift > self.largest_drift or work.force_bound_ignored):
             if work.force_bound_ignored:
+                self._note_beyond(-work.end_margin)
                 self._settle()
             else:
                 state.correct_drift()
@@ -552,6 +554,16 @@ class Motion:
                 "here on; a smaller rtol may help."
             )
         self.friction_drove = True
+
+    def _note_beyond(self, excess: float) -> None:
+        """Tell of forces beyond their bounds, by more than the tolerance leaves unknown, once."""
+        unknown = self.rtol * np.abs(self.work.solution).max(initial=0.0)
+        if self.work.forces_unique and excess > unknown and not self.forces_beyond:
+            self.forces_beyond = True
+            self.state.note(
+                f"Forces leave by {excess:.3g} N or N m what the modes of contact allow, and no other modes "
+                "were found: the motion may be wrong here; near Painlevé's paradox there may be none."
+            )
 
     def _arriving(self) -> int | None:
         """Return the contact or, past those, the limit that arrives at the event last found, or None."""
