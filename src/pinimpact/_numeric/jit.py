@@ -142,9 +142,7 @@ def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
                 _together.append(kernel)
                 worth = helpers and share is None and kernel._cache.on_disk
                 if worth and expected(_together) > WORTH_HELP:  # helpers start while others are looked for
-                    share = stack.enter_context(
-                        company.company(helpers)
-                    )  # who start while others are looked for
+                    share = stack.enter_context(company.company(helpers))
             if missing:
                 kept = all(kernel._cache.on_disk for kernel in _together)
                 tell(_together, kept, 1 + helpers * (share is not None))

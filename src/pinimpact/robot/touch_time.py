@@ -197,9 +197,10 @@ class Fastest(NamedTuple):
 def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fastest:
     """Return the largest relative acceleration of points, and its largest rate, from samples of a step."""
     second = third = 0.0
-    before: tuple[Array, Array] | None = None
+    before: list[Array] | None = None
     for t in np.linspace(start, end, 1 + SAMPLES).tolist():
-        now = _accelerations(at(t))
+        state = at(t)
+        now = _accelerations(state, _velocities(state))
         second = max(second, _most(*now))
         if before is not None:
             third = max(third, _most(now[0] - before[0], now[1] - before[1]) * SAMPLES / (end - start))
@@ -207,16 +208,23 @@ def _fastest(at: Callable[[float], PairState], start: float, end: float) -> Fast
     return Fastest(SAFETY * second, SAFETY * third)
 
 
-def _accelerations(state: PairState) -> tuple[Array, Array]:
-    """Return the accelerations (n, 3), (m, 3) of the vertices of both cores."""
-    found = []
-    for placed, velocity, rate in (
-        (state.a, state.velocity_a, state.acceleration_a),
-        (state.b, state.velocity_b, state.acceleration_b),
-    ):
-        moving = velocity[:3] + cross(velocity[3:], placed.vertices)
-        found.append(rate[:3] + cross(rate[3:], placed.vertices) + cross(velocity[3:], moving))
-    return found[0], found[1]
+def _velocities(state: PairState) -> list[Array]:
+    """Return the velocities (n, 3), (m, 3) of the vertices of both cores."""
+    return [
+        velocity[:3] + cross(velocity[3:], placed.vertices)
+        for placed, velocity in ((state.a, state.velocity_a), (state.b, state.velocity_b))
+    ]
+
+
+def _accelerations(state: PairState, velocities: list[Array]) -> list[Array]:
+    """Return the accelerations (n, 3), (m, 3) of the vertices of both cores, from their velocities."""
+    return [
+        rate[:3] + cross(rate[3:], placed.vertices) + cross(velocity[3:], moving)
+        for placed, velocity, rate, moving in (
+            (state.a, state.velocity_a, state.acceleration_a, velocities[0]),
+            (state.b, state.velocity_b, state.acceleration_b, velocities[1]),
+        )
+    ]
 
 
 def _most(one: Array, other: Array) -> float:
@@ -233,8 +241,8 @@ def _front(
     size = a.shape.reach + b.shape.reach
     heights_a, heights_b = a.vertices @ normal, b.vertices @ normal
     center = a.vertices[heights_a.argmin()]
-    moving_a = state.velocity_a[:3] + cross(state.velocity_a[3:], a.vertices)
-    moving_b = state.velocity_b[:3] + cross(state.velocity_b[3:], b.vertices)
+    velocities = _velocities(state)
+    moving_a, moving_b = velocities
     spin = float(np.linalg.norm(turn))
     speed = _most(moving_a, moving_b)
     until = math.sqrt(size / bend) if bend > 0.0 else math.inf
@@ -255,7 +263,9 @@ def _front(
         return now
     seconds = [
         speeding @ normal + 2.0 * (moving @ turn) - spin * spin * (placed.vertices - center) @ normal
-        for placed, moving, speeding in zip((a, b), (moving_a, moving_b), _accelerations(state), strict=True)
+        for placed, moving, speeding in zip(
+            (a, b), velocities, _accelerations(state, velocities), strict=True
+        )
     ]
     common = 0.5 * (seconds[0][heights_a.argmin()] + seconds[1][heights_b.argmax()])
     third = fastest.third

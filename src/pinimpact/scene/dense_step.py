@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ._kernels import dense_output
@@ -16,16 +15,8 @@ WORKS = 4
 """Works that are integrated along: of the control, in the joints, of sliding friction, of moving surfaces."""
 
 
-def _slopes() -> Array:
-    """Return what the derivatives of θ, θ(1 − θ), θ²(1 − θ), … are in powers of θ (7, 7)."""
-    slopes, term = np.zeros((7, 7)), Polynomial([1.0])
-    for k in range(7):
-        term = term * Polynomial([0.0, 1.0] if k % 2 == 0 else [1.0, -1.0])
-        slopes[k, : k + 1] = term.deriv().coef
-    return slopes
-
-
-SLOPES = _slopes()
+SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
+"""Derivatives of the terms of the dense output, in powers of θ (7, 7)."""
 
 
 class DenseStep:
@@ -73,7 +64,7 @@ class DenseStep:
 
     def acceleration(self, t: float) -> Array:
         """Return v̇ (nv,) of the dense output at a time within the step."""
-        powers = ((t - self.start) / self.h) ** np.arange(7)
+        powers = ((t - self.start) / self.h) ** np.arange(len(SLOPES))
         n = len(self.v)
         return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 

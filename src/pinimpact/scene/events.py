@@ -30,9 +30,9 @@ class Event:
     The guard is evaluated where steps begin and end, in their middle, and as often in between that a quarter
     of `Scene.time_scale` does not go by; its change of sign is then located on the motion within the step to
     rounding. One that changes its sign twice in between can be missed: `max_step=` makes steps shorter, and
-    so the time between. A guard that an impact takes
-    to the other sign makes the event happen there, after the impact. A zero is no sign: a guard that is zero
-    at the start, or comes to zero and turns back, makes nothing happen.
+    so the time between. A guard that an impact takes to the other sign makes the event happen there, after
+    the impact. A zero is no sign: a guard that is zero at the start, or comes to zero and turns back, makes
+    nothing happen.
 
     Attributes:
         guard: guard(t, q, v) -> number, with q (nq,) and v (nv,).

@@ -7,11 +7,24 @@ The unknowns are (ξ, v, w): chart coordinates, velocities, and works w that not
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from ..._numeric.ahead import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, ahead
 from ..._numeric.jit import inner, jit, separate
 from .lie_charts import advance
-from .workspace import SceneWorkspace
+from .workspace import DENSE_TERMS, SceneWorkspace
+
+
+def _basis():
+    """Return θ, θ(1 − θ), θ²(1 − θ), … (7, 7), see `interpolate`, in θ, θ², …."""
+    basis, factor = np.zeros((DENSE_TERMS, DENSE_TERMS)), Polynomial([0.0, 1.0])
+    for k in range(DENSE_TERMS):
+        basis[k, : k + 1] = factor.coef[1:]
+        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
+    return basis
+
+
+BASIS = _basis()
 
 
 @ahead(FLOAT_VIEW, float, FLOATS)

@@ -10,11 +10,10 @@ import math
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from ..._numeric.jit import inner
 from ..._numeric.loops import assign
-from .dense_output import rate_bounds
+from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
@@ -41,19 +40,12 @@ def _coefficients():
     lagrange = np.linalg.inv(nodes[:, None] ** powers)  # column j: the polynomial that is 1 at node j
     integrals = lagrange / (powers + 1.0)[:, None]  # times θ^(k + 1)
     matrix = nodes[:, None] ** (powers + 1.0) @ integrals
-    # θ, θ(1 − θ), θ²(1 − θ), … as powers of θ, see `dense_output.interpolate`
-    size = s + 2
-    basis: NDArray[np.float64] = np.zeros((size, size))
-    factor = Polynomial([0.0, 1.0])
-    for k in range(size):
-        basis[k, : k + 1] = factor.coef[1:]
-        factor = factor * (Polynomial([1.0, -1.0]) if k % 2 == 0 else Polynomial([0.0, 1.0]))
-    dense = np.linalg.solve(basis.T, np.pad(integrals, ((0, 2), (0, 0))))
+    dense = np.linalg.solve(BASIS.T, np.pad(integrals, ((0, 2), (0, 0))))
     # vanishes at the nodes, with slope 1 at 0 and 0 at 1: lets the dense output start at the rate there
     correction = Polynomial([0.0, 1.0]) * Polynomial([1.0, -1.0])
     for node in nodes:
         correction = correction * Polynomial([1.0, -1.0 / node])
-    start = np.linalg.solve(basis.T, np.array(correction.coef[1:], dtype=float))
+    start = np.linalg.solve(BASIS.T, np.array(correction.coef[1:], dtype=float))
     eigenvalues = np.linalg.eigvals(np.linalg.inv(matrix))
     real = eigenvalues[np.argmin(np.abs(eigenvalues.imag))].real
     return nodes, matrix, lagrange[0].copy(), dense, start, 1.0 / real
