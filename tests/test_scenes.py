@@ -158,6 +158,19 @@ def test_impacts_that_accumulate_end_in_an_error_with_what_was_computed():
     assert len(caught.value.partial.impacts) == 20
 
 
+def test_impacts_of_one_instant_count_once():
+    corners = [(0.1 * x, 0.1 * y, -0.05) for x in (-1, 1) for y in (-1, 1)]
+    contacts = [Contact(f"tip{k}", FLOOR, friction=0.3, restitution=0.9) for k in range(4)]
+    falls = Scene(free_body(pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), corners), contacts)
+    height, speed = 0.5, np.sqrt(2 * 9.81 * 0.45)  # it lands flat, and lands again after 2 e speed / g
+    third = speed / 9.81 * (1 + 2 * 0.9 + 2 * 0.9**2)
+    start = [0, 0, height, *UP], np.zeros(6)
+    trajectory = simulate(falls, *start, third + 1e-3, max_impacts=3)
+    assert len(trajectory.impacts) == 12
+    with pytest.raises(pinimpact.SimulationError, match="impacts at 3 instants"):
+        simulate(falls, *start, third + 1e-3, max_impacts=2)
+
+
 def test_a_plane_that_moves_along_its_normal_is_refused():
     with pytest.raises(pinimpact.InputError, match="along its normal"):
         Scene(ball(), [Contact("center", Plane(velocity=(0, 0, 1.0)), radius=0.1)])

@@ -250,7 +250,7 @@ class SceneFile(_Table):
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
     max_impacts: Annotated[int, Field(gt=0)] = 10_000
-    """How many impacts to resolve before giving up."""
+    """At how many instants to resolve impacts before giving up."""
     output: OutputTable = OutputTable()
 
     @property

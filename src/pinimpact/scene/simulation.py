@@ -114,7 +114,7 @@ def simulate(
         atol: Absolute tolerance of each step, on coordinates [m, rad] and velocities.
         max_step: Longest step [s]; None for a quarter of `Scene.time_scale` with a continuous control, so
             that what it does is seen also where nothing has happened for long, and for no bound without.
-        max_impacts: How many impacts to resolve before giving up.
+        max_impacts: At how many instants to resolve impacts before giving up.
         progress: Called with the time reached and the duration, after every step.
 
     Raises:
@@ -254,7 +254,7 @@ class Motion:
         self._ahead = 0.0
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
-        self._counted = 0
+        self._struck = 0  # instants with impacts
         self._sample()
         self._consistent = self._lengths()
 
@@ -303,7 +303,7 @@ class Motion:
 
     def resume(self) -> None:
         """Go on where an event may have ended the motion; `max_impacts` counts from here."""
-        self._counted = len(self.state.impacts)
+        self._struck = 0
         if self.ended_by is not None:
             self.ended_by = None
             self._settle_and_begin()
@@ -326,7 +326,7 @@ class Motion:
                 "bounce",
                 "ended_by",
             ),
-            *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_counted"),
+            *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_struck"),
             *("_rested_at", "_ahead", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
@@ -702,7 +702,7 @@ class Motion:
         self._let_events_happen()
 
     def _settle_contacts(self, arriving: Arriving = None) -> None:
-        """Let impacts and modes of this instant settle, within the number of impacts allowed."""
+        """Let impacts and modes of this instant settle, at no more instants than may have impacts."""
         impacts = self.state.impacts
         before = len(impacts)
         self.state.settle(arriving)
@@ -710,13 +710,14 @@ class Motion:
             if not self.state.resolve_jam():
                 break
             self.state.settle()
-        if len(impacts) > before:  # `max_impacts` watches over these
-            self._mark_progress()
-        count = len(impacts) - self._counted
-        if count > self.max_impacts:
-            last = f", the last at {_sources(impacts)}" if impacts else ""
+        if len(impacts) == before:
+            return
+        self._mark_progress()  # `max_impacts` watches over impacts
+        self._struck += before == 0 or impacts[before - 1].time < self.state.t
+        if self._struck > self.max_impacts:
             raise SimulationError(
-                f"max_impacts: {count} impacts until t = {self.state.t:.6g} s{last}; "
+                f"max_impacts: impacts at {self._struck} instants until t = {self.state.t:.6g} s, "
+                f"the last at {_sources(impacts)}; "
                 "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
                 "otherwise raise max_impacts",
                 field="max_impacts",

@@ -31,7 +31,7 @@ class Stepper:
         rtol: As of `simulate`.
         atol: As of `simulate`.
         max_step: As of `simulate`.
-        max_impacts: How many impacts to resolve in one step before giving up.
+        max_impacts: At how many instants of one step to resolve impacts before giving up.
 
     Raises:
         InputError: As of `simulate`, or a scene with a control.
