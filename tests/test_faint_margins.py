@@ -97,3 +97,15 @@ def test_forces_that_only_just_fit_at_the_start_of_a_motion_give_way_to_others()
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}
     trajectory = simulate(drawn.scene, drawn.q, drawn.v, 1.0, **tolerances)
     assert not unlawful(drawn.scene, trajectory, drawn.rtol, 1)
+
+
+def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
+    """As a tip sticks, the angles of a URDF, written with seven digits, move the elbow by 10⁻⁷ rad/s.
+
+    The elbow holds that tip against the floor. Taken to slide upwards, it would let it slip.
+    """
+    drawn = random_control.draw(131000797)
+    trajectory = simulate(drawn.scene, drawn.q, drawn.v, 1.0, rtol=drawn.rtol, atol=1e-2 * drawn.rtol)
+    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+    finer = simulate(drawn.scene, drawn.q, drawn.v, 1.0, rtol=1e-10, atol=1e-12)
+    assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)

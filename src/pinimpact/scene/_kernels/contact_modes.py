@@ -192,9 +192,12 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
-    for j in range(n):
-        if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
-            v[j] = 0.0  # not even a rounding error begins against the force
+    for m in range(ns):
+        i = scalars[m]
+        # not even a rounding error begins against the force, nor what rows that hardly differ leave of a stop
+        least = max(NOTHING * work.stick_speed, work.certain_speed if stopped[3 * nc + m] else 0.0)
+        if breaking[i] * v[i] > 0.0 and abs(v[i]) <= least:
+            v[i] = 0.0
     return -1, converged, gained, fastest
 
 
