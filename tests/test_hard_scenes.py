@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
+from pinimpact.scene.scene_impacts import _growing
 
 from .random_scenes import draw, unaccounted
 from .scene_models import G, free_body, run, unbounded
@@ -201,3 +202,35 @@ def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
     assert trajectory.complete
     assert unaccounted(trajectory) < 300 * rtol
     assert trajectory.statistics["steps"] < 5000
+
+
+def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other():
+    """Unilateral springs below two corners of a sole, integrated, press one and free the other."""
+    rng = np.random.default_rng(4)
+    found = 0
+    for _ in range(4000):
+        factor = rng.standard_normal((6, 7))
+        delassus, friction, stiffness = factor @ factor.T, np.full(2, 1.2), rng.uniform(0.5, 2.0, 2)
+        velocity = np.column_stack([rng.standard_normal((2, 2)), np.zeros(2)])
+        slip = velocity[:, :2] / np.linalg.norm(velocity[:, :2], axis=1)[:, None]
+        pressed = np.empty((2, 2))  # normal accelerations by normal forces and their friction
+        for i, j in np.ndindex(2, 2):
+            row = delassus[3 * i + 2, 3 * j : 3 * j + 3]
+            pressed[i, j] = row[2] - 1.2 * row[:2] @ slip[j]
+        if np.isreal(np.linalg.eigvals(stiffness[:, None] * pressed)).all():
+            continue
+        grown = _growing(delassus, velocity, friction, np.full(2, True), stiffness)
+
+        def springs(_, y, pressed=pressed, stiffness=stiffness):
+            return [*y[2:], *(-pressed @ (stiffness * np.maximum(y[:2], 0.0)))]
+
+        alone = [i for i in range(2) if pressed[i, i] < 0.0 <= pressed[1 - i, i]]
+        assert (grown is not None) == bool(alone)
+        if grown is None:
+            continue
+        found += 1
+        end = solve_ivp(springs, (0.0, 12.0), [*(1e-9 * grown), 0.0, 0.0], rtol=1e-9, atol=1e-30).y[:2, -1]
+        assert end.argmax() == grown.argmax() == alone[0]
+        assert end.max() > 1e-8
+        assert end.min() <= 0.0
+    assert found > 10

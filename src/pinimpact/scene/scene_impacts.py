@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,12 @@ GROWN = 100.0
 
 RANK = 1e-9
 """Eigenvalues below this part of the largest are zero."""
+
+PULLS = 1e-6
+"""Part of the largest force up to which one that pulls is rounding."""
+
+MOST_CHOSEN = 8
+"""Contacts of which all choices of some are tried."""
 
 _NO_AXES = np.zeros((3, 3))
 """Those of a joint limit, whose impulse is none in the world."""
@@ -497,39 +504,80 @@ def _growing(
 ) -> Array | None:
     """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
 
-    Those of the fastest growth at which nothing pulls, of what is indented then. Arguments as in
-    `_friction_of_jam`, and the stiffnesses (n,).
+    Those of the fastest growth at which nothing pulls, of what is indented then. Where those of all can but
+    swing, some may grow and lift the others. Arguments as in `_friction_of_jam`, and the stiffnesses (n,).
     """
-    active = list(range(len(velocity)))
+    numbers = delassus, velocity, friction, slips, stiffness
+    count = len(velocity)
+    active = list(range(count))
     while active:
-        places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
-        rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
-        part = delassus[np.ix_(places, places)]
-        system = part[rows][:, rows] - part[rows] @ along
-        normal = np.array(rows) % 3 == 2
-        held = system[np.ix_(~normal, ~normal)]
-        pressed = system[np.ix_(normal, normal)]
-        if held.size:  # what sticks holds its tangential rows at once
-            inverse = np.linalg.pinv(held, rcond=RANK, hermitian=True)
-            pressed = pressed - system[np.ix_(normal, ~normal)] @ inverse @ system[np.ix_(~normal, normal)]
-        system = stiffness[active, None] * pressed
-        values, vectors = np.linalg.eig(system)
-        size = float(np.abs(values).max())
-        real = np.abs(values.imag) <= RANK * size
-        rates = np.where(real, values.real, np.inf)
-        fastest = int(np.argmin(rates))
-        if not rates[fastest] < 0.1 * RANK * size:
-            return None
-        forces = vectors[:, fastest].real
-        forces /= forces[np.argmax(np.abs(forces))]
-        if forces.sum() < 0.0:
-            forces = -forces
-        if forces.min() >= -1e-6 * forces.max():
-            indentations = np.zeros(len(velocity))
-            indentations[active] = np.maximum(forces, 0.0) / stiffness[active]
-            return np.array(indentations / indentations.max())
+        grown = _fastest_growth(active, *numbers)
+        if grown is None:
+            break
+        forces = grown[0]
+        if forces.min() >= -PULLS * forces.max():
+            return _indentations(active, forces, stiffness)
         del active[int(np.argmin(forces))]
+    if count > MOST_CHOSEN:
+        return None
+    for fewer in range(count - 1, 0, -1):
+        for some in combinations(range(count), fewer):
+            grown = _fastest_growth(list(some), *numbers)
+            if grown is None:
+                continue
+            forces, rates = grown
+            others = np.delete(rates, some)
+            if forces.min() >= -PULLS * forces.max() and others.min() >= -PULLS * np.abs(rates).max():
+                return _indentations(some, forces, stiffness)
     return None
+
+
+def _fastest_growth(
+    active: list[int],
+    delassus: Array,
+    velocity: Array,
+    friction: Array,
+    slips: NDArray[np.bool_],
+    stiffness: Array,
+) -> tuple[Array, Array] | None:
+    """Return the normal forces with which indentations of active contacts grow fastest by themselves.
+
+    Those add up to more than zero, and the largest is 1 or −1; also returned is how fast they move all (n,)
+    contacts along their normals. None if those indentations do not grow.
+    """
+    places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
+    rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
+    part = delassus[np.ix_(places, places)]
+    system = part[rows][:, rows] - part[rows] @ along
+    normal = np.array(rows) % 3 == 2
+    held = system[np.ix_(~normal, ~normal)]
+    answer = np.zeros((int((~normal).sum()), len(active)))  # of what sticks, whose tangential rows are held
+    if held.size:
+        answer = -np.linalg.pinv(held, rcond=RANK, hermitian=True) @ system[np.ix_(~normal, normal)]
+    pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
+    values, vectors = np.linalg.eig(stiffness[active, None] * pressed)
+    size = float(np.abs(values).max())
+    real = np.abs(values.imag) <= RANK * size
+    rates = np.where(real, values.real, np.inf)
+    fastest = int(np.argmin(rates))
+    if not rates[fastest] < 0.1 * RANK * size:
+        return None
+    forces = vectors[:, fastest].real
+    forces /= forces[np.argmax(np.abs(forces))]
+    if forces.sum() < 0.0:
+        forces = -forces
+    of_rows = np.empty(len(rows))
+    of_rows[normal], of_rows[~normal] = forces, answer @ forces
+    total = -along @ of_rows
+    total[rows] += of_rows
+    return forces, delassus[2::3, places] @ total
+
+
+def _indentations(active: Sequence[int], forces: Array, stiffness: Array) -> Array:
+    """Return the indentations (n,) that go with normal forces of active contacts, the largest 1."""
+    indentations = np.zeros(len(stiffness))
+    indentations[list(active)] = np.maximum(forces, 0.0) / stiffness[list(active)]
+    return np.array(indentations / indentations.max())
 
 
 def _slipping_rows(velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> tuple[list[int], Array]:

@@ -14,6 +14,7 @@ from ..._numeric.ahead import FLOATS, ahead
 from ..._numeric.jit import inner, jit, separate
 from .closed_set import scalar_rows
 from .contact_forces import SLIP, rubs
+from .contact_modes import NOTHING
 from .dynamics import evaluate
 from .widest_margin import ANY_MOTION, SAME_MOTION, widest_margin
 from .workspace import SceneWorkspace
@@ -65,7 +66,8 @@ def doubtful_margin(work):
 def fit(work, t, out, enough):
     """Return whether the forces last evaluated are so far in their bounds, or others with the same motion.
 
-    These act then. And whether no slip begins backwards, nor a joint against its dry friction.
+    These act then. And whether no slip begins backwards, or across rather than along the direction of its
+    friction, nor a joint against its dry friction.
     """
     if work.force_margin < enough:
         if not widest_margin(work, SAME_MOTION, work.inner_forces) > enough:
@@ -77,16 +79,19 @@ def fit(work, t, out, enough):
     for k in range(len(mode)):
         if mode[k] != SLIP or mu[k] == 0.0:
             continue
-        if math.hypot(velocity[k, 0], velocity[k, 1]) > work.certain_speed:
+        speed = math.hypot(velocity[k, 0], velocity[k, 1])
+        if speed > work.certain_speed:
             continue
-        along, largest = 0.0, 0.0
+        along = across = largest = 0.0
         for d in range(2):
             total = free[k, d]
             largest = max(largest, abs(total))
             for j in range(len(acceleration)):
                 total += jacobian[k, d, j] * (out[j] - acceleration[j])
             along += reference[k, d] * total
-        if along < -BACKWARDS * largest:
+            across += reference[k, 1 - d] * total * (1 - 2 * d)
+        begins = speed <= NOTHING * work.stick_speed
+        if along < -BACKWARDS * largest or (begins and abs(across) > along + BACKWARDS * largest):
             return False
     sliding, v = work.sliding_friction, work.v
     for j in range(len(acceleration)):
