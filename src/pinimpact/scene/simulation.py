@@ -56,7 +56,7 @@ LOOK_EVERY = 1000
 JAMS = 3
 """How often slip may jam again at one instant before it is left to go on."""
 
-NEARLY_SINGULAR = 1e-6
+NEARLY_SINGULAR = 1e-4
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
 
 UNSETTLED = 1e-3
