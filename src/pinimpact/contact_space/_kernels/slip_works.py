@@ -29,36 +29,30 @@ LATE = 6
 CONVERGED = 16.0 * EPS
 """Size up to which the last terms of U leave the works whole, for integrals divide them by their numbers."""
 
-FEW, MANY = 8, 12
-"""Nodes of Gauss' rules: the first is right to rounding for a series in the half-angle of up to FEW_TERMS
-terms, the second as far as any goes."""
-
-FEW_TERMS = 20
+NODES = 12
+"""Of Gauss' rule, which is right to rounding as far as any series in the half-angle goes."""
 
 
-def _collocation(nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes θ of Gauss' rule on (0, 1), its weights, and what integrates from 0 to each node."""
-    x, w = np.polynomial.legendre.leggauss(nodes)
-    values = np.polynomial.legendre.legvander(x, nodes)
-    rising = np.empty((nodes, nodes))  # ∫ of each Legendre polynomial up to each node
+def _collocation() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the nodes θ of Gauss' rule on (0, 1), its weights g, and a_ij/g_j, transposed. (3.17)"""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    values = np.polynomial.legendre.legvander(x, NODES)
+    rising = np.empty((NODES, NODES))  # ∫ of each Legendre polynomial up to each node
     rising[:, 0] = x + 1.0
-    for k in range(1, nodes):
+    for k in range(1, NODES):
         rising[:, k] = (values[:, k + 1] - values[:, k - 1]) / (2 * k + 1)
-    shares = values[:, :nodes] * (np.arange(nodes) + 0.5) * w[:, None]
-    return 0.5 * (x + 1.0), 0.5 * w, 0.5 * rising @ shares.T
+    return 0.5 * (x + 1.0), 0.5 * w, values[:, :NODES] * (np.arange(NODES) + 0.5) @ rising.T
 
 
-# the two rules, one after the other
-_RULES = _collocation(FEW), _collocation(MANY)
-_ABSCISSAE, _WEIGHTS = (np.concatenate([rule[part] for rule in _RULES]) for part in (0, 1))
-_INTEGRALS = np.concatenate([np.pad(rule[2], ((0, 0), (0, MANY - len(rule[0])))) for rule in _RULES])
+_ABSCISSAE, _WEIGHTS, _INTEGRALS = _collocation()
 
 
 class WorkSeries(NamedTuple):
     """The works on a `SlipSeries` around an invariant direction, and scratch on any.
 
     Attributes:
-        nodes: Scratch for dP₃/dx and dv₃/dx at the nodes, over the series' unit.
+        nodes: Scratch for rows of what there is at the NODES: dP₃/dx and dv₃/dx over the series' unit, times
+            the weights; S (1 + t²); and the terms of the sum that was made last.
         normal, friction: Coefficients of the two works, integrated; those of the terms that are logarithms,
             or nearly, come last.
         quotients: Those of Q, where v₃ has such a term. (4.7)
@@ -80,7 +74,7 @@ class WorkSeries(NamedTuple):
     last: float
 
 
-WORK_SCRATCH = 2 * MANY + 3 * (WORK_TERMS + 1)
+WORK_SCRATCH = 4 * NODES + 3 * (WORK_TERMS + 1)
 """Floats of scratch space that works need."""
 
 
@@ -89,94 +83,132 @@ def no_works(scratch):
     """Return a `WorkSeries` that is yet to be made, in WORK_SCRATCH floats of scratch space."""
     size = WORK_TERMS + 1
     none = np.int64(-1)
-    series = scratch[2 * MANY :]
+    series = scratch[4 * NODES :]
     return WorkSeries(
-        scratch[: 2 * MANY], series[:size], series[size : 2 * size], series[2 * size : 3 * size],
+        scratch[: 4 * NODES], series[:size], series[size : 2 * size], series[2 * size : 3 * size],
         0.0, 0.0, 0.0, none, none, 0.0,
     )  # fmt: skip
 
 
-@inner
-def _collocated(weights, integrals, values, v3, size):
+@inlined
+def _summed(values, row):
+    """Return the sum of a row of `WorkSeries.nodes`."""
+    s0 = s1 = s2 = s3 = 0.0
+    for i in range(row * NODES, (row + 1) * NODES, 4):
+        s0, s1, s2, s3 = s0 + values[i], s1 + values[i + 1], s2 + values[i + 2], s3 + values[i + 3]
+    return (s0 + s1) + (s2 + s3)
+
+
+@inlined
+def _collocated(values, v3, size):
     """Return the normal work and what v₃ grows by. (3.17)
 
+    Four nodes at a time: their sums hide each other's latency, and share instructions.
+
     Args:
-        weights, integrals: Of the rule.
-        values: (2 MANY,) dP₃/dx at the nodes, times the weights, and dv₃/dx.
+        values: See `WorkSeries.nodes`.
         v3, size: v₃ at the start; the length over the series' unit.
     """
-    nodes = len(weights)
-    normal = change = 0.0
-    for i in range(0, nodes, 4):
+    for i in range(0, NODES, 4):
         s0 = s1 = s2 = s3 = 0.0
-        for j in range(nodes):
-            term = values[MANY + j]
-            s0, s1 = s0 + integrals[i, j] * term, s1 + integrals[i + 1, j] * term
-            s2, s3 = s2 + integrals[i + 2, j] * term, s3 + integrals[i + 3, j] * term
-        normal += values[i] * (v3 + size * s0) + values[i + 1] * (v3 + size * s1)
-        normal += values[i + 2] * (v3 + size * s2) + values[i + 3] * (v3 + size * s3)
-    for j in range(nodes):
-        change += weights[j] * values[MANY + j]
-    return size * normal, size * change
+        for j in range(NODES):
+            term = values[NODES + j]
+            s0, s1 = s0 + _INTEGRALS[j, i] * term, s1 + _INTEGRALS[j, i + 1] * term
+            s2, s3 = s2 + _INTEGRALS[j, i + 2] * term, s3 + _INTEGRALS[j, i + 3] * term
+        k = 3 * NODES + i
+        values[k], values[k + 1] = values[i] * (v3 + size * s0), values[i + 1] * (v3 + size * s1)
+        values[k + 2], values[k + 3] = values[i + 2] * (v3 + size * s2), values[i + 3] * (v3 + size * s3)
+    return size * _summed(values, 3), size * _summed(values, 1)
+
+
+@inlined
+def _places(i, x):
+    """Return four nodes of (0, x), from the i-th on."""
+    return x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3]
+
+
+@inlined
+def _product(x, y):
+    """Return x y for four numbers x and y."""
+    return x[0] * y[0], x[1] * y[1], x[2] * y[2], x[3] * y[3]
+
+
+@inlined
+def _raised(s, y, c):
+    """Return s y + c for four numbers s and y."""
+    return s[0] * y[0] + c, s[1] * y[1] + c, s[2] * y[2] + c, s[3] * y[3] + c
+
+
+@inlined
+def _kept(values, i, x, s, u, h, j0, j1, j2):
+    """Keep what `WorkSeries.nodes` holds, for four nodes."""
+    t = h * x[0], h * x[1], h * x[2], h * x[3]
+    chord = _raised(t, t, 1.0)
+    even = _product(x, u)
+    slope = _product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
+    rate = _raised(_raised((j2, j2, j2, j2), t, j1), t, j0)
+    whole, part = _product(slope, chord), _product(slope, rate)
+    w0, w1, w2, w3 = _WEIGHTS[i], _WEIGHTS[i + 1], _WEIGHTS[i + 2], _WEIGHTS[i + 3]
+    values[i], values[i + 1], values[i + 2], values[i + 3] = _product(whole, (w0, w1, w2, w3))
+    k = NODES + i
+    values[k], values[k + 1], values[k + 2], values[k + 3] = _product(part, (w0, w1, w2, w3))
+    k += NODES
+    values[k], values[k + 1], values[k + 2], values[k + 3] = slope
 
 
 @inner
-def _along_half_angle(coefficients, h, q1, q2, q3, q4, j0, j1, j2, v3, unit, values, x, rubbing):
+def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     """Do what `works_so_far` does.
 
     Args:
-        coefficients, h, q1, q2, q3, q4: Of the series and its `Shape`.
+        coefficients, h: Of the series and its `Shape`.
         j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t.
         v3: At the start.
         unit: Of P₃.
         values: Scratch, see `WorkSeries.nodes`.
-        rubbing: Whether the work of friction is wanted, here as ∫ R dP₃ over the speed at the start.
     """
-    terms = len(coefficients) - 1
-    first, nodes = (0, FEW) if terms <= FEW_TERMS else (FEW, MANY)
-    abscissae, weights = _ABSCISSAE[first : first + nodes], _WEIGHTS[first : first + nodes]
-    rubbed = 0.0
-    # the sums of even and odd powers at four nodes hide each other's latency; `terms` is even
-    for i in range(0, nodes, 4):
-        x0, x1, x2, x3 = x * abscissae[i], x * abscissae[i + 1], x * abscissae[i + 2], x * abscissae[i + 3]
-        y0, y1, y2, y3 = x0 * x0, x1 * x1, x2 * x2, x3 * x3
-        s0 = s1 = s2 = s3 = coefficients[terms]
-        u0 = u1 = u2 = u3 = 0.0
-        for k in range(2, terms + 1, 2):
-            even, odd = coefficients[terms - k], coefficients[terms - k + 1]
-            s0, s1, s2, s3 = s0 * y0 + even, s1 * y1 + even, s2 * y2 + even, s3 * y3 + even
-            u0, u1, u2, u3 = u0 * y0 + odd, u1 * y1 + odd, u2 * y2 + odd, u3 * y3 + odd
-        values[i], values[i + 1] = s0 + x0 * u0, s1 + x1 * u1
-        values[i + 2], values[i + 3] = s2 + x2 * u2, s3 + x3 * u3
-    for i in range(nodes):
-        at = x * abscissae[i]
-        t = h * at
-        chord = 1.0 + t * t
-        slope = values[i] * chord
-        if rubbing:
-            fall = 1.0 + at * (q1 + at * (q2 + at * (q3 + at * q4)))
-            rubbed += weights[i] * (slope * slope * chord * fall)
-        values[i] = weights[i] * slope * chord
-        values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
-    size = unit * x
-    normal, change = _collocated(weights, _INTEGRALS[first : first + nodes], values, v3, size)
-    return normal, size * rubbed, change
+    k = len(coefficients) - 1  # even
+    z, first = x * x, coefficients[k]
+    at0, at4, at8 = _places(0, x), _places(4, x), _places(8, x)
+    y0, y4, y8 = _product(at0, at0), _product(at4, at4), _product(at8, at8)
+    s0 = s4 = s8 = (first, first, first, first)
+    u0 = u4 = u8 = (0.0, 0.0, 0.0, 0.0)
+    here, odd_here = first, 0.0
+    while k > 1:
+        k -= 2
+        even, odd = coefficients[k], coefficients[k + 1]
+        s0, s4, s8 = _raised(s0, y0, even), _raised(s4, y4, even), _raised(s8, y8, even)
+        u0, u4, u8 = _raised(u0, y0, odd), _raised(u4, y4, odd), _raised(u8, y8, odd)
+        here, odd_here = here * z + even, odd_here * z + odd
+    _kept(values, 0, at0, s0, u0, h, j0, j1, j2)
+    _kept(values, 4, at4, s4, u4, h, j0, j1, j2)
+    _kept(values, 8, at8, s8, u8, h, j0, j1, j2)
+    work, change = _collocated(values, v3, unit * x)
+    return work, change, here + x * odd_here
+
+
+@inner
+def _rubbed(q1, q2, q3, q4, values, x):
+    """Return ∫ R dP₃ over the unit of P₃ and the speed at the start, from what `_along_half_angle` left."""
+    for i in range(0, NODES, 4):
+        at = _places(i, x)
+        fall = _raised(_raised(_raised(_raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
+        k, m = 2 * NODES + i, 3 * NODES + i
+        values[m], values[m + 1] = values[i] * values[k] * fall[0], values[i + 1] * values[k + 1] * fall[1]
+        values[m + 2] = values[i + 2] * values[k + 2] * fall[2]
+        values[m + 3] = values[i + 3] * values[k + 3] * fall[3]
+    return x * _summed(values, 3)
 
 
 @inlined
-def works_so_far(series, work_series, x, rubbing):
-    """Return the works over (0, x) of a series in the half-angle, and what v₃ grows by. (3.17)
-
-    Args:
-        rubbing: Whether the work of friction is wanted.
-    """
+def works_so_far(series, work_series, x):
+    """Return the normal work over (0, x) of a series in the half-angle, what v₃ grows by, and S. (3.17)"""
     shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
-    work, rubbed, change = _along_half_angle(
-        *(series.coefficients, shape.h, shape.q1, shape.q2, shape.q3, shape.q4),
+    return _along_half_angle(
+        *(series.coefficients, shape.h),
         *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
-        *(work_series.nodes, x, rubbing),
+        *(work_series.nodes, x),
     )
-    return work, -mu * series.speed * shape.factor * rubbed, change
 
 
 @inner
@@ -328,7 +360,11 @@ def works(series, work_series, x, span, rubbing):
     """Return the normal work over (0, x), where P₃ grows by `span`, and that of friction if it is wanted."""
     if series.around_invariant:
         return works_around(series, work_series, x, span, rubbing)
-    work, rubbed, _ = works_so_far(series, work_series, x, rubbing)
+    work, _, _ = works_so_far(series, work_series, x)
+    rubbed, shape = 0.0, series.shape
+    if rubbing:
+        rubbed = _rubbed(shape.q1, shape.q2, shape.q3, shape.q4, work_series.nodes, x)
+        rubbed *= -series.mu * series.speed * shape.factor * shape.unit * series.scale
     return work, rubbed
 
 
@@ -416,7 +452,6 @@ def quadrature(series, values, x):
     )  # fmt: skip
     j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     speed, v3 = series.speed, series.v3
-    abscissae, weights = _ABSCISSAE[FEW:], _WEIGHTS[FEW:]
     normal = friction = low = 0.0
     # from here on the direction is settled or nothing is left: the rest is straight
     end = min(x, SETTLED / max(1.0, exponent))
@@ -424,17 +459,17 @@ def quadrature(series, values, x):
         # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
         width = min(end - low, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
         rubbed = 0.0
-        for i in range(MANY):
-            length = sign * (low + width * abscissae[i])
+        for i in range(NODES):
+            length = sign * (low + width * _ABSCISSAE[i])
             y = start * math.exp(-length)
             t = h * y
             chord = 1.0 + t * t
             slope = math.exp(-exponent * length) * _sum(coefficients, y) * chord
-            rubbed += weights[i] * (slope * slope * chord * (1.0 + y * (q1 + y * (q2 + y * q3))))
-            values[i] = weights[i] * slope * chord
-            values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
+            rubbed += _WEIGHTS[i] * (slope * slope * chord * (1.0 + y * (q1 + y * (q2 + y * q3))))
+            values[i] = _WEIGHTS[i] * slope * chord
+            values[NODES + i] = _WEIGHTS[i] * slope * (j0 + t * (j1 + t * j2))
         size = sign * shape.unit * series.scale * width
-        work, change = _collocated(weights, _INTEGRALS[FEW:], values, v3, size)
+        work, change = _collocated(values, v3, size)
         normal += work
         v3 += change
         friction -= mu * speed * shape.factor * size * rubbed
