@@ -54,7 +54,11 @@ def test_slip_that_dies_nearly_straight():
     assert max(errors) < 1e-14
 
 
-@pytest.mark.parametrize(("k", "angle"), [(1.2, 1e-3), (2.0, 1e-9), (5.0, 1e-15)])
+# exponents −7, −6.3, −6, −4.2, −2, −5/4
+@pytest.mark.parametrize(
+    ("k", "angle"),
+    [(7 / 6, 1e-4), (63 / 53, 1e-2), (1.2, 1e-3), (21 / 16, 1e-3), (2.0, 1e-9), (5.0, 1e-15)],
+)
 def test_a_way_out_of_an_unstable_direction(k, angle):
     W, mu = along_axis(k)
     *errors, _, _ = compare(W, (2.0, 2.0 * angle, -1.5), mu, 0.7, "energetic", digits=40)

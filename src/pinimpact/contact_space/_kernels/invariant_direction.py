@@ -89,8 +89,7 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
     count, last = TERMS, 0.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
-        rest = (c1 * g1 + c2 * g2) * share
-        new = (c0 * share) * g0 + rest
+        new = (c0 * share) * g0 + ((c1 * share) * g1 + (c2 * share) * g2)
         if abs(new) < VANISHES:
             new = 0.0
         c0 -= q1

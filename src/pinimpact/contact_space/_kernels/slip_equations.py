@@ -146,8 +146,7 @@ def expand(coefficients, p0, polynomials, near):
     fourth, power = near * near * (near * near), 1.0
     for k in range(TERMS):
         share = RECIPROCAL[k + 1]
-        rest = (c1 * s1 + (c2 * s2 + c3 * s3)) * share
-        new = (c0 * share) * s0 + rest
+        new = (c0 * share) * s0 + ((c1 * share) * s1 + ((c2 * share) * s2 + (c3 * share) * s3))
         c0 -= q1
         c1 -= q2
         c2 -= q3

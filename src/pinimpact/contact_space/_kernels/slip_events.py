@@ -19,8 +19,8 @@ def measure(series, work_series, counts, aim, x):
     mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
     normal = work = 0.0
     if counts == WORK and not series.around_invariant:
-        work, _, dv3 = works_so_far(series, work_series, x, False)
-        slope, bend, t = flow(series, x)
+        work, dv3, value = works_so_far(series, work_series, x)
+        slope, bend, t = flow(series, x, value)
     else:
         normal, _, _, dv3, _, t, slope, bend = point(series, x)
     if counts == IMPULSE:

@@ -171,17 +171,13 @@ def _bend(shape, x, t):
     return growth / fall + 4.0 * shape.h * t / (1.0 + t * t), fall
 
 
-@inner
-def flow(series, x):
-    """Return dP₃/dx at x, its logarithmic derivative and t, for a series in the half-angle."""
-    coefficients, shape = series.coefficients, series.shape
-    terms, y = len(coefficients) - 1, x * x
-    even, odd = coefficients[terms], 0.0
-    for k in range(2, terms + 1, 2):  # there is an even number of terms
-        even, odd = even * y + coefficients[terms - k], odd * y + coefficients[terms - k + 1]
+@inlined
+def flow(series, x, value):
+    """Return dP₃/dx at x, where S is `value`, its logarithmic derivative and t; in the half-angle."""
+    shape = series.shape
     t = shape.h * x
     chord = 1.0 + t * t
-    return shape.unit * series.scale * (even + x * odd) * chord * chord, _bend(shape, x, t)[0], t
+    return shape.unit * series.scale * value * chord * chord, _bend(shape, x, t)[0], t
 
 
 @inlined

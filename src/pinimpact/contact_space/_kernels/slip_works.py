@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..._numeric.jit import inlined, inner
 from .delassus import EPS
-from .invariant_direction import VANISHES
-from .slip_equations import RECIPROCAL, VANISHING
+from .slip_equations import RECIPROCAL, TERMS, VANISHING
 from .slip_series import SETTLED, fill, passed, point
 
 ORDER = 40
@@ -29,38 +28,43 @@ LATE = 6
 CONVERGED = 16.0 * EPS
 """Size up to which the last terms of U leave the works whole, for integrals divide them by their numbers."""
 
-FEW, MANY = 8, 12
-"""Nodes of Gauss' rules: the first is right to rounding for a series in the half-angle of up to FEW_TERMS
-terms, the second as far as any goes."""
-
-FEW_TERMS = 20
+NODES = 12
+"""Of Gauss' rule, which is right to rounding as far as any series in the half-angle goes."""
 
 
-def _collocation(nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes θ of Gauss' rule on (0, 1), its weights, and what integrates from 0 to each node."""
-    x, w = np.polynomial.legendre.leggauss(nodes)
-    values = np.polynomial.legendre.legvander(x, nodes)
-    rising = np.empty((nodes, nodes))  # ∫ of each Legendre polynomial up to each node
+def _collocation() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the nodes θ of Gauss' rule on (0, 1), its weights g, and a_ij/g_j, transposed. (3.17)"""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    values = np.polynomial.legendre.legvander(x, NODES)
+    rising = np.empty((NODES, NODES))  # ∫ of each Legendre polynomial up to each node
     rising[:, 0] = x + 1.0
-    for k in range(1, nodes):
+    for k in range(1, NODES):
         rising[:, k] = (values[:, k + 1] - values[:, k - 1]) / (2 * k + 1)
-    shares = values[:, :nodes] * (np.arange(nodes) + 0.5) * w[:, None]
-    return 0.5 * (x + 1.0), 0.5 * w, 0.5 * rising @ shares.T
+    return 0.5 * (x + 1.0), 0.5 * w, values[:, :NODES] * (np.arange(NODES) + 0.5) @ rising.T
 
 
-# the two rules, one after the other
-_RULES = _collocation(FEW), _collocation(MANY)
-_ABSCISSAE, _WEIGHTS = (np.concatenate([rule[part] for rule in _RULES]) for part in (0, 1))
-_INTEGRALS = np.concatenate([np.pad(rule[2], ((0, 0), (0, MANY - len(rule[0])))) for rule in _RULES])
+_ABSCISSAE, _WEIGHTS, _INTEGRALS = _collocation()
+
+
+MARGIN = 8
+"""Zeros in front of a row of coefficients, for those before the first."""
+
+COLUMNS, SLIP_COLUMNS = WORK_TERMS + 1, TERMS + 8
+"""Places for coefficients of works, and of what slip itself is made of, with zeros up to a multiple of four.
+All are gone through, four at a time: loops of fixed length become vector instructions."""
+
+ROW = MARGIN + COLUMNS
 
 
 class WorkSeries(NamedTuple):
     """The works on a `SlipSeries` around an invariant direction, and scratch on any.
 
     Attributes:
-        nodes: Scratch for dP₃/dx and dv₃/dx at the nodes, over the series' unit.
-        normal, friction: Coefficients of the two works, integrated; those of the terms that are logarithms,
-            or nearly, come last.
+        nodes: Scratch for rows of what there is at the NODES: dP₃/dx and dv₃/dx over the series' unit, times
+            the weights; S (1 + t²); and the terms of the sum that was made last.
+        rows: Scratch for coefficients, of G, U, E G, Q, for 1/(a + k), and for the coefficients of the works.
+        normal, friction: Coefficients of the two works, integrated, and zeros up to a multiple of four,
+        normal_pole, friction_pole: and of the terms that are logarithms, or nearly.
         quotients: Those of Q, where v₃ has such a term. (4.7)
         rest: The part of v₃ that stays.
         push, share: Coefficients of that term in v₃ and in P₃.
@@ -69,8 +73,11 @@ class WorkSeries(NamedTuple):
     """
 
     nodes: NDArray[np.float64]
+    rows: NDArray[np.float64]
     normal: NDArray[np.float64]
     friction: NDArray[np.float64]
+    normal_pole: float
+    friction_pole: float
     quotients: NDArray[np.float64]
     rest: float
     push: float
@@ -80,206 +87,316 @@ class WorkSeries(NamedTuple):
     last: float
 
 
-WORK_SCRATCH = 2 * MANY + 3 * (WORK_TERMS + 1)
+WORK_SCRATCH = 4 * NODES + 5 * ROW + 2 * COLUMNS
 """Floats of scratch space that works need."""
 
 
 @inlined
 def no_works(scratch):
     """Return a `WorkSeries` that is yet to be made, in WORK_SCRATCH floats of scratch space."""
-    size = WORK_TERMS + 1
     none = np.int64(-1)
-    series = scratch[2 * MANY :]
-    return WorkSeries(
-        scratch[: 2 * MANY], series[:size], series[size : 2 * size], series[2 * size : 3 * size],
-        0.0, 0.0, 0.0, none, none, 0.0,
-    )  # fmt: skip
+    nodes, rows = scratch[: 4 * NODES], scratch[4 * NODES :]
+    return WorkSeries(nodes, rows, rows, rows, 0.0, 0.0, rows, 0.0, 0.0, 0.0, none, none, 0.0)
 
 
-@inner
-def _collocated(weights, integrals, values, v3, size):
+@inlined
+def _summed(values, row):
+    """Return the sum of a row of `WorkSeries.nodes`."""
+    s0 = s1 = s2 = s3 = 0.0
+    for i in range(row * NODES, (row + 1) * NODES, 4):
+        s0, s1, s2, s3 = s0 + values[i], s1 + values[i + 1], s2 + values[i + 2], s3 + values[i + 3]
+    return (s0 + s1) + (s2 + s3)
+
+
+@inlined
+def _collocated(values, v3, size):
     """Return the normal work and what v₃ grows by. (3.17)
 
+    Four nodes at a time: their sums hide each other's latency, and share instructions.
+
     Args:
-        weights, integrals: Of the rule.
-        values: (2 MANY,) dP₃/dx at the nodes, times the weights, and dv₃/dx.
+        values: See `WorkSeries.nodes`.
         v3, size: v₃ at the start; the length over the series' unit.
     """
-    nodes = len(weights)
-    normal = change = 0.0
-    for i in range(0, nodes, 4):
+    for i in range(0, NODES, 4):
         s0 = s1 = s2 = s3 = 0.0
-        for j in range(nodes):
-            term = values[MANY + j]
-            s0, s1 = s0 + integrals[i, j] * term, s1 + integrals[i + 1, j] * term
-            s2, s3 = s2 + integrals[i + 2, j] * term, s3 + integrals[i + 3, j] * term
-        normal += values[i] * (v3 + size * s0) + values[i + 1] * (v3 + size * s1)
-        normal += values[i + 2] * (v3 + size * s2) + values[i + 3] * (v3 + size * s3)
-    for j in range(nodes):
-        change += weights[j] * values[MANY + j]
-    return size * normal, size * change
+        for j in range(NODES):
+            term = values[NODES + j]
+            s0, s1 = s0 + _INTEGRALS[j, i] * term, s1 + _INTEGRALS[j, i + 1] * term
+            s2, s3 = s2 + _INTEGRALS[j, i + 2] * term, s3 + _INTEGRALS[j, i + 3] * term
+        k = 3 * NODES + i
+        values[k], values[k + 1] = values[i] * (v3 + size * s0), values[i + 1] * (v3 + size * s1)
+        values[k + 2], values[k + 3] = values[i + 2] * (v3 + size * s2), values[i + 3] * (v3 + size * s3)
+    return size * _summed(values, 3), size * _summed(values, 1)
+
+
+@inlined
+def _places(i, x):
+    """Return four nodes of (0, x), from the i-th on."""
+    return x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3]
+
+
+@inlined
+def _product(x, y):
+    """Return x y for four numbers x and y."""
+    return x[0] * y[0], x[1] * y[1], x[2] * y[2], x[3] * y[3]
+
+
+@inlined
+def _raised(s, y, c):
+    """Return s y + c for four numbers s and y."""
+    return s[0] * y[0] + c, s[1] * y[1] + c, s[2] * y[2] + c, s[3] * y[3] + c
+
+
+@inlined
+def _kept(values, i, x, s, u, h, j0, j1, j2):
+    """Keep what `WorkSeries.nodes` holds, for four nodes."""
+    t = h * x[0], h * x[1], h * x[2], h * x[3]
+    chord = _raised(t, t, 1.0)
+    even = _product(x, u)
+    slope = _product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
+    rate = _raised(_raised((j2, j2, j2, j2), t, j1), t, j0)
+    whole, part = _product(slope, chord), _product(slope, rate)
+    w0, w1, w2, w3 = _WEIGHTS[i], _WEIGHTS[i + 1], _WEIGHTS[i + 2], _WEIGHTS[i + 3]
+    values[i], values[i + 1], values[i + 2], values[i + 3] = _product(whole, (w0, w1, w2, w3))
+    k = NODES + i
+    values[k], values[k + 1], values[k + 2], values[k + 3] = _product(part, (w0, w1, w2, w3))
+    k += NODES
+    values[k], values[k + 1], values[k + 2], values[k + 3] = slope
 
 
 @inner
-def _along_half_angle(coefficients, h, q1, q2, q3, q4, j0, j1, j2, v3, unit, values, x, rubbing):
+def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     """Do what `works_so_far` does.
 
     Args:
-        coefficients, h, q1, q2, q3, q4: Of the series and its `Shape`.
+        coefficients, h: Of the series and its `Shape`.
         j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t.
         v3: At the start.
         unit: Of P₃.
         values: Scratch, see `WorkSeries.nodes`.
-        rubbing: Whether the work of friction is wanted, here as ∫ R dP₃ over the speed at the start.
     """
-    terms = len(coefficients) - 1
-    first, nodes = (0, FEW) if terms <= FEW_TERMS else (FEW, MANY)
-    abscissae, weights = _ABSCISSAE[first : first + nodes], _WEIGHTS[first : first + nodes]
-    rubbed = 0.0
-    # the sums of even and odd powers at four nodes hide each other's latency; `terms` is even
-    for i in range(0, nodes, 4):
-        x0, x1, x2, x3 = x * abscissae[i], x * abscissae[i + 1], x * abscissae[i + 2], x * abscissae[i + 3]
-        y0, y1, y2, y3 = x0 * x0, x1 * x1, x2 * x2, x3 * x3
-        s0 = s1 = s2 = s3 = coefficients[terms]
-        u0 = u1 = u2 = u3 = 0.0
-        for k in range(2, terms + 1, 2):
-            even, odd = coefficients[terms - k], coefficients[terms - k + 1]
-            s0, s1, s2, s3 = s0 * y0 + even, s1 * y1 + even, s2 * y2 + even, s3 * y3 + even
-            u0, u1, u2, u3 = u0 * y0 + odd, u1 * y1 + odd, u2 * y2 + odd, u3 * y3 + odd
-        values[i], values[i + 1] = s0 + x0 * u0, s1 + x1 * u1
-        values[i + 2], values[i + 3] = s2 + x2 * u2, s3 + x3 * u3
-    for i in range(nodes):
-        at = x * abscissae[i]
-        t = h * at
-        chord = 1.0 + t * t
-        slope = values[i] * chord
-        if rubbing:
-            fall = 1.0 + at * (q1 + at * (q2 + at * (q3 + at * q4)))
-            rubbed += weights[i] * (slope * slope * chord * fall)
-        values[i] = weights[i] * slope * chord
-        values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
-    size = unit * x
-    normal, change = _collocated(weights, _INTEGRALS[first : first + nodes], values, v3, size)
-    return normal, size * rubbed, change
-
-
-@inlined
-def works_so_far(series, work_series, x, rubbing):
-    """Return the works over (0, x) of a series in the half-angle, and what v₃ grows by. (3.17)
-
-    Args:
-        rubbing: Whether the work of friction is wanted.
-    """
-    shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
-    work, rubbed, change = _along_half_angle(
-        *(series.coefficients, shape.h, shape.q1, shape.q2, shape.q3, shape.q4),
-        *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
-        *(work_series.nodes, x, rubbing),
-    )
-    return work, -mu * series.speed * shape.factor * rubbed, change
+    k = len(coefficients) - 1  # even
+    z, first = x * x, coefficients[k]
+    at0, at4, at8 = _places(0, x), _places(4, x), _places(8, x)
+    y0, y4, y8 = _product(at0, at0), _product(at4, at4), _product(at8, at8)
+    s0 = s4 = s8 = (first, first, first, first)
+    u0 = u4 = u8 = (0.0, 0.0, 0.0, 0.0)
+    here, odd_here = first, 0.0
+    while k > 1:
+        k -= 2
+        even, odd = coefficients[k], coefficients[k + 1]
+        s0, s4, s8 = _raised(s0, y0, even), _raised(s4, y4, even), _raised(s8, y8, even)
+        u0, u4, u8 = _raised(u0, y0, odd), _raised(u4, y4, odd), _raised(u8, y8, odd)
+        here, odd_here = here * z + even, odd_here * z + odd
+    _kept(values, 0, at0, s0, u0, h, j0, j1, j2)
+    _kept(values, 4, at4, s4, u4, h, j0, j1, j2)
+    _kept(values, 8, at8, s8, u8, h, j0, j1, j2)
+    work, change = _collocated(values, v3, unit * x)
+    return work, change, here + x * odd_here
 
 
 @inner
-def _expand_around(series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4):
+def _rubbed(q1, q2, q3, q4, values, x):
+    """Return ∫ R dP₃ over the unit of P₃ and the speed at the start, from what `_along_half_angle` left."""
+    for i in range(0, NODES, 4):
+        at = _places(i, x)
+        fall = _raised(_raised(_raised(_raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
+        k, m = 2 * NODES + i, 3 * NODES + i
+        values[m], values[m + 1] = values[i] * values[k] * fall[0], values[i + 1] * values[k + 1] * fall[1]
+        values[m + 2] = values[i + 2] * values[k + 2] * fall[2]
+        values[m + 3] = values[i + 3] * values[k + 3] * fall[3]
+    return x * _summed(values, 3)
+
+
+@inlined
+def works_so_far(series, work_series, x):
+    """Return the normal work over (0, x) of a series in the half-angle, what v₃ grows by, and S. (3.17)"""
+    shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
+    return _along_half_angle(
+        *(series.coefficients, shape.h),
+        *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
+        *(work_series.nodes, x),
+    )
+
+
+@inlined
+def _term(row, k, f0, f1, f2, f3, f4):
+    """Return the coefficient k of a row times f₀ + f₁y + f₂y² + f₃y³ + f₄y⁴."""
+    k += MARGIN
+    return f0 * row[k] + (f1 * row[k - 1] + f2 * row[k - 2]) + (f3 * row[k - 3] + f4 * row[k - 4])
+
+
+@inlined
+def _terms(row, k, f0, f1, f2, f3, f4):
+    """Return four of them, from k on."""
+    return (
+        _term(row, k, f0, f1, f2, f3, f4),
+        _term(row, k + 1, f0, f1, f2, f3, f4),
+        _term(row, k + 2, f0, f1, f2, f3, f4),
+        _term(row, k + 3, f0, f1, f2, f3, f4),
+    )
+
+
+@inlined
+def _even_term(row, k, f2, f4, f6):
+    """Return the coefficient k of a row times 1 + f₂y² + f₄y⁴ + f₆y⁶."""
+    k += MARGIN
+    return row[k] + f2 * row[k - 2] + (f4 * row[k - 4] + f6 * row[k - 6])
+
+
+@inlined
+def _even_terms(row, k, f2, f4, f6):
+    """Return four of them, from k on."""
+    return (
+        _even_term(row, k, f2, f4, f6),
+        _even_term(row, k + 1, f2, f4, f6),
+        _even_term(row, k + 2, f2, f4, f6),
+        _even_term(row, k + 3, f2, f4, f6),
+    )
+
+
+@inlined
+def _apart(z):
+    """Return z, or infinity where it is close to zero: a quotient by it is then left out."""
+    return z if abs(z) >= 0.5 else math.inf
+
+
+@inlined
+def _over(x, z):
+    """Return four numbers over z, z + 1, z + 2 and z + 3, and zero where that is close to zero."""
+    return x[0] / _apart(z), x[1] / _apart(z + 1.0), x[2] / _apart(z + 2.0), x[3] / _apart(z + 3.0)
+
+
+@inner
+def _pole(exponent, terms):
+    """Return the k below `terms` for which exponent + k is within ½ of zero, or −1."""
+    if exponent < 0.5:
+        k = np.int64(0.5 - exponent)
+        if abs(exponent + k) >= 0.5:  # the sum was rounded up
+            k -= 1
+        if k < terms and abs(exponent + k) < 0.5:
+            return k
+    return np.int64(-1)
+
+
+@inner
+def _expand_around(series, rows, normal, friction, rubbing, f0, f1, f2, f3, f4):
     """Make the coefficients of the works around an invariant direction. (4.7)–(4.10)
 
     Args:
+        rows, normal, friction: See `WorkSeries`.
         rubbing: Whether the work of friction is wanted.
 
     Returns:
-        the rest, the push, the share, at which powers v₃ and the works have a logarithm, or nearly; how many
+        the two coefficients at the pole of the works, the rest, the push, the share, both poles; how many
         coefficients of U there are after the first, and the size of the last over the sum of all.
     """
-    g, reciprocals, shape = series.coefficients, series.reciprocals, series.shape
-    q1, q2, q3 = shape.q1, shape.q2, shape.q3
+    g, shape = series.coefficients, series.shape
+    q1, q2, q3, start = shape.q1, shape.q2, shape.q3, shape.start
     w0, w1, w2, exponent = shape.w0, shape.w1, shape.w2, shape.exponent
-    rest, push, power = series.v3, 0.0, 1.0
     terms = len(g) + 4
-    pole, work_pole = np.int64(-1), np.int64(-1)
-    # v₃ = rest + push·fill + e^{−aL}E; quotients: H = Gπ
-    g0 = g1 = g2 = g3 = g4 = 0.0
-    for k in range(terms):
-        g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k < len(g) else 0.0
-        rate = f0 * g0 + (f1 * g1 + f2 * g2) + (f3 * g3 + f4 * g4)
-        rest += rate * reciprocals[k] * power
-        power *= shape.start
-        if reciprocals[k] == 0.0 and abs(exponent + k) < 0.5:
-            push, pole = rate, np.int64(k)
-        quotients[k] = g0 + (q1 * g1 + (q2 * g2 + q3 * g3))
-    for k in range(terms, WORK_TERMS):
-        quotients[k] = 0.0
-    # friction: U; normal: E G
+    direction, square = rows[:ROW], rows[ROW : 2 * ROW]
+    product, quotients, inverses = rows[2 * ROW : 3 * ROW], rows[3 * ROW : 4 * ROW], rows[4 * ROW : 5 * ROW]
+    # v₃ = rest + push·fill + e^{−aL}E
+    r0 = r1 = r2 = r3 = 0.0
+    fourth = start * start * (start * start)
+    for k in range(SLIP_COLUMNS - 4, -1, -4):
+        rate = _terms(direction, k, f0, f1, f2, f3, f4)
+        i = MARGIN + k
+        r0, r1 = r0 * fourth + rate[0] * inverses[i], r1 * fourth + rate[1] * inverses[i + 1]
+        r2, r3 = r2 * fourth + rate[2] * inverses[i + 2], r3 * fourth + rate[3] * inverses[i + 3]
+    rest = series.v3 + ((r0 + start * r1) + start * start * (r2 + start * r3))
+    pole, push, share = _pole(exponent, terms), 0.0, 0.0
+    hh = shape.h * shape.h
+    h2, h4 = 2.0 * hh, hh * hh
+    shifted = MARGIN + max(pole, np.int64(0))
+    if pole >= 0:
+        push = _term(direction, pole, f0, f1, f2, f3, f4)
+        share = _even_term(direction, pole, h2, h4, 0.0)
+        for k in range(0, SLIP_COLUMNS, 4):  # H = Gπ
+            i = shifted + k
+            quotients[i], quotients[i + 1], quotients[i + 2], quotients[i + 3] = _terms(
+                direction, k, 1.0, q1, q2, q3, 0.0
+            )
+    # U
     c0, c1, c2 = 2.0 * w0 + q1, 2.0 * w1 + 3.0 * q2, 2.0 * w2 + 5.0 * q3
-    order, last, total, size = ORDER, 0.0, 0.0, 0.0
-    x1 = x2 = x3 = x4 = 0.0
-    u0 = u1 = u2 = u3 = u4 = 0.0
-    for k in range(ORDER + 1):
+    total, u0, u1, u2 = 1.0, 1.0, 0.0, 0.0
+    square[MARGIN] = 1.0
+    for k in range(1, ORDER + 1):
         part = RECIPROCAL[k]
-        ahead = (c1 * u1 + c2 * u2) * part + (c0 * part) * u0
-        if k == 0:
-            ahead = 1.0
-        else:
-            c0 -= q1
-            c1 -= q2
-            c2 -= q3
-        if abs(ahead) < VANISHES:
-            ahead = 0.0
-        u4, u3, u2, u1, u0 = u3, u2, u1, u0, ahead
-        friction[k] = ahead
-        total += ahead
+        new = (c0 * part) * u0 + ((c1 * part) * u1 + (c2 * part) * u2)
+        c0 -= q1
+        c1 -= q2
+        c2 -= q3
+        u2, u1, u0 = u1, u0, new
+        square[MARGIN + k] = new
+        total += new
+        if max(abs(u0), max(abs(u1), abs(u2))) <= VANISHING * total:
+            break
+    order = max(k, terms)
+    last = max(abs(u0), max(abs(u1), abs(u2)))
+    # what drives E G, and E G
+    for k in range(0, COLUMNS, 4):
+        lost = _terms(square, k, f0, f1, f2, f3, f4)
+        i = MARGIN + k
+        product[i], product[i + 1], product[i + 2], product[i + 3] = (
+            push * quotients[i] - lost[0],
+            push * quotients[i + 1] - lost[1],
+            push * quotients[i + 2] - lost[2],
+            push * quotients[i + 3] - lost[3],
+        )
+    size, x1, x2, x3 = 0.0, 0.0, 0.0, 0.0
+    for k in range(ORDER + 1):
         z = exponent + k
-        new = (w1 - q2 * (z - 2.0)) * x2 + (w2 - q3 * (z - 3.0)) * x3
-        new -= f0 * u0 + (f1 * u1 + f2 * u2) + (f3 * u3 + f4 * u4)
-        if 0 <= pole <= k:
-            new += push * quotients[k - pole]
-        inverse = reciprocals[k] if k < terms else 1.0 / z
-        new = new * inverse + ((w0 - q1 * (z - 1.0)) * inverse) * x1
+        inverse = inverses[MARGIN + k] if k < terms else 1.0 / z
+        near, far = (w1 - q2 * (z - 2.0)) * inverse, (w2 - q3 * (z - 3.0)) * inverse
+        others = near * x2 + (far * x3 + product[MARGIN + k] * inverse)
+        new = ((w0 - q1 * (z - 1.0)) * inverse) * x1 + others
         if k == pole:
             new = _before(series, pole, f0, f1, f2, f3, f4)
         x3, x2, x1 = x2, x1, new
-        normal[k] = new
+        product[MARGIN + k] = new
         size += abs(new)
-        last = max(abs(u0), max(abs(u1), abs(u2)))
-        if k >= terms and last <= VANISHING * total and abs(x1) + abs(x2) + abs(x3) <= VANISHING * size:
-            order = k
+        if k >= order and abs(x1) + abs(x2) + abs(x3) <= VANISHING * size:
             break
-    work_terms = order + 7
-    # quotients: Q; normal: all of it, integrated
-    hh = shape.h * shape.h
-    h2, h4 = 2.0 * hh, hh * hh
-    share = 0.0
+    order = k
+    for k in range(order + 1, ORDER + 1):
+        product[MARGIN + k] = 0.0
     if pole >= 0:
-        g0 = g1 = g2 = g3 = g4 = 0.0
-        for k in range(terms):
-            g4, g3, g2, g1, g0 = g3, g2, g1, g0, g[k] if k < len(g) else 0.0
-            weight = g0 + (h2 * g2 + h4 * g4)
-            quotients[k] = weight * reciprocals[k]
-            if k == pole:
-                share = weight
-    normal[work_terms] = friction[work_terms] = 0.0
-    x0 = x1 = x2 = x3 = 0.0
-    for k in range(work_terms):
-        x4, x3, x2, x1, x0 = x3, x2, x1, x0, normal[k] if k <= order else 0.0
-        work = x0 + (h2 * x2 + h4 * x4)
-        if 0 <= pole <= k:
-            work += push * quotients[k - pole]
-        z = 2.0 * exponent + k
-        if abs(z) < 0.5:
-            work_pole = np.int64(k)
-            normal[work_terms], normal[k] = work, 0.0
-        else:
-            normal[k] = work / z
+        for k in range(0, SLIP_COLUMNS, 4):  # Q
+            weight = _even_terms(direction, k, h2, h4, 0.0)
+            i = shifted + k
+            quotients[i], quotients[i + 1], quotients[i + 2], quotients[i + 3] = (
+                weight[0] * inverses[MARGIN + k],
+                weight[1] * inverses[MARGIN + k + 1],
+                weight[2] * inverses[MARGIN + k + 2],
+                weight[3] * inverses[MARGIN + k + 3],
+            )
+    # and all of it, integrated
+    work_terms, twice = order + 7, 2.0 * exponent
+    for k in range(0, COLUMNS, 4):
+        x = _even_terms(product, k, h2, h4, 0.0)
+        i = MARGIN + k
+        x = (
+            x[0] + push * quotients[i],
+            x[1] + push * quotients[i + 1],
+            x[2] + push * quotients[i + 2],
+            x[3] + push * quotients[i + 3],
+        )
+        normal[k], normal[k + 1], normal[k + 2], normal[k + 3] = _over(x, twice + k)
+    e2, e4, e6 = 3.0 * hh, 3.0 * h4, h4 * hh
     if rubbing:
-        e2, e4, e6 = 3.0 * hh, 3.0 * h4, h4 * hh
-        u0 = u1 = u2 = u3 = u4 = u5 = 0.0
-        for k in range(work_terms):
-            u6, u5, u4, u3, u2, u1, u0 = u5, u4, u3, u2, u1, u0, friction[k] if k <= order else 0.0
-            work = u0 + e2 * u2 + (e4 * u4 + e6 * u6)
-            if k == work_pole:
-                friction[work_terms], friction[k] = work, 0.0
-            else:
-                friction[k] = work / (2.0 * exponent + k)
-    return rest, push, share, pole, work_pole, order, last / total
+        for k in range(0, COLUMNS, 4):
+            friction[k], friction[k + 1], friction[k + 2], friction[k + 3] = _over(
+                _even_terms(square, k, e2, e4, e6), twice + k
+            )
+    work_pole = _pole(twice, work_terms)
+    normal_pole = friction_pole = 0.0
+    if work_pole >= 0:
+        normal_pole = _even_term(product, work_pole, h2, h4, 0.0) + push * quotients[MARGIN + work_pole]
+        friction_pole = _even_term(square, work_pole, e2, e4, e6)
+    return normal_pole, friction_pole, rest, push, share, pole, work_pole, order, last / total
 
 
 @inner
@@ -302,23 +419,30 @@ def expand_works(series, work_series, rubbing):
     Args:
         rubbing: Whether the work of friction is wanted too.
     """
-    nodes, normal = work_series.nodes, work_series.normal
-    friction, quotients = work_series.friction, work_series.quotients
+    nodes, rows = work_series.nodes, work_series.rows
+    normal, friction = rows[5 * ROW : 5 * ROW + COLUMNS], rows[5 * ROW + COLUMNS :]
     shape, mu, c, bl, bp = series.shape, series.mu, series.c, series.bl, series.bp
     size = shape.unit * series.scale
     h = shape.h
     hh = h * h
     j0, j1, j2 = size * (c - mu * bl), size * (-2.0 * mu * bp), size * (c + mu * bl)
     f0, f1, f2, f3, f4 = j0, j1 * h, (j0 + j2) * hh, j1 * hh * h, j2 * hh * hh
+    for k in range(0, 5 * ROW, 4):
+        rows[k], rows[k + 1], rows[k + 2], rows[k + 3] = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(series.coefficients)):
+        rows[MARGIN + k] = series.coefficients[k]
+    for k in range(len(series.coefficients) + 4):
+        rows[4 * ROW + MARGIN + k] = series.reciprocals[k]
     if shape.exponent < -LATE - 0.5:
         none, late = np.int64(-1), np.int64(LATE + 1)
-        return WorkSeries(nodes, normal, friction, quotients, 0.0, 0.0, 0.0, late, none, math.inf)
-    rest, push, share, pole, work_pole, order, last = _expand_around(
-        series, normal, friction, quotients, rubbing, f0, f1, f2, f3, f4
+        return WorkSeries(nodes, rows, rows, rows, 0.0, 0.0, rows, 0.0, 0.0, 0.0, late, none, math.inf)
+    normal_pole, friction_pole, rest, push, share, pole, work_pole, order, last = _expand_around(
+        series, rows, normal, friction, rubbing, f0, f1, f2, f3, f4
     )
-    size, terms = order + 8, len(series.coefficients) + 4
+    size, terms = (order + 10) // 4 * 4, (len(series.coefficients) + 7) // 4 * 4
+    quotients = rows[3 * ROW + MARGIN + max(pole, np.int64(0)) : 4 * ROW]
     return WorkSeries(
-        *(nodes, normal[:size], friction[:size], quotients[:terms]),
+        *(nodes, rows, normal[:size], friction[:size], normal_pole, friction_pole, quotients[:terms]),
         *(rest, push, share, pole, work_pole, last),
     )
 
@@ -328,24 +452,32 @@ def works(series, work_series, x, span, rubbing):
     """Return the normal work over (0, x), where P₃ grows by `span`, and that of friction if it is wanted."""
     if series.around_invariant:
         return works_around(series, work_series, x, span, rubbing)
-    work, rubbed, _ = works_so_far(series, work_series, x, rubbing)
+    work, _, _ = works_so_far(series, work_series, x)
+    rubbed, shape = 0.0, series.shape
+    if rubbing:
+        rubbed = _rubbed(shape.q1, shape.q2, shape.q3, shape.q4, work_series.nodes, x)
+        rubbed *= -series.mu * series.speed * shape.factor * shape.unit * series.scale
     return work, rubbed
 
 
 @inner
 def works_around(series, work_series, x, span, rubbing):
     """Do what `works` does, for a series around an invariant direction."""
-    normal, shape = work_series.normal, series.shape
+    shape, pole = series.shape, work_series.work_pole
     size = shape.unit * series.scale
     exponent, start = shape.exponent, shape.start
     length = shape.sign * x
     y, drop, power, part = passed(exponent, start, length)
     converges = _converges(work_series, max(start, y))
     short = x * max(1.0, abs(exponent)) < SHORT
+    log = 0.0
+    if pole >= 0 and converges:
+        log = fill(2.0 * exponent + pole, pole, start, length)
     if short or work_series.pole > LATE or not converges:
-        work, rubbed = quadrature(series, work_series.nodes, x)
+        work, rubbed = quadrature(series, work_series, x)
     else:
-        work = size * _filled(normal, work_series.work_pole, exponent, start, length, y, drop, power, part)
+        work = _filled(work_series.normal, start, y, drop, power, part) + work_series.normal_pole * log
+        work *= size
         if work_series.pole >= 0:
             k = work_series.pole
             whole = fill(exponent + k, k, start, length)
@@ -354,39 +486,54 @@ def works_around(series, work_series, x, span, rubbing):
         work += work_series.rest * span
         rubbed = 0.0
     if rubbing and converges:
-        rubbed = _filled(
-            work_series.friction, work_series.work_pole, exponent, start, length, y, drop, power, part
-        )
+        rubbed = _filled(work_series.friction, start, y, drop, power, part) + work_series.friction_pole * log
         rubbed *= -series.mu * series.speed * shape.factor * size
     return work, rubbed
 
 
 @inner
 def _sum(coefficients, x):
-    """Return the value of a polynomial."""
-    total, degree = 0.0, len(coefficients) - 1
-    for k in range(degree + 1):
-        total = total * x + coefficients[degree - k]
-    return total
+    """Return the value of a polynomial with a multiple of four coefficients, as four in x⁴."""
+    square = x * x
+    fourth = square * square
+    s0 = s1 = s2 = s3 = 0.0
+    k = len(coefficients)
+    while k > 3:
+        k -= 4
+        s0, s1 = s0 * fourth + coefficients[k], s1 * fourth + coefficients[k + 1]
+        s2, s3 = s2 * fourth + coefficients[k + 2], s3 * fourth + coefficients[k + 3]
+    return (s0 + x * s1) + square * (s2 + x * s3)
 
 
 @inner
-def _filled(coefficients, pole, exponent, start, length, y, drop, power, part):
+def _filled(coefficients, start, y, drop, power, part):
     """Sum the integrals of e^{−2aL}yᵏ over (0, L), with 1/(2a + k) in the coefficients already. (4.4)
 
-    The last four arguments are what `passed` says.
+    Args:
+        coefficients: A multiple of four.
+        start, y, drop, power, part: Where y starts, and what `passed` says.
     """
-    part *= 1.0 + power
-    rising = power * power
-    total = 0.0
-    terms = len(coefficients) - 1
-    for k in range(terms):
-        total += coefficients[k] * part
-        part = start * part + rising * drop
-        rising *= y
-    if pole >= 0:
-        total += coefficients[terms] * fill(2.0 * exponent + pole, pole, start, length)
-    return total
+    # startᵏ − e^{−2aL}yᵏ, without cancellation; each four powers further on
+    rise0 = power * power
+    rise1 = rise0 * y
+    rise2 = rise1 * y
+    rise3 = rise2 * y
+    part0 = part * (1.0 + power)
+    part1 = start * part0 + rise0 * drop
+    part2 = start * part1 + rise1 * drop
+    part3 = start * part2 + rise2 * drop
+    below, above = y * y, start * start
+    drop *= (start + y) * (above + below)
+    below *= below
+    above *= above
+    s0 = s1 = s2 = s3 = 0.0
+    for k in range(0, len(coefficients), 4):
+        s0, s1 = s0 + coefficients[k] * part0, s1 + coefficients[k + 1] * part1
+        s2, s3 = s2 + coefficients[k + 2] * part2, s3 + coefficients[k + 3] * part3
+        part0, part1 = above * part0 + rise0 * drop, above * part1 + rise1 * drop
+        part2, part3 = above * part2 + rise2 * drop, above * part3 + rise3 * drop
+        rise0, rise1, rise2, rise3 = rise0 * below, rise1 * below, rise2 * below, rise3 * below
+    return (s0 + s1) + (s2 + s3)
 
 
 @inner
@@ -402,21 +549,17 @@ def _converges(work_series, x):
 
 
 @inner
-def quadrature(series, values, x):
-    """Integrate the works over (0, x) around an invariant direction by Gauss' collocation. (3.17)
-
-    Args:
-        values: Scratch, see `WorkSeries.nodes`.
-    """
-    coefficients, shape, mu, c, bl, bp = (
-        series.coefficients, series.shape, series.mu, series.c, series.bl, series.bp,
+def quadrature(series, work_series, x):
+    """Integrate the works over (0, x) around an invariant direction by Gauss' collocation. (3.17)"""
+    values, shape, mu, c, bl, bp = (
+        work_series.nodes, series.shape, series.mu, series.c, series.bl, series.bp,
     )  # fmt: skip
+    coefficients = work_series.rows[MARGIN : MARGIN + (len(series.coefficients) + 3) // 4 * 4]
     h, exponent, start, sign, q1, q2, q3 = (
         shape.h, shape.exponent, shape.start, shape.sign, shape.q1, shape.q2, shape.q3,
     )  # fmt: skip
     j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
     speed, v3 = series.speed, series.v3
-    abscissae, weights = _ABSCISSAE[FEW:], _WEIGHTS[FEW:]
     normal = friction = low = 0.0
     # from here on the direction is settled or nothing is left: the rest is straight
     end = min(x, SETTLED / max(1.0, exponent))
@@ -424,17 +567,17 @@ def quadrature(series, values, x):
         # the integrand is analytic down to L ≈ −1, and falls or grows like e^{−2aL}
         width = min(end - low, 1.25 * (low + 1.0), 5.0 / max(1e-3, abs(exponent)))
         rubbed = 0.0
-        for i in range(MANY):
-            length = sign * (low + width * abscissae[i])
+        for i in range(NODES):
+            length = sign * (low + width * _ABSCISSAE[i])
             y = start * math.exp(-length)
             t = h * y
             chord = 1.0 + t * t
             slope = math.exp(-exponent * length) * _sum(coefficients, y) * chord
-            rubbed += weights[i] * (slope * slope * chord * (1.0 + y * (q1 + y * (q2 + y * q3))))
-            values[i] = weights[i] * slope * chord
-            values[MANY + i] = slope * (j0 + t * (j1 + t * j2))
+            rubbed += _WEIGHTS[i] * (slope * slope * chord * (1.0 + y * (q1 + y * (q2 + y * q3))))
+            values[i] = _WEIGHTS[i] * slope * chord
+            values[NODES + i] = _WEIGHTS[i] * slope * (j0 + t * (j1 + t * j2))
         size = sign * shape.unit * series.scale * width
-        work, change = _collocated(weights, _INTEGRALS[FEW:], values, v3, size)
+        work, change = _collocated(values, v3, size)
         normal += work
         v3 += change
         friction -= mu * speed * shape.factor * size * rubbed
