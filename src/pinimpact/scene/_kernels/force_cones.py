@@ -42,7 +42,7 @@ PATIENCE = 4
 
 STEADY = 0.9
 """Cosine of two changes of s from which on they go the same way: past where a solution has just ceased to
-exist they are small and many, so each is taken twice as far as the one before. Where one turns back it is taken
+exist they are small and many, so each is taken twice as far as the one before. One that turns back is taken
 as far as a change that is linear in s would vanish, for s then lies between the last two."""
 
 LONGEST = 1e12
