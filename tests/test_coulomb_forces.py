@@ -106,6 +106,32 @@ def test_forces_are_found_where_sticking_has_just_ceased_to_be_possible(seed, ex
         assert tangent @ slip == pytest.approx(-mu[i] * push * np.linalg.norm(slip), abs=10.0 * near)
 
 
+@pytest.mark.parametrize("beyond", [0.01, 0.1, 0.5])
+@pytest.mark.parametrize("seed", range(40))
+def test_forces_are_found_for_a_contact_that_slides_off_a_stretched_arm(seed, beyond):
+    """Nothing moves it along u, just outside its cone, and the motion carries it on: it can but slide off.
+
+    Its forces are large, and the slip that they cause depends on them the more steeply the nearer u is.
+    """
+    rng = np.random.default_rng(seed)
+    mu, angle = rng.uniform(0.5, 1.5), rng.uniform(0.0, 2.0 * np.pi)
+    slope = (1.0 + beyond) * mu
+    u = np.array([slope * np.cos(angle), slope * np.sin(angle), 1.0]) / np.hypot(1.0, slope)
+    across = np.linalg.svd(u[None])[2][1:]
+    delassus = across.T @ np.diag(rng.uniform(0.1, 1.0, size=2)) @ across
+    free = across.T @ rng.normal(size=2)
+    free[2] -= 3.0
+    free -= u * (u @ free + rng.uniform(0.01, 0.3))
+    if free[2] >= 0.0:
+        free -= across.T @ (across[:, 2] / (across[:, 2] @ across[:, 2])) * (free[2] + 3.0)
+    x, accuracy = forces_at_rest(delassus, free, np.array([mu]))
+    assert accuracy <= 1e-10
+    a, near = delassus @ x + free, 1e-9 * np.abs(free).max()
+    assert abs(a[2]) <= near
+    assert x[2] > 0.0
+    assert x[:2] == pytest.approx(-mu * x[2] * a[:2] / np.hypot(a[0], a[1]), rel=1e-6, abs=1e-6 * x[2])
+
+
 def choices_that_hold(delassus, free, directions, mu):
     """Return the forces of each choice of which slipping contacts are closed that obeys the law."""
     contacts = len(mu)

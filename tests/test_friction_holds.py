@@ -242,3 +242,19 @@ def test_a_slip_that_would_turn_back_and_forth_within_a_step_ends(stop):
     scene = Scene(slider(1.0), [Contact("point", Plane(), friction=friction)], control=control)
     trajectory = simulate(scene, np.zeros(3), [speed(0.0), 0.0, 0.0], 2.0 * back, rtol=1e-6, atol=1e-8)
     assert trajectory.v[-1, 0] == pytest.approx(speed(2.0 * back) - speed(1.5 * stop), abs=1e-12)
+
+
+@pytest.mark.parametrize("rtol", [1e-7, 1e-9])
+def test_a_slip_that_has_turned_back_ever_so_slightly_has_ended(rtol):
+    """A point that its friction brakes, less a force, in a run that ends just after it stops.
+
+    The reversal is far below the speed of sticking, and beyond the error of steps.
+    """
+    brake, speed, beyond = 0.01, 1e-3, 1e-6
+    contact = Contact("point", Plane(), friction=0.3)
+    scene = Scene(slider(), [contact], control=lambda t, q, v: [0.3 * G - brake, 0.0, 0.0])
+    assert brake * beyond < 1e-4 * scene.rest
+    end = speed / brake + beyond
+    trajectory = simulate(scene, np.zeros(3), [speed, 0.0, 0.0], end, rtol=rtol, atol=1e-2 * rtol)
+    assert abs(trajectory.v[-1, 0]) <= 1e-12
+    assert trajectory.q[-1, 0] == pytest.approx(0.5 * speed**2 / brake, rel=1e-11)

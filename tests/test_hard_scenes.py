@@ -128,6 +128,23 @@ def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(res
     assert both[0].v_after == pytest.approx(one[0].v_after, abs=1e-6)
 
 
+def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
+    """With dry friction in its hinge it slides as a point does, though its tip would drive the floor in."""
+    angle, speed, time = 1.0, 6.0, 0.2
+    assert effective(angle) < 0.0
+    model = planar_rod()
+    model.friction = np.array([0.0, 0.0, 20.0])
+    assert G * abs(np.cos(angle) - MU * np.sin(angle)) < model.friction[2]
+    scene = Scene(model, [Contact("tip", Plane(), friction=MU)])
+    trajectory = run(scene, [0.0, np.sin(angle), angle], [speed, 0.0, 0.0], time)
+    assert not trajectory.impacts
+    assert not trajectory.notes
+    assert trajectory.v[-1] == pytest.approx([speed - MU * G * time, 0.0, 0.0], abs=1e-12)
+    assert trajectory.q[-1] - trajectory.q[0] == pytest.approx(
+        [speed * time - 0.5 * MU * G * time**2, 0.0, 0.0], abs=1e-12
+    )
+
+
 def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique():
     """Nothing can move it out of its plane, so no force acts there."""
     angle = -0.5 * np.pi + 0.1

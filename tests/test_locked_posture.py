@@ -66,6 +66,17 @@ def arm():
     return model
 
 
+def with_weight(scene, q, v):
+    """Add a weight that lies on a floor of its own, on a sliding joint."""
+    model = scene.model.copy()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "weight")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("weight", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    contacts = [Contact("weight", Plane(), friction=0.5), *scene.contacts]
+    return Scene(model, contacts), np.append(q, 0.0), np.append(v, 0.0)
+
+
 def stretching(mu):
     """An arm that rises at 45° from below a floor, its tip on it and sliding out, the elbow at 3 rad/s."""
     bend, angle = 0.02, np.radians(45.0)
@@ -81,8 +92,10 @@ def stretching(mu):
     return Scene(arm(), [Contact("tip", Plane(point=(0.0, 0.0, height)), friction=mu)]), q, v
 
 
-def test_friction_locks_a_tip_at_the_arms_full_reach():
-    scene, q, v = stretching(1.2)
+@pytest.mark.parametrize("beside", [False, True])
+def test_friction_locks_a_tip_at_the_arms_full_reach(beside):
+    """Also beside what has nothing to do with it."""
+    scene, q, v = with_weight(*stretching(1.2)) if beside else stretching(1.2)
     with pytest.raises(pinimpact.LockedPostureError, match=r"'tip on plane' is locked .* below 1,") as caught:
         simulate(scene, q, v, 0.1)
     assert isinstance(caught.value, pinimpact.SimulationError)
@@ -94,8 +107,9 @@ def test_friction_locks_a_tip_at_the_arms_full_reach():
     assert partial.energy.residual == pytest.approx(0.0, abs=1e-8)
 
 
-def test_a_tip_with_less_friction_slides_back_from_the_arms_full_reach():
-    scene, q, v = stretching(0.9)
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_tip_with_less_friction_slides_back_from_the_arms_full_reach(beside):
+    scene, q, v = with_weight(*stretching(0.9)) if beside else stretching(0.9)
     trajectory = simulate(scene, q, v, 0.1)
     assert trajectory.complete
     assert trajectory.q[-1, 2] < -0.01

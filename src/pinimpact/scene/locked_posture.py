@@ -20,17 +20,21 @@ REAL = 1e-6
 """Imaginary part of a root that counts as none, and by how much its equation may be missed."""
 
 
-def locked_direction(delassus: Array, acceleration: Array, friction: float) -> Array | None:
+def locked_direction(
+    delassus: Array, acceleration: Array, friction: float, alone: bool = True
+) -> Array | None:
     """Return the direction in which a contact at rest is locked though it accelerates; None if it is not.
 
     With u the null vector of W no force changes uᵀa = uᵀa⁰ < 0, so the contact cannot stick. It does not open
     where a⁰₃ < 0, and slides only along a direction for which Coulomb's law has a force N ≥ 0: with
-    x = a_b/k, a = (−k, kx, 0) in axes along and across u_t, these are roots of a quartic.
+    x = a_b/k, a = (−k, kx, 0) in axes along and across u_t, these are roots of a quartic. What touches
+    beside it does not move it along u either, but may let it slide: that is then for the caller to know.
 
     Args:
-        delassus: (3, 3) W of the contact, which is the only thing that touches.
+        delassus: (3, 3) W of the contact.
         acceleration: (3,) a⁰, without contact forces, of a contact at rest.
         friction: Coefficient of friction.
+        alone: Whether it is the only thing that touches.
 
     Returns:
         (3,) u in contact axes, u₃ > 0; None wherever a force may exist.
@@ -45,11 +49,10 @@ def locked_direction(delassus: Array, acceleration: Array, friction: float) -> A
     carried = float(u @ acceleration)
     if not carried < -CARRIED * float(np.abs(acceleration).max()):
         return None
-    if tangent > CARRIED and _may_slide(
-        delassus, acceleration, friction, u[:2] / tangent, -carried / tangent
-    ):
-        return None
-    return u
+    if not alone or tangent <= CARRIED:
+        return u
+    slides = _may_slide(delassus, acceleration, friction, u[:2] / tangent, -carried / tangent)
+    return None if slides else u
 
 
 def _may_slide(delassus: Array, acceleration: Array, friction: float, along: Array, k: float) -> bool:

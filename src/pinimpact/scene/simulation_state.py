@@ -228,7 +228,9 @@ class SimulationState:
         return self._take_over_group(group)
 
     def _refuse_locked(self, v: Array, modes: Array) -> None:
-        """Stop where friction locks the only contact that touches, if nothing is held or at rest beside it.
+        """Stop where friction locks a contact at rest, if nothing is held and no joint rests by dry friction.
+
+        No forces have been found for all that touches.
 
         Args:
             v: (nv,) velocity before modes were looked for.
@@ -238,15 +240,18 @@ class SimulationState:
             LockedPostureError: See above.
         """
         work, touching = self.dynamics.work, self._closed(self._slow)
-        alone = len(touching) == 1 and touching[0] < work.contacts and not work.bilateral.any()
-        if not alone or work.dry_friction.any() or self._slipping(touching, v, modes).any():
+        if work.bilateral.any() or work.dry_friction.any():
             return
-        contact = self.dynamics.contacts[touching[0]]
-        matrices = self._impacts.matrices_of(self.q, contact)
-        acceleration = self.dynamics.free_motion_at(self.t, self.q, v, touching).acceleration[0]
-        friction = contact.sustained_friction
-        u = locked_direction(matrices.delassus, acceleration, friction)
-        if u is not None:
+        for i, slips in zip(touching, self._slipping(touching, v, modes).tolist(), strict=True):
+            if i >= work.contacts or slips:
+                continue
+            contact = self.dynamics.contacts[i]
+            matrices = self._impacts.matrices_of(self.q, contact)
+            acceleration = self.dynamics.free_motion_at(self.t, self.q, v, [i]).acceleration[0]
+            friction = contact.sustained_friction
+            u = locked_direction(matrices.delassus, acceleration, friction, len(touching) == 1)
+            if u is None:
+                continue
             x, y, z = (u @ matrices.axes).tolist()
             least = math.hypot(u[0], u[1]) / u[2]
             raise LockedPostureError(

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import ahead
+from ..._numeric.elimination import solve
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags
@@ -31,6 +32,12 @@ that was taken is too low."""
 FINEST = 1e-13
 """Part of the largest pivot at which the rank is decided then: a leg of 1 kg, stretched but for 10⁻⁵ rad,
 bears a load, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
+
+LEAST_EFFECTIVE = 1e-9
+"""Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
+
+SLIPPING = 1e-14
+"""Part of the largest pivot below which pivots of slip that nears its singularity count as zero."""
 
 RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
@@ -146,6 +153,46 @@ def rows_independent(work):
     response, gram = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, gram)
     return factor(gram, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
+
+
+@ahead(SceneWorkspace)
+@separate
+def drives_in(work):
+    """Return whether a contact drives the surface in as it slips, were no other slipping contact closed.
+
+    What sticks, stops and joints at rest hold against that. (13.5)
+    """
+    mode, system, rows, size = work.closed_mode, work.system, work.equation_rows, len(work.target)
+    held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
+    row = holding = slipping = 0
+    for k in range(len(mode)):
+        if mode[k] == SLIP:
+            slips[slipping] = row
+            row, slipping = row + 1, slipping + 1
+        else:
+            for _ in range(3):
+                held[holding] = row
+                row, holding = row + 1, holding + 1
+    for a in range(row, size):
+        held[holding] = a
+        holding += 1
+    count = holding + 1
+    part, unit, forces = np.empty((count, count)), np.zeros(count), np.empty(count)
+    alone = np.empty(rows.shape[1])
+    unit[holding] = 1.0
+    for k in range(slipping):
+        held[holding] = slips[k]
+        for a in range(count):
+            for b in range(count):
+                part[a, b] = system[held[a], held[b]]
+        apply_symmetric(work.minverse, rows[slips[k]], alone)
+        plain = 0.0
+        for j in range(len(alone)):
+            plain += rows[slips[k], j] * alone[j]
+        # one over the force is what is left of its effective inverse inertia
+        if solve(part, unit, forces, SLIPPING) <= 0 or LEAST_EFFECTIVE * plain * forces[holding] >= 1.0:
+            return True
+    return False
 
 
 @ahead(SceneWorkspace)

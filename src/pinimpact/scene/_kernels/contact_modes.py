@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
@@ -53,10 +53,9 @@ def set_modes(work, t, q, v, slow):
     for i in range(touching):
         candidates[i] = slow[i]
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    jamming, converged, energy, stopped = -1, True, 0.0, math.inf
-    for _ in range(ROUNDS):
-        if not stopped > NOTHING * work.stick_speed:
-            break
+    parted, before, slid = flags(work.contacts, False), v.copy(), sliding.copy()
+    jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
+    while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
         for j in range(n):  # what has been stopped may have set other joints in motion
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
@@ -67,11 +66,21 @@ def set_modes(work, t, q, v, slow):
         if len(nonzero(candidates)) == 0:
             break
         jamming, converged, gained, stopped = find_modes(
-            work, t, q, v, candidates, modes, reference, breaking
+            work, t, q, v, candidates, modes, reference, breaking, parted
         )
-        energy += gained
+        energy, tried = energy + gained, tried + 1
         if jamming >= 0 or work.callback_failed:
             return jamming, converged, energy
+        let_go = False
+        for i in range(work.contacts):
+            if parted[i] and modes[i] == FREE:  # it has been stopped in vain
+                candidates[i], let_go = 0, True
+        if let_go:
+            for i in range(work.contacts):
+                parted[i] = False
+            assign(v, before)
+            assign(sliding, slid)
+            energy, stopped, tried = 0.0, math.inf, 0
     for j in range(n):
         if breaking[j] != 0.0:
             sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
@@ -80,9 +89,9 @@ def set_modes(work, t, q, v, slow):
     return jamming, converged, energy
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS)
+@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLAGS)
 @separate
-def find_modes(work, t, q, v, candidates, modes, reference, breaking):
+def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     """Find what stays closed of the contacts, limits and joints that are at rest against each other.
 
     Args:
@@ -94,6 +103,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
+        parted: (n,) set for open contacts that part and are stopped nevertheless.
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
@@ -157,6 +167,10 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
     modes_of_contacts(
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
     )
+    for k in range(nc):
+        i = contacts[k]
+        if stopped[3 * k + 2] and work.modes[i] == FREE and velocity[k, 2] > work.certain_speed:
+            parted[i] = True
     for m in range(ns):
         a, i = 3 * nc + m, scalars[m]
         rubs = scalar[work.limits + i] != 0

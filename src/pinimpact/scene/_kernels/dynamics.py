@@ -24,12 +24,6 @@ ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int
 FAR = 0.1
 """Of the radius of a sphere that bounds contacts: beyond this gap none of them touches, nor is soon to."""
 
-LEAST_EFFECTIVE = 1e-9
-"""Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
-
-SLIPPING = 1e-14
-"""Part of the largest pivot below which pivots of slip that nears its singularity count as zero."""
-
 
 @inner
 def set_state(work, q, v):
@@ -231,7 +225,7 @@ def evaluate(work, t, out):
         orientation = solve(system, target, work.solution, rank)
         if orientation == 0 and contact_forces.rows_independent(work):
             orientation = solve(
-                system, target, work.solution, SLIPPING
+                system, target, work.solution, contact_forces.SLIPPING
             )  # it is slip that is singular, or near
     elif work.forces_unique:  # else it says nothing new, and without slip there is no jam
         orientation = 1 if solve_definite(system, target, work.solution) else 0
@@ -240,5 +234,5 @@ def evaluate(work, t, out):
         work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
-    lost = effective <= LEAST_EFFECTIVE or orientation < 0
-    work.force_margin = -math.inf if lost else work.force_tolerance + margin
+    drives = effective <= contact_forces.LEAST_EFFECTIVE and contact_forces.drives_in(work)
+    work.force_margin = -math.inf if orientation < 0 or drives else work.force_tolerance + margin

@@ -42,7 +42,8 @@ PATIENCE = 4
 
 STEADY = 0.9
 """Cosine of two changes of s from which on they go the same way: past where a solution has just ceased to
-exist they are small and many, so each is taken twice as far as the one before."""
+exist they are small and many, so each is taken twice as far as the one before. One that turns back is taken
+as far as a change that is linear in s would vanish, for s then lies between the last two."""
 
 LONGEST = 1e12
 
@@ -266,18 +267,26 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 along += change * changes[i]
                 new, old = new + change**2, old + changes[i] ** 2
                 changes[i] = change
-        reach = min(2.0 * reach, LONGEST) if along > STEADY * math.sqrt(new * old) else 1.0
+        if along < 0.0:
+            reach *= (old - along) / (new - 2.0 * along + old)
+        else:
+            reach = min(2.0 * reach, LONGEST if along > STEADY * math.sqrt(new * old) else 1.0)
         before = corrected.copy()
+        gone = 0.0
         for a in range(size):
             corrected[a] = 0.0
         for i in range(nc):
             b = 3 * i
             if at_rest[i]:
-                lifts[i] = max(0.0, lifts[i] + reach * changes[i])
-                corrected[b + 2] += lifts[i]
+                lift = max(0.0, lifts[i] + reach * changes[i])
+                gone += (lift - lifts[i]) * changes[i]
+                lifts[i] = lift
+                corrected[b + 2] += lift
             else:
                 for a in range(size):
                     corrected[a] += w[a, b] * f[b] + w[a, b + 1] * f[b + 1]
+        if new > 0.0:
+            reach = gone / new
         moved = 0.0
         for a in range(size):
             moved = max(moved, abs(corrected[a] - before[a]))

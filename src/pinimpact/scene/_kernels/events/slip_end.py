@@ -19,7 +19,11 @@ from .consequences import MODE_CHANGE
 CONSEQUENCE = MODE_CHANGE
 
 BEHIND = 1e-3
-"""A reversal slower than this part of the speed at which a contact may stick is rounding."""
+"""A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
+is larger."""
+
+UNCERTAIN = 0.1
+"""Part of the speed of certain slip that is the error of a step."""
 
 
 @inner
@@ -41,10 +45,15 @@ def has_turned(work, k, velocity):
 
 
 @inner
+def behind(work):
+    """Return the speed up to which a reversal is none: no more than the error of a step."""
+    return min(BEHIND * work.stick_speed, UNCERTAIN * work.certain_speed)
+
+
+@inner
 def least_reversal(work, speed):
     """Return the speed of a reversal that is no rounding, nor the error of a step, of slip of some speed."""
-    error = min(work.atol + work.rtol * speed, 0.1 * work.stick_speed)
-    return max(BEHIND * work.stick_speed, error)
+    return max(behind(work), min(work.atol + work.rtol * speed, 0.1 * work.stick_speed))
 
 
 @inner
@@ -78,20 +87,20 @@ def first(work, end):
         if work.step_turns:
             # slip that begins may turn as far as it likes; what counts is where it is when it has begun
             later, until = last, first_against(work, k)
-            if end_speed >= -BEHIND * work.stick_speed and until == math.inf:
+            if end_speed >= -behind(work) and until == math.inf:
                 continue
             start_speed = value_at(work, k, start)[0]
             if start_speed > 0.0 and until < last:
                 later, end_speed = until, value_at(work, k, until)[0]
                 if end_speed >= 0.0:
                     return -math.inf, k
-            elif end_speed >= -BEHIND * work.stick_speed:
+            elif end_speed >= -behind(work):
                 continue
             if start_speed <= 0.0:
                 # either a step before has left it there, or friction drives
                 speed = math.hypot(velocity[k, 0], velocity[k, 1])
-                nothing = speed <= BEHIND * work.stick_speed and work.previous_length > 0.0
-                return (start if nothing or speed > work.certain_speed else -math.inf), k
+                moved = work.previous_length > 0.0 or speed > work.certain_speed
+                return (start if moved else -math.inf), k
             found = root(work, k, start, later, start_speed, end_speed)
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
