@@ -170,13 +170,13 @@ def works_so_far(series, work_series, x, rubbing):
     Args:
         rubbing: Whether the work of friction is wanted.
     """
-    shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
+    shape = series.shape
     work, rubbed, change = _along_half_angle(
         *(series.coefficients, shape.h, shape.q1, shape.q2, shape.q3, shape.q4),
-        *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
+        *(series.j0, series.j1, series.j2, series.v3, shape.unit * series.scale),
         *(work_series.nodes, x, rubbing),
     )
-    return work, -mu * series.speed * shape.factor * rubbed, change
+    return work, -series.mu * series.speed * shape.factor * rubbed, change
 
 
 @inner
@@ -304,11 +304,11 @@ def expand_works(series, work_series, rubbing):
     """
     nodes, normal = work_series.nodes, work_series.normal
     friction, quotients = work_series.friction, work_series.quotients
-    shape, mu, c, bl, bp = series.shape, series.mu, series.c, series.bl, series.bp
+    shape = series.shape
     size = shape.unit * series.scale
     h = shape.h
     hh = h * h
-    j0, j1, j2 = size * (c - mu * bl), size * (-2.0 * mu * bp), size * (c + mu * bl)
+    j0, j1, j2 = size * series.j0, size * series.j1, size * series.j2
     f0, f1, f2, f3, f4 = j0, j1 * h, (j0 + j2) * hh, j1 * hh * h, j2 * hh * hh
     if shape.exponent < -LATE - 0.5:
         none, late = np.int64(-1), np.int64(LATE + 1)
@@ -408,13 +408,11 @@ def quadrature(series, values, x):
     Args:
         values: Scratch, see `WorkSeries.nodes`.
     """
-    coefficients, shape, mu, c, bl, bp = (
-        series.coefficients, series.shape, series.mu, series.c, series.bl, series.bp,
-    )  # fmt: skip
+    coefficients, shape, mu = series.coefficients, series.shape, series.mu
     h, exponent, start, sign, q1, q2, q3 = (
         shape.h, shape.exponent, shape.start, shape.sign, shape.q1, shape.q2, shape.q3,
     )  # fmt: skip
-    j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    j0, j1, j2 = series.j0, series.j1, series.j2
     speed, v3 = series.speed, series.v3
     abscissae, weights = _ABSCISSAE[FEW:], _WEIGHTS[FEW:]
     normal = friction = low = 0.0
