@@ -156,7 +156,7 @@ def draw(rng: np.random.Generator, count: int) -> Group:
 def draw_weak(rng: np.random.Generator, count: int) -> Group:
     """Draw impacts of an arm that is weak in two directions at once, as `random_arms.draw_weak` does."""
     n = int(rng.integers(2, 4))
-    why, arm = random_arms.weak(rng, n)
+    why, arm = random_arms.weak(rng, n, (*random_arms.SURE, *random_arms.UNSURE))
     q, v = np.full((count, n), arm.q[0]), rng.standard_normal((count, n))
     q[:, 1:] = random_arms.faint(rng, count, n - 1)
     J, _ = kinematics(arm, q)

@@ -209,7 +209,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
 
     regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else CLEAR)
-    leaning = not regular and len(factor) > 0
+    factored = leaning = not regular and len(factor) > 0
     lean1, lean2, rest = 0.0, 1.0, 0.0
     if leaning:
         found, lean1, lean2, rest = _of_factor(factor, scale_w, sign1, sign2, swapped)
@@ -284,7 +284,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         if normal_part * abs(offset) <= (tiny if known else doubtful):
             tied = v3 - offset
             offset = 0.0
-            if abs(k2) <= 1.0 and tied < 0.0:
+            if factored and abs(k2) <= 1.0 and tied < 0.0:
                 v3 = tied  # the null vector is nearer to the normal, and so is what is rounding
     endless_slip = crosses or s == 0.0
     problem = Problem(
