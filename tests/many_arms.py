@@ -158,7 +158,7 @@ def draw_weak(rng: np.random.Generator, count: int) -> Group:
     n = int(rng.integers(2, 4))
     why, arm = random_arms.weak(rng, n, (*random_arms.SURE, *random_arms.UNSURE))
     q, v = np.full((count, n), arm.q[0]), rng.standard_normal((count, n))
-    q[:, 1:] = random_arms.faint(rng, count, n - 1)
+    q[:, 1:] = random_arms.faint(rng, count, n - 1) / 10.0 ** rng.integers(3)  # also in rounding's reach
     J, _ = kinematics(arm, q)
     v[np.einsum("i,nij,nj->n", np.array(arm.normal), J, v) > 0] *= -1.0
     e = np.where(rng.random(count) < 0.5, rng.random(count), rng.choice([0.0, 1.0], count))

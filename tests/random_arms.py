@@ -26,8 +26,9 @@ RESOLVED = 1e-12
 are weaker than others, the angle is larger by the ratio of the roots of its eigenvalues; see `resolved`."""
 NEARLY = (-6.0, -2.0)
 """Powers of ten of the angles by which some arms miss a singular posture."""
-FAINT = (-15.0, -3.0)
-"""The same of arms that are weak in two directions at once, and of what makes them weak in the other."""
+FAINT = (-13.0, -3.0)
+"""The same of arms that are weak in two directions at once, and of what makes them weak in the other; in
+rounding's reach, below some 1e-14, the exact numbers say more than doubles can tell."""
 WEAK = 0.1
 """The part of the arms drawn that are such."""
 SCALE = 10.0
