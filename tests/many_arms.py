@@ -37,7 +37,7 @@ class Group:
 
     Attributes:
         case: Its base, plane and law; the state and coefficients in it mean nothing.
-        tilt: Angle between the arm's plane and what it is nearly aligned with.
+        tilt: Angle between the arm's plane and what it is nearly aligned with; 1 for arms weak in two ways.
         q, v: (N, n) states.
         friction, restitution: (N,).
     """
@@ -119,6 +119,8 @@ def singular(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 def draw(rng: np.random.Generator, count: int) -> Group:
     """Draw impacts that approach, of one arm, as `random_arms.draw` does one by one."""
+    if rng.random() < random_arms.WEAK:
+        return draw_weak(rng, count)
     kind = str(rng.choice(list(random_arms.KINDS)))
     n = int(rng.integers(1, 4))
     tilt = float(rng.choice([-1, 1]) * 10.0 ** rng.uniform(-15, -3)) if rng.random() < 0.7 else 0.0
@@ -149,6 +151,19 @@ def draw(rng: np.random.Generator, count: int) -> Group:
     e = np.where(e == 0.5, rng.random(count), e)
     case = Case(f"{kind}, {tilt:.0e}", arm, 0.0, 0.0, str(rng.choice(LAWS)))
     return Group(case, tilt, q, v, 10.0 ** rng.uniform(-1.5, 1, count), e)
+
+
+def draw_weak(rng: np.random.Generator, count: int) -> Group:
+    """Draw impacts of an arm that is weak in two directions at once, as `random_arms.draw_weak` does."""
+    n = int(rng.integers(2, 4))
+    why, arm = random_arms.weak(rng, n, (*random_arms.SURE, *random_arms.UNSURE))
+    q, v = np.full((count, n), arm.q[0]), rng.standard_normal((count, n))
+    q[:, 1:] = random_arms.faint(rng, count, n - 1) / 10.0 ** rng.integers(3)  # also in rounding's reach
+    J, _ = kinematics(arm, q)
+    v[np.einsum("i,nij,nj->n", np.array(arm.normal), J, v) > 0] *= -1.0
+    e = np.where(rng.random(count) < 0.5, rng.random(count), rng.choice([0.0, 1.0], count))
+    case = Case(f"weak, {why}", arm, 0.0, 0.0, str(rng.choice(LAWS)))
+    return Group(case, 1.0, q, v, 10.0 ** rng.uniform(-1.5, 1, count), e)
 
 
 MODELS = {}

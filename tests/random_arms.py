@@ -2,17 +2,18 @@
 
 Most are planar, some have axes of any direction. The bases are turned at random or stand within 1e-15 … 1e-3
 of an alignment; some tips move parallel to the plane, and some contact velocities are small by cancellation.
+Some are weak in two directions at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mpmath as mp
 import numpy as np
 import pinocchio as pin
 
-from pinimpact import LAWS, Contact, PinimpactError, Plane, impact
+from pinimpact import LAWS, Contact, Flag, PinimpactError, Plane, impact
 
 from .reference.arms import Arm
 from .reference.reference import UnsupportedProblemError, solve_reference
@@ -25,6 +26,11 @@ RESOLVED = 1e-12
 are weaker than others, the angle is larger by the ratio of the roots of its eigenvalues; see `resolved`."""
 NEARLY = (-6.0, -2.0)
 """Powers of ten of the angles by which some arms miss a singular posture."""
+FAINT = (-13.0, -3.0)
+"""The same of arms that are weak in two directions at once, and of what makes them weak in the other; in
+rounding's reach, below some 1e-14, the exact numbers say more than doubles can tell."""
+WEAK = 0.1
+"""The part of the arms drawn that are such."""
 SCALE = 10.0
 """What the numbers that the factor is formed from are larger than itself, for arms of three links."""
 ANSWERED = ("SEPARATED", "ENDED_AT_REST", "LOCKED", "NO_IMPACT")
@@ -75,8 +81,55 @@ def twist(rng: np.random.Generator) -> tuple[float, float, float]:
     return tuple(map(float, rng.uniform(-2, 2, 3) if rng.random() < 0.5 else right))
 
 
+def faint(rng: np.random.Generator, *shape: int):
+    """Draw angles of independent sizes."""
+    return rng.choice([-1, 1], shape) * 10.0 ** rng.uniform(*FAINT, shape)
+
+
+SURE, UNSURE = ("floor", "axes"), ("normal", "upright")
+"""Why an arm may be weak in two directions. Where the second is sideways, what it feels there is a product of
+two faint angles, which rounding loses: then its impulse sideways is not held against its exact numbers."""
+
+
+def weak(rng: np.random.Generator, joints: int, reasons: tuple[str, ...]) -> tuple[str, Arm]:
+    """Draw an arm that, nearly stretched out, is weak in two directions; tell why.
+
+    It leans by a faint angle from the floor, from the normal, or from standing upright on the floor, or the
+    axes of its joints do from each other.
+    """
+    why = str(rng.choice(reasons))
+    rpy = rng.uniform(-1.5, 1.5, 3) if rng.random() < 0.7 else np.zeros(3)
+    first, lean = rng.uniform(-2, 2), float(faint(rng))
+    normals = {
+        "floor": [np.sin(lean), 0.0, np.cos(lean)],
+        "normal": [np.cos(first + lean), np.sin(first + lean), rng.choice([0.0, float(faint(rng))])],
+        "upright": [np.cos(a := rng.uniform(-3, 3)), np.sin(a), np.sin(lean)],
+        "axes": rng.standard_normal(3),
+    }
+    twists = ()
+    if why == "axes":
+        twists = tuple((*faint(rng, 2).tolist(), 0.0) for _ in range(joints - 1))
+    normal = _rotation(rpy) @ normals[str(rng.choice([*SURE])) if why == "axes" else why]
+    rest = (0.0,) * (joints - 1)
+    return why, Arm(tuple(rpy), tuple(normal), (first, *rest), (0.0, *rest), twists)
+
+
+def draw_weak(rng: np.random.Generator) -> Case:
+    """Draw an impact of an arm that is weak in two directions at once."""
+    joints = int(rng.integers(2, 4))
+    why, arm = weak(rng, joints, SURE)
+    q, v = (arm.q[0], *faint(rng, joints - 1).tolist()), rng.standard_normal(joints)
+    arm = replace(arm, q=q, v=tuple(v))
+    if float(arm.contact_problem()[1][2]) > 0:
+        arm = replace(arm, v=tuple(-v))
+    e = float(rng.choice([0.0, 1.0, rng.random()]))
+    return Case(f"weak, {why}", arm, float(10.0 ** rng.uniform(-1.5, 1)), e, str(rng.choice(LAWS)))
+
+
 def draw(rng: np.random.Generator) -> Case:
     """Draw an impact that approaches."""
+    if rng.random() < WEAK:
+        return draw_weak(rng)
     kind = str(rng.choice(list(KINDS)))
     joints = int(rng.integers(1, 4))
     rpy = tuple(rng.uniform(-1.5, 1.5, 3).tolist())
@@ -194,8 +247,11 @@ def check(rng: np.random.Generator, case: Case, report: Report) -> None:
                 sensitivity = np.inf
                 break
             sensitivity = max(sensitivity, gap(np.concatenate([other.velocity, other.impulse])))
-    report.worst = max(report.worst, off / sensitivity)
-    if off > ALLOWED * sensitivity:
+    # of an arm that is weak in two directions rounding may decide; then it is told
+    flagged = case.kind.startswith("weak") and Flag.NEAR_JUMP in hit.solution.flags
+    if not flagged:
+        report.worst = max(report.worst, off / sensitivity)
+    if off > ALLOWED * sensitivity and not flagged:
         told = [(x.status, x.flags) for x, _ in found.values()]
         what = f"off by {off:.2g}, sensitivity {sensitivity:.2g}; {told} {hit.solution.flags!r}"
         report.violations.append((what, case))

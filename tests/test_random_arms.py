@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import mpmath as mp
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,10 +22,11 @@ from pinimpact import (
     solve_impact,
     solve_impacts,
 )
+from pinimpact.robot.matrices import contact_geometry
 
 from . import many_arms, random_arms, random_impacts
 from .random_arms import Case, Report, check, run, solve
-from .reference.arms import Arm
+from .reference.arms import Arm, _axes, _rotation
 from .reference.reference import solve_reference
 
 
@@ -341,3 +343,122 @@ def test_the_scale_of_the_velocity_is_checked(scale):
     with pytest.raises(InputError, match="velocity_scale") as caught:
         solve_impact(ImpactProblem(np.eye(3), (1, 0, -1), 0.3, 0.5, velocity_scale=scale))
     assert caught.value.field == "velocity_scale"
+
+
+def _weak_twice(rng):
+    """A problem in axes along and across its weak direction, W = XXᵀ, with v₃ tied to v_t: exactly."""
+    strong, weak, lift = 0.5 + rng.random(), 10.0 ** rng.uniform(-13, -5), 10.0 ** rng.uniform(-9, 0)
+    k1, k2 = lift * rng.standard_normal(2)
+    X = np.array([[strong, 0.0], [0.0, weak], [strong * k1, weak * k2]])
+    v = np.array([rng.choice([-1, 1]) * (0.5 + rng.random()), weak * rng.standard_normal(), 0.0])
+    with mp.workprec(400):
+        F = mp.matrix(X.tolist())
+        v3 = F[2, 0] / F[0, 0] * v[0] + F[2, 1] / F[1, 1] * v[1]
+        if v3 > 0:
+            v, v3 = -v, -v3
+        W, tied = (F * F.T).tolist(), (mp.mpf(v[0]), mp.mpf(v[1]), v3)
+    v[2] = float(v3)
+    mu, e, law = 10.0 ** rng.uniform(-1.5, 1), float(rng.choice([0.0, 1.0, 0.6])), str(rng.choice(LAWS))
+    return ImpactProblem(X @ X.T, v, mu, e, law, velocity_scale=1.0, factor=X), W, tied
+
+
+def test_impacts_weak_in_two_directions_are_right_in_contact_space():
+    """Slip creeps with 1e-26 of the common forces, and v₃ changes by what is left of c − μbᵀσ."""
+    rng = np.random.default_rng(2)
+    for _ in range(150):
+        problem, W, v = _weak_twice(rng)
+        exact = solve_reference(W, v, problem.friction, problem.restitution, problem.law)
+        solution = solve_impact(problem)
+        P = np.array(exact.impulse, dtype=float)
+        assert solution.impulse == pytest.approx(P, abs=1e-10 * np.abs(P).max())
+        assert solution.velocity == pytest.approx([float(x) for x in exact.velocity], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("case", "rel"),
+    [
+        (
+            Case(
+                "along the floor",
+                Arm(
+                    (-0.4518783414425571, -1.3066087708615255, -0.5893361838945224),
+                    (-0.47922346991945874, 0.8456690437745591, 0.23492282622124266),
+                    (-1.555182378781205, -3.5766781857756096e-11),
+                    (-1.45110241890847, 1.5014880876791503),
+                ),
+                *(0.2235198592886382, 0.0, "newton"),
+            ),
+            1e-3,
+        ),
+        (
+            Case(
+                "upright",
+                Arm(
+                    (0.23881782859207767, -0.007576635897118766, -0.6050411180987755),
+                    (0.5486184202457679, 0.8019024515055119, 0.23658041076274702),
+                    (0.5430693072812867, -1.6193890423890397e-09),
+                    (-0.46341158075330213, 0.5552582347670861),
+                ),
+                *(8.166571465127012, 1.0, "newton"),
+            ),
+            1e-3,
+        ),
+        (
+            Case(
+                "upright, three joints",
+                Arm(
+                    (0.0, 0.0, 0.0),
+                    (0.9423295551919427, 0.33468643446030993, 1.0293242627893104e-05),
+                    (-1.0210324430014062, 6.26055756068409e-10, 1.0232409783297224e-12),
+                    (-0.5169910836327004, -0.8724349638514344, 1.899739512148779),
+                ),
+                *(8.579245366774192, 1.0, "poisson"),
+            ),
+            1e-3,
+        ),
+    ],
+)
+def test_arms_weak_in_two_directions_are_not_refused(case, rel):
+    W, v, _ = case.arm.contact_problem()
+    exact = solve_reference(W, v, case.friction, case.restitution, case.law)
+    solution = solve(case).solution
+    assert solution.status.name == exact.status
+    assert solution.impulse[2] == pytest.approx(float(exact.impulse[2]), rel=rel)
+
+
+def test_a_row_of_the_jacobian_has_rounding_of_its_own_size():
+    """An arm along the floor moves up by the same small angle with each of its joints."""
+    rpy, tilt = (0.4, -0.7, 0.2), 3e-10
+    normal = pin.rpy.rpyToMatrix(*rpy) @ [np.sin(tilt), 0.0, np.cos(tilt)]
+    arm = Arm(rpy, tuple(normal), (0.3, -0.8, 1.1), (1.0, -2.0, 0.5))
+    model = pin.buildModelFromXML(arm.urdf())
+    contact = Contact("tip", Plane(normal=arm.normal), 0.3, 0.5)
+    matrices = contact_matrices(model, model.createData(), np.array(arm.q), contact)
+    with mp.workdps(40):
+        J, _ = arm._planar()
+        x, y = (_axes(arm.normal) * _rotation(rpy))[2, 0:2]
+        rows = [x * J[0, j] + y * J[1, j] for j in range(3)]
+        exact = [float(row / rows[0]) for row in rows]
+        # how far the computed angles are from the exact ones is one number (2) for all joints
+    made = matrices.h / matrices.h[0]
+    assert made == pytest.approx(exact, rel=1e-5)
+    planar = np.array(J.tolist(), dtype=float)
+    left = np.linalg.lstsq(planar.T, matrices.h, rcond=None)[0] @ planar - matrices.h
+    assert np.abs(left).max() < 1e-14 * np.abs(matrices.h).max()
+
+
+def test_the_rows_are_those_of_any_joint():
+    """Of axes that turn, that slide, of both at once, and of a free base."""
+    pin.seed(0)
+    model, parent = pin.Model(), 0
+    joints = [pin.JointModelFreeFlyer(), pin.JointModelPX(), pin.JointModelPlanar(), pin.JointModelRY()]
+    rng = np.random.default_rng(0)
+    for k, joint in enumerate(joints):
+        parent = model.addJoint(parent, joint, pin.SE3.Random(), f"joint {k}")
+        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", parent, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    q = pin.integrate(model, pin.neutral(model), rng.standard_normal(model.nv))
+    contact = Contact("tip", Plane(normal=(0.2, -0.4, 0.9)), 0.3, 0.5)
+    data = model.createData()
+    plain = contact_geometry(model, data, q, contact).jacobian
+    assert contact_matrices(model, data, q, contact).jacobian == pytest.approx(plain, abs=1e-13)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -136,7 +136,10 @@ def contact_matrices(
     _, _, columns, signs = kinematics(model, data, at, cache, contact)
     columns = columns.copy(order="F")  # crba writes them
     mass = np.array(pin.crba(model, data, at))
-    rows = np.ascontiguousarray(geometry.jacobian)
+    rows = np.empty((3, cache.nv))
+    axes = np.ascontiguousarray(geometry.axes).ravel()
+    contact_kinematics.jacobian_by_axes(columns, signs, geometry.point, axes, rows)
+    geometry = replace(geometry, K=rows[:2].T, h=rows[2])
     delassus, response, held_response, lower, y = _responses(model, cache, mass, rows, anchors, free)
     factor = scale = None
     if not anchors:

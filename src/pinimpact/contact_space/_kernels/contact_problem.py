@@ -168,14 +168,14 @@ def _of_factor(factor, scale_w, sign1, sign2, swapped):
     x, y = (sign1 * f * c11, 0.0, 0.0), (sign2 * f * c21, sign2 * f * c22, 0.0)
     if swapped:
         x, y = y, x
-    found, e1, e2 = of_factor(x, y, (f * c31, f * c32, f * c33), f * formed)
+    found, e1, e2, rest = of_factor(x, y, (f * c31, f * c32, f * c33), f * formed)
     rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
     g = 1.0 if scale_w == 2 * half else 0.5
     turned = Delassus(
         *(rank, g * a11, g * a12, g * b1, g * a22, g * b2, g * c, k1, k2, g * s, least, spread),
         *(n1, n2, n3, doubt),
     )
-    return turned, e1, e2
+    return turned, e1, e2, rest
 
 
 @ahead(*11 * [float], int, float, FLOATS)
@@ -209,10 +209,10 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
 
     regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else CLEAR)
-    leaning = not regular and len(factor) > 0
-    lean1, lean2 = 0.0, 1.0
+    factored = leaning = not regular and len(factor) > 0
+    lean1, lean2, rest = 0.0, 1.0, 0.0
     if leaning:
-        found, lean1, lean2 = _of_factor(factor, scale_w, sign1, sign2, swapped)
+        found, lean1, lean2, rest = _of_factor(factor, scale_w, sign1, sign2, swapped)
     elif not regular:
         found = nearly_singular(w11, w12, w13, w22, w23, w33)
     rank, a11, a12, b1, a22, b2, c, k1, k2, s, least, spread, n1, n2, n3, doubt = found
@@ -229,6 +229,7 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     normal_part = abs(n3)
     if leaning:
         v1, v2 = lean2 * v1 - lean1 * v2, lean1 * v1 + lean2 * v2
+        v1, v2 = v1 + rest * v2, v2 - rest * v1
         if s == 0.0 and abs(k2) > 1.0 and normal_part * abs(v3 - k1 * v1 - k2 * v2) <= tiny:
             v2 = (v3 - k1 * v1) / k2
     elif rank == 2 and 0.0 < normal_part < LEANING:
@@ -281,7 +282,10 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
         offset = v3 - k1 * v1 - k2 * v2
         known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
         if normal_part * abs(offset) <= (tiny if known else doubtful):
+            tied = v3 - offset
             offset = 0.0
+            if factored and abs(k2) <= 1.0 and tied < 0.0:
+                v3 = tied  # the null vector is nearer to the normal, and so is what is rounding
     endless_slip = crosses or s == 0.0
     problem = Problem(
         *(a11, a12, a22, b1, b2, c, k1, k2, s, mu, e, law, counted(law)),

@@ -393,7 +393,8 @@ def of_factor(x, y, z, formed):
         formed: Size of the numbers that X was formed from.
 
     Returns:
-        the `Delassus`, in tangent axes of which the second is e, the one in which X is least; and e (2).
+        the `Delassus`, in tangent axes of which the second is that in which X is least; e (2), the second
+        axis as doubles know it; and the angle from there, less than rounding.
     """
     e1, e2 = weak_axis(x, y)
     strong = (e2 * x[0] - e1 * y[0], e2 * x[1] - e1 * y[1], e2 * x[2] - e1 * y[2])
@@ -409,8 +410,11 @@ def of_factor(x, y, z, formed):
     d1 = d2 = d3 = 0.0  # a third column, in which the rows are as the null vector n ∝ (−κ, 1) wants them
     # rounding decides whether there is a wedge
     doubt = noise < c22 < 2.0 * zero or noise < normal < 2.0 * zero
+    rest = 0.0
     if c11 <= zero or c22 <= zero:
-        c21 = c22 = 0.0
+        c22 = 0.0
+    else:  # at right angles the rows keep all that is small apart from what is large
+        rest = c21 / c11
     if normal <= zero:  # nothing moves along the normal
         c31 = c32 = c33 = 0.0
         area = c11 * c22
@@ -424,7 +428,7 @@ def of_factor(x, y, z, formed):
             c33, c32 = math.hypot(c32, c33), 0.0
         else:
             k2 = c32 / c22
-        k1 = (c31 - c21 * k2) / c11
+        k1 = c31 / c11
         n3 = 1.0 / math.sqrt(1.0 + k1 * k1 + k2 * k2)
         least = c33 * n3
         # locked, or an impulse of 10¹⁴ times the common
@@ -432,7 +436,7 @@ def of_factor(x, y, z, formed):
         if least <= zero:
             d1, d2, d3 = k1 * n3 * least, k2 * n3 * least, (k1 * k1 + k2 * k2) * n3 * least
             c33 = 0.0
-        m1, m2, m3, m4 = c11 * c22, c11 * c32, c21 * c32 - c22 * c31, c11 * c33
+        m1, m2, m3, m4 = c11 * c22, c11 * c32, c22 * c31, c11 * c33
         if c22 == 0.0 or c33 == 0.0:
             area = math.sqrt(m1 * m1 + m2 * m2 + m3 * m3 + m4 * m4)
     s = c33 * c33
@@ -443,11 +447,11 @@ def of_factor(x, y, z, formed):
         spread = max(formed / UNKNOWN * (size / area if area > 0.0 else 1.0 / size), one)
     return (
         Delassus(
-            rank, *(c11 * c11 + d1 * d1, c11 * c21 + d1 * d2, c11 * c31 + d1 * d3),
-            *(c21 * c21 + c22 * c22 + d2 * d2, c21 * c31 + c22 * c32 + d2 * d3),
+            rank, *(c11 * c11 + d1 * d1, d1 * d2, c11 * c31 + d1 * d3),
+            *(c22 * c22 + d2 * d2, c22 * c32 + d2 * d3),
             *(c31 * c31 + c32 * c32 + c33 * c33 + d3 * d3, k1, k2, s),
             *(nought, spread, nought, nought, n3),
             doubt,
         ),
-        *(e1, e2),
+        *(e1, e2, rest),
     )  # fmt: skip

@@ -166,6 +166,39 @@ def frictionless_course(problem):
     return Course(IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
 
 
+@inner
+def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
+    """Return dv₃/dP₃ along a direction of slip σ: `rate`, or by what v_t does where that is surer. (6.7)
+
+    Args:
+        rate: c − μb∥, which cancels where slip creeps.
+        m0, turn: m₀ and p₀, in units of ω,
+        terms, doubt: and the sizes of the terms that they were summed from.
+    """
+    x1, x2, y1, y2 = problem.k1 * s1, problem.k2 * s2, problem.k2 * s1, problem.k1 * s2
+    # errors of σ are those of a unit vector
+    small = omega * ((abs(x1) + abs(x2)) * terms + (abs(y1) + abs(y2)) * (abs(m0) + abs(turn) + doubt))
+    if problem.s + small < problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2)):
+        return problem.s + omega * ((x1 + x2) * m0 + (y1 - y2) * turn)
+    return rate
+
+
+@inner
+def tied(problem, s1, s2, speed, size1, size2, v3):
+    """Return v₃ = κ·v_t + η, which ties the two where s = 0, if it is surer than `v3`, a sum over the path.
+
+    Args:
+        s1, s2, speed: Slip,
+        size1, size2: and the sizes of the terms that its direction was summed from.
+    """
+    k1, k2 = problem.k1, problem.k2
+    if speed * (abs(k1) * size1 + abs(k2) * size2) + abs(problem.offset) < abs(problem.v3):
+        now = speed * (k1 * s1 + k2 * s2) + problem.offset
+        if now * v3 > 0.0:
+            return now
+    return v3
+
+
 @ahead(Problem, Units, State, bool)
 @inlined_part
 def slip_course(problem, units, state, fresh):
@@ -186,23 +219,30 @@ def slip_course(problem, units, state, fresh):
         turn = 0.0 if problem.planar else bp - ax
         doubt = abs(bp) + abs(ax)
     t1, t2, t3, t4, m0, m1, m2, m3 = polynomials(al, ax, ap, bl, bp)
-    terms = 1.0
+    terms, turning = 1.0, turn
     if units.weak > 0:
+        # slip that turns no double has the m₀ of the invariant direction
+        if abs(turn) <= STRAIGHT * abs(t1):
+            turning = doubt = 0.0
         m0, terms = along_slip(
             *(units.weak, units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, al, ax, bl, bp),
-            *(turn, doubt),
+            *(turning, doubt),
         )
     bl *= units.omega
     bp *= units.omega
     rate = problem.c - mu * bl
+    if units.weak > 0:
+        rate = lifting(problem, units.omega, s1, s2, rate, m0, terms, turning, doubt)
     if problem.endless_slip and abs(m0) <= NO_FORCE * terms:
-        m0, rate = 0.0, problem.s
+        m0 = 0.0
     bend = abs(turn) + abs(t1) + abs(t2) + abs(t3) + abs(t4)
     unbent = bend <= 0.25 * STRAIGHT * abs(m0)
     straight = unbent or (abs(turn) <= STRAIGHT * abs(t1) and abs(turn * t2) <= 0.1 * t1 * t1)
     gain, until, ends_slip = 0.0, math.inf, False
     if straight:
         gain = units.omega * m0
+        if problem.endless_slip and m0 == 0.0:
+            rate = problem.s
         if m0 < 0.0:
             until, ends_slip = -speed / gain, True
         if t1 > 0.0 and turn != 0.0 and not unbent:
@@ -255,7 +295,7 @@ def leave_zero_slip(problem, state):
             gain = (problem.a11 + problem.a22) * excess
         else:
             gain, s1, s2 = resumed_direction(problem.a11, problem.a12, problem.a22, b1, b2, mu)
-        rate = c - mu * (b1 * s1 + b2 * s2)
+        rate = s + gain * (k1 * s1 + k2 * s2)
         dp1, dp2 = -mu * s1, -mu * s2
     course = Course(mode, rate, gain, dp1, dp2, math.inf, False, 0.0, 0.0)
     return course, State(s1, s2, 0.0, v3, 0.0, p1, p2, p3), flags

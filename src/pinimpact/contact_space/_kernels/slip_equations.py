@@ -114,10 +114,10 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt)
         rest, terms = b2 - (a12 * s1 + a22 * s2), abs(b2) + abs(a12 * s1) + abs(a22 * s2)
         part, turned, cross = s2, turn * s1, s1
     terms += abs(turned) + abs(doubt * cross) + abs(bl - al)  # the last for the rounding of w·σ
-    if terms < abs(part) * (abs(bl) + abs(al)):
+    others = abs(bl) + abs(al) + 2.0 * abs(ax) + abs(bp)  # the last two for the rounding of σ
+    if terms < abs(part) * others:
         return (rest - turned) / part, terms / abs(part)
-    # the last two for the rounding of σ
-    return bl - al, abs(bl) + abs(al) + 2.0 * abs(ax) + abs(bp)
+    return bl - al, others
 
 
 @inner

@@ -16,7 +16,7 @@ HASTE = 60
 @inlined
 def measure(series, work_series, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
-    mu, c, bl, bp, v3 = series.mu, series.c, series.bl, series.bp, series.v3
+    j0, j1, j2, v3 = series.j0, series.j1, series.j2, series.v3
     normal = work = 0.0
     if counts == WORK and not series.around_invariant:
         work, dv3, value = works_so_far(series, work_series, x)
@@ -26,13 +26,13 @@ def measure(series, work_series, counts, aim, x):
     if counts == IMPULSE:
         return normal - aim, slope, bend
     chord = 1.0 + t * t
-    rate = (c - mu * bl + t * (-2.0 * mu * bp + t * (c + mu * bl))) / chord
+    rate = (j0 + t * (j1 + t * j2)) / chord
     if counts == WORK:
         now = v3 + dv3
         if series.around_invariant:
             work, _ = works_around(series, work_series, x, normal, False)
         return work - aim, slope * now, bend + slope * rate / now
-    turn = (-2.0 * mu * bp + 2.0 * t * (c + mu * bl - rate)) / chord
+    turn = (j1 + 2.0 * t * (j2 - rate)) / chord
     return (
         (v3 - aim) + dv3,
         slope * rate,
@@ -103,7 +103,7 @@ def seek_near(series, work_series, counts, aim, x, near):
     Returns:
         x, or 0 where the iteration goes beyond `near`, or v₃ is not monotone up to x.
     """
-    mu, c, bl, bp, v3, h = series.mu, series.c, series.bl, series.bp, series.v3, series.shape.h
+    k0, k1, k2, v3, h = series.j0, series.j1, series.j2, series.v3, series.shape.h
     for _ in range(8):
         if not 0.0 < x <= near:
             return 0.0
@@ -113,7 +113,6 @@ def seek_near(series, work_series, counts, aim, x, near):
         x += step
         if converged:
             end = h * x
-            k0, k1, k2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
             monotone = first_root(k0, k1, k2, end, end) == end
             # where v₃ has its extremum at x = 0 only rounding tells its rate there
             jams = k0 + 0.5 * end * (k1 + 0.5 * end * k2) < 0.0

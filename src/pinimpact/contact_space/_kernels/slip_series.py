@@ -30,8 +30,8 @@ class SlipSeries(NamedTuple):
         reciprocals: 1/(a + k), for a series around an invariant direction; four more.
         shape: Its constants.
         scale: The speed at x = 0 over ω.
-        mu, c: Friction, and W₃₃.
-        bl, bp: b∥ and b⊥ in its axes.
+        mu: Friction.
+        j0, j1, j2: Of dv₃/dP₃ (1 + t²) in powers of t. (3.16)
         v3, speed: At x = 0.
     """
 
@@ -41,9 +41,9 @@ class SlipSeries(NamedTuple):
     shape: Shape
     scale: float
     mu: float
-    c: float
-    bl: float
-    bp: float
+    j0: float
+    j1: float
+    j2: float
     v3: float
     speed: float
 
@@ -68,6 +68,29 @@ def first_root(k0, k1, k2, end, size):
     if k2 != 0.0:
         t = q / k2
         if t * end > 0.0 and least < abs(t) < near:
+            found = t
+    return found
+
+
+@inner
+def last_root(k0, k1, k2, start):
+    """Return the root of k₀ + k₁t + k₂t² that comes first on the way from `start` to 0, or 0.
+
+    Those close to 0 have all their digits.
+    """
+    square = k1 * k1 - 4.0 * k0 * k2
+    if square < 0.0:
+        return 0.0
+    q = -0.5 * (k1 + math.copysign(math.sqrt(square), k1))
+    most = (1.0 - 1e-9) * abs(start)
+    found = 0.0
+    if q != 0.0:
+        t = k0 / q
+        if t * start > 0.0 and abs(t) < most:
+            found = t
+    if k2 != 0.0:
+        t = q / k2
+        if t * start > 0.0 and abs(found) < abs(t) < most:
             found = t
     return found
 
@@ -187,7 +210,7 @@ def point(series, x):
     Returns:
         ΔP₃, ΔP∥, ΔP⊥, Δv₃, the speed over that at x = 0, t, dP₃/dx and its logarithmic derivative.
     """
-    around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, _, _ = series
+    around_invariant, coefficients, reciprocals, shape, scale, mu, j0, j1, j2, _, _ = series
     h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, _, _ = shape
     if around_invariant:
         y, value, n0, n1, n2, n3, n4 = invariant_moments(coefficients, reciprocals, exponent, start, sign * x)
@@ -207,7 +230,7 @@ def point(series, x):
     normal = unit * (n0 + 2.0 * hh * n2 + h4 * n4)
     along = -mu * unit * (n0 - h4 * n4)
     across = -2.0 * mu * unit * h * (n1 + hh * n3)
-    dv3 = c * normal + bl * along + bp * across
+    dv3 = unit * (j0 * n0 + h * (j1 * (n1 + hh * n3) + h * ((j0 + j2) * n2 + hh * j2 * n4)))
     slope = sign * unit * value * chord * chord
     return normal, along, across, dv3, factor * value * fall * chord, t, slope, bend
 

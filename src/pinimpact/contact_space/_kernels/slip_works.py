@@ -212,10 +212,10 @@ def _rubbed(q1, q2, q3, q4, values, x):
 @inlined
 def works_so_far(series, work_series, x):
     """Return the normal work over (0, x) of a series in the half-angle, what v₃ grows by, and S. (3.17)"""
-    shape, mu, c, bl = series.shape, series.mu, series.c, series.bl
+    shape = series.shape
     return _along_half_angle(
         *(series.coefficients, shape.h),
-        *(c - mu * bl, -2.0 * mu * series.bp, c + mu * bl, series.v3, shape.unit * series.scale),
+        *(series.j0, series.j1, series.j2, series.v3, shape.unit * series.scale),
         *(work_series.nodes, x),
     )
 
@@ -421,11 +421,11 @@ def expand_works(series, work_series, rubbing):
     """
     nodes, rows = work_series.nodes, work_series.rows
     normal, friction = rows[5 * ROW : 5 * ROW + COLUMNS], rows[5 * ROW + COLUMNS :]
-    shape, mu, c, bl, bp = series.shape, series.mu, series.c, series.bl, series.bp
+    shape = series.shape
     size = shape.unit * series.scale
     h = shape.h
     hh = h * h
-    j0, j1, j2 = size * (c - mu * bl), size * (-2.0 * mu * bp), size * (c + mu * bl)
+    j0, j1, j2 = size * series.j0, size * series.j1, size * series.j2
     f0, f1, f2, f3, f4 = j0, j1 * h, (j0 + j2) * hh, j1 * hh * h, j2 * hh * hh
     for k in range(0, 5 * ROW, 4):
         rows[k], rows[k + 1], rows[k + 2], rows[k + 3] = 0.0, 0.0, 0.0, 0.0
@@ -551,14 +551,12 @@ def _converges(work_series, x):
 @inner
 def quadrature(series, work_series, x):
     """Integrate the works over (0, x) around an invariant direction by Gauss' collocation. (3.17)"""
-    values, shape, mu, c, bl, bp = (
-        work_series.nodes, series.shape, series.mu, series.c, series.bl, series.bp,
-    )  # fmt: skip
+    values, shape, mu = work_series.nodes, series.shape, series.mu
     coefficients = work_series.rows[MARGIN : MARGIN + (len(series.coefficients) + 3) // 4 * 4]
     h, exponent, start, sign, q1, q2, q3 = (
         shape.h, shape.exponent, shape.start, shape.sign, shape.q1, shape.q2, shape.q3,
     )  # fmt: skip
-    j0, j1, j2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    j0, j1, j2 = series.j0, series.j1, series.j2
     speed, v3 = series.speed, series.v3
     normal = friction = low = 0.0
     # from here on the direction is settled or nothing is left: the rest is straight

@@ -22,11 +22,11 @@ from .codes import (
 from .contact_problem import Problem
 from .invariant_direction import expand_around_root, nearby_root
 from .ledger import CLOSE_TO_JUMP
-from .moves import NO_FORCE, Move, State, Units, jams
+from .moves import NO_FORCE, Move, State, Units, jams, lifting, tied
 from .recording import record_series
 from .slip_equations import TERMS, Polynomials, Shape, expand, reach
 from .slip_events import seek, seek_near
-from .slip_series import SlipSeries, first_root, halley, point
+from .slip_series import SlipSeries, first_root, halley, last_root, point
 from .slip_works import expand_works, no_works, works
 
 BEYOND_GUESS = 1.0625
@@ -64,7 +64,7 @@ def turning_move(
     t1, m0 = polynomials.p1, polynomials.m0
     event, flags = NO_EVENT, NO_FLAG
     span = along = across = ratio = t = v3_end = work = rubbed = 0.0
-    jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+    jam0, jam1, jam2 = rate, -2.0 * mu * bp, c + mu * bl
     scale = speed * units.per
     d1, d2, n1, x = s1, s2, 0.0, 0.0
     restoring = phase == RESTITUTION
@@ -72,7 +72,9 @@ def turning_move(
     last, terms, count = 0.0, 1.0, 0
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     work_series = no_works(work_terms)
-    series = SlipSeries(around_invariant, coefficients, reciprocals, shape, scale, mu, c, bl, bp, v3, speed)
+    series = SlipSeries(
+        *(around_invariant, coefficients, reciprocals, shape, scale, mu, jam0, jam1, jam2, v3, speed)
+    )
 
     # most often the next event is near: try for it at once
     sought, aim, guess = VELOCITY, goal if restoring else 0.0, 0.0
@@ -91,8 +93,8 @@ def turning_move(
         near = BEYOND_GUESS * guess
         count, last, shape = expand(coefficients, turn, polynomials, near)
         series = SlipSeries(
-            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu, c, bl, bp, v3),
-            speed,
+            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu),
+            *(jam0, jam1, jam2, v3, speed),
         )
         whole_series = count == TERMS
         if whole_series:
@@ -124,15 +126,18 @@ def turning_move(
             most = FURTHEST / max(1.0, abs(shape.exponent))
             peaks = t != whole and x < most
             x = min(x, most)
-        elif around_invariant:
-            t = first_root(jam0, jam1, jam2, root, root)
-            if endless_slip and shape.exponent == 0.0 and abs(root - t) <= 1e-9 * abs(root):
-                t = root  # dv₃/dP₃ tends to s
-            peaks = t != root
-            x = math.log(root * (1.0 + t * root) / (root - t)) if peaks else math.inf
         if around_invariant:
             d1, d2, bl, bp = e1, e2, el * units.omega, ep * units.omega
-            jam0, jam1, jam2 = c - mu * bl, -2.0 * mu * bp, c + mu * bl
+            lift = c - mu * bl
+            if units.weak > 0:
+                lift = lifting(problem, units.omega, d1, d2, lift, 0.5 * shape.exponent * n1, terms, 0.0, 0.0)
+            if endless_slip and shape.exponent == 0.0:
+                lift = s
+            jam0, jam1, jam2 = lift, -2.0 * mu * bp, c + mu * bl
+            if not leaving:
+                t = last_root(jam0, jam1, jam2, -root)
+                peaks = t != 0.0
+                x = math.log(-root / t) if peaks else math.inf
         else:
             # ... or some way towards it
             if not whole_series:
@@ -142,16 +147,14 @@ def turning_move(
             x = first_root(jam0, jam1, jam2, end, end) / shape.h
             peaks = x < whole
         series = SlipSeries(
-            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu, c, bl, bp, v3),
-            speed,
+            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu),
+            *(jam0, jam1, jam2, v3, speed),
         )
         if around_invariant and (traced or counts == WORK):
             work_series = expand_works(series, work_series, traced)
         endless = x == math.inf and shape.exponent <= 0.0
         if endless:
             span = math.inf
-            if endless_slip and shape.exponent == 0.0:
-                jam0 = s
             v3_end = math.inf if jam0 > 0.0 else -math.inf
             if jam0 == 0.0:
                 v3_end = (problem.k1 * d1 + problem.k2 * d2) * speed * shape.factor + problem.offset
@@ -209,11 +212,14 @@ def turning_move(
     chord = 1.0 + t * t
     rate = (jam0 + t * (jam1 + t * jam2)) / chord
     cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
+    error1, error2 = abs(d1 * cos) + abs(d2 * sin), abs(d2 * cos) + abs(d1 * sin)
     s1, s2 = d1 * cos - d2 * sin, d2 * cos + d1 * sin
     norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
     s1 *= norm
     s2 *= norm
     speed *= ratio
+    if s == 0.0 and event == NO_EVENT:
+        v3_end = tied(problem, s1, s2, speed, error1, error2, v3_end)
     if around_invariant:
         y = t / shape.h
         turn = n1 * t * (1.0 + y * (shape.q1 + y * (shape.q2 + y * shape.q3))) / (chord * chord)

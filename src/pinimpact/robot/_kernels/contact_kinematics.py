@@ -190,6 +190,59 @@ def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
         out[2, j] = f * (n1 * u1 + n2 * u2 + n3 * u3)
 
 
+SCREW = 8.0 * 2.0**-52
+"""Part of what a column is formed from up to which a motion along its axis is rounding."""
+
+
+@inner
+def fill_by_axes(J, signs, p1, p2, p3, axes, out):
+    """Fill the contact Jacobian as `fill_jacobian` does, each row to rounding of its own size. (6.8)
+
+    An axis that is at right angles to how a point moves, as the normal is where an arm lies along the floor,
+    is nearly parallel to the joint's; how nearly is the same for all joints with that axis.
+
+    Args:
+        axes: (9,) a, b, n.
+    """
+    reach = math.sqrt(p1 * p1 + p2 * p2 + p3 * p3)
+    for j in range(len(signs)):
+        if signs[j] == 0.0:
+            out[0, j] = out[1, j] = out[2, j] = 0.0
+            continue
+        u1, u2, u3 = column(J, j, p1, p2, p3)
+        w1, w2, w3 = J[3, j], J[4, j], J[5, j]
+        square = w1 * w1 + w2 * w2 + w3 * w3
+        along = w1 * u1 + w2 * u2 + w3 * u3
+        turning = math.sqrt(square)
+        size = turning * (abs(J[0, j]) + abs(J[1, j]) + abs(J[2, j]) + reach * turning)
+        if abs(along) <= SCREW * size:
+            along = 0.0
+        r1, r2, r3 = cross(u1, u2, u3, w1, w2, w3)
+        for i in range(3):
+            a1, a2, a3 = axes[3 * i], axes[3 * i + 1], axes[3 * i + 2]
+            if square > 0.0:
+                x1, x2, x3 = cross(a1, a2, a3, w1, w2, w3)
+                part = x1 * r1 + x2 * r2 + x3 * r3 + (a1 * w1 + a2 * w2 + a3 * w3) * along
+                out[i, j] = signs[j] * part / square
+            else:
+                out[i, j] = signs[j] * (a1 * u1 + a2 * u2 + a3 * u3)
+
+
+@ahead(FLOAT_COLUMNS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS)
+@jit
+def jacobian_by_axes(columns, signs, point, axes, out):
+    """Do what `fill_by_axes` does, for Python.
+
+    Args:
+        columns: (6, nv) as in `fill_jacobian`.
+        signs: (nv,) as in `fill_jacobian`.
+        point: (3,) the contact point in world axes.
+        axes: (9,) t₁, t₂, n.
+        out: (3, nv) takes J.
+    """
+    fill_by_axes(columns, signs, point[0], point[1], point[2], axes, out)
+
+
 @ahead(FLOAT_ROWS, FLOAT_ROWS, READONLY)
 @jit
 def locate(frame, carrier, constants):

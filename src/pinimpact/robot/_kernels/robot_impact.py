@@ -14,7 +14,7 @@ from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
 from ...contact_space._kernels.path import SCRATCH, solve_into
 from ...contact_space.inputs import FACTOR
-from .contact_kinematics import contact_rows
+from .contact_kinematics import contact_rows, fill_by_axes
 from .delassus_factor import delassus_factor
 from .python_calls import call
 from .robot_workspace import RobotWorkspace
@@ -115,6 +115,11 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
     known = 0 if clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED)[0] else FACTOR
     if known > 0:
         x1, x2, x3 = geometry[12], geometry[13], geometry[14]
+        fill_by_axes(columns, signs, x1, x2, x3, geometry[:9], y)
+        v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
+        solve_transposed(lower, parents, y)
+        w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
+        w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
         delassus_factor(lower, parents, columns, signs, x1, x2, x3, y, singular)
     status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale),
