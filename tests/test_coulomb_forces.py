@@ -8,6 +8,8 @@ import numba
 import numpy as np
 import pytest
 
+from pinimpact.scene._kernels.approach import PRESSED, TOUCHES
+from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
 
 
@@ -192,3 +194,50 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
         for force, rate, most in zip(x[3:], a[3:], bound, strict=True):
             assert abs(force) <= most + near
             assert abs(rate) <= near or force == pytest.approx(-np.sign(rate) * most, abs=near)
+
+
+@numba.njit
+def stay(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+    """Call the kernel, which only kernels can."""
+    hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
+
+
+def could_open_or_stay(seed, bound):
+    """A contact beside a joint at its bound that obeys the law open and, by linear algebra, at rest too."""
+    rng = np.random.default_rng(seed)
+    while True:
+        jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
+        delassus, free = jacobian @ jacobian.T, rng.normal(size=4)
+        alone = np.clip(-free[3] / delassus[3, 3], -bound, bound)
+        opens = free + delassus[:, 3] * alone
+        resting = np.linalg.solve(delassus, -free)
+        if abs(resting[3]) > bound:  # it yields
+            resting[3] = np.sign(resting[3]) * bound
+            resting[:3] = np.linalg.solve(delassus[:3, :3], -free[:3] - delassus[:3, 3] * resting[3])
+            if (delassus[3] @ resting + free[3]) * resting[3] > 0.0:
+                continue
+        if opens[2] > 0.01 and 0.01 < np.hypot(*resting[:2]) < 0.9 * resting[2]:
+            return delassus, free, alone, resting
+
+
+@pytest.mark.parametrize("bound", [0.1, 10.0])
+@pytest.mark.parametrize("pressed", [True, False])
+def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
+    for seed in range(40):
+        delassus, free, alone, resting = could_open_or_stay(seed, bound)
+        force, strength = np.zeros((1, 3)), np.array([alone])
+        stay(
+            np.array([PRESSED if pressed else TOUCHES, 1]),
+            np.zeros(1, dtype=np.int64),
+            delassus,
+            free,
+            np.zeros((1, 2)),
+            np.ones(1),
+            np.zeros(1, dtype=np.bool_),
+            np.array([-bound]),
+            np.array([bound]),
+            force,
+            strength,
+        )
+        expected = resting if pressed else [0.0, 0.0, 0.0, alone]
+        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)

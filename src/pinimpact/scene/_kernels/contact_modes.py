@@ -9,10 +9,13 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.elimination import RANK
 from ..._numeric.jit import inner, jit, separate
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
+from .approach import PRESSED
 from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
@@ -90,7 +93,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
-        candidates: Not zero for what touches, in the order of the modes.
+        candidates: Not zero for what touches, in the order of the modes; `PRESSED` as `approach` says.
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
@@ -144,6 +147,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                     force[a // 3, a % 3] = both[a]
                 else:
                     strength[a - 3 * nc] = both[a]
+    if converged:
+        hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
@@ -196,6 +201,86 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
             v[j] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest
+
+
+@ahead(INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
+@separate
+def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+    """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too. (theory.md, 11)
+
+    Args:
+        candidates: As in `find_modes`.
+        contacts: (nc,) their numbers.
+        delassus, free: Of the rows.
+        slip: (nc, 2) velocities of slip, zero for a contact that may stick.
+        mu, held, lower, upper: As in `forces_by_sweeps`.
+        force: (nc, 3) forces on the contacts that obey the law, replaced by others if there are such.
+        strength: (ns,) those of the scalar rows, likewise.
+    """
+    nc, ns, size = len(contacts), len(strength), len(free)
+    x, fixed, opens = np.zeros(size), np.zeros(size, dtype=np.int64), False
+    for k in range(nc):
+        at_rest = mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
+        stays = at_rest and candidates[contacts[k]] == PRESSED
+        opens |= stays and force[k, 2] == 0.0
+        for d in range(3):
+            x[3 * k + d] = force[k, d]
+            fixed[3 * k + d] = not (stays or held[k])
+    if not opens:
+        return
+    beyond = True
+    while (
+        beyond
+    ):  # what would leave its bounds is at them, and then what would pull is let go, until nothing does
+        stop_rows(delassus, free, fixed, x)
+        beyond = False
+        for m in range(ns):
+            within = min(max(x[3 * nc + m], lower[m]), upper[m])
+            if within != x[3 * nc + m]:
+                x[3 * nc + m], fixed[3 * nc + m] = within, 1
+                beyond = True
+        for k in range(nc):
+            if x[3 * k + 2] < 0.0 and fixed[3 * k] == 0 and not held[k] and not beyond:
+                beyond = True
+                for a in range(3 * k, 3 * k + 3):
+                    x[a], fixed[a] = 0.0, 1
+    others, other_strength = np.empty((nc, 3)), np.empty(ns)
+    for a in range(size):
+        if a < 3 * nc:
+            others[a // 3, a % 3] = x[a]
+        else:
+            other_strength[a - 3 * nc] = x[a]
+    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, others, other_strength)
+    if sweeps < 0 or jamming >= 0:
+        return
+    more = False
+    for k in range(nc):
+        if force[k, 2] > 0.0 and others[k, 2] == 0.0:
+            return
+        more |= others[k, 2] > force[k, 2] and force[k, 2] == 0.0
+    if not more:
+        return
+    for k in range(nc):
+        assign(force[k], others[k])
+    assign(strength, other_strength)
+
+
+@inner
+def stop_rows(delassus, free, fixed, x):
+    """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration."""
+    rows = nonzero(1 - fixed)
+    m = len(rows)
+    system, right, solution = np.empty((m, m)), np.empty(m), np.empty(m)
+    for c in range(m):
+        right[c] = -free[rows[c]]
+        for b in range(len(x)):
+            if fixed[b] != 0:
+                right[c] -= delassus[rows[c], b] * x[b]
+        for d in range(m):
+            system[c, d] = delassus[rows[c], rows[d]]
+    least_norm(system, right, RANK, solution, np.empty((0, m)))
+    for c in range(m):
+        x[rows[c]] = solution[c]
 
 
 @inner
