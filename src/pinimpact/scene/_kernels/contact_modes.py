@@ -177,19 +177,13 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
         modes[work.contacts + joints[m]] = 1 if closed else 0
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, taken, speeds = v.copy(), np.empty((size, n)), np.empty(size)
+    before, start = v.copy(), np.empty(size)
+    for a in range(size):
+        start[a] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
     gained = fastest = 0.0
     for _ in range(2):
-        total = 0
-        for a in range(size):
-            if stopped[a]:
-                assign(taken[total], rows[a])
-                speed = velocity[a // 3, a % 3] if a < 3 * nc else before[scalars[a - 3 * nc]]
-                for j in range(n):
-                    speed += rows[a, j] * (v[j] - before[j])
-                speeds[total], fastest = speed, max(fastest, abs(speed))
-                total += 1
-        gained += stop_along(taken[:total], speeds[:total], work.minverse, v)
+        more, speed = stop_chosen(work, rows, stopped, start, before, 0.0, v)
+        gained, fastest = gained + more, max(fastest, speed)
         turned = False
         for m in range(ns):  # what is let go may have been thrown against its force, though not to move
             i = scalars[m]
@@ -197,10 +191,46 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
+    if ns > 0:
+        # a joint whose row hardly differs from those of contacts rests but for its error; a contact exactly,
+        # for what is left of its velocity would be slip
+        gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, NOTHING * work.stick_speed, v)[0]
     for j in range(n):
         if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
             v[j] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest
+
+
+@ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
+@separate
+def stop_chosen(work, rows, stopped, start, before, least, v):
+    """Stop what is to stop, if any of it is faster than the least speed that counts.
+
+    Args:
+        work: The workspace, with M⁻¹.
+        rows: (k, nv) rows of velocities, the first of all.
+        stopped: (m,) which of all are to vanish.
+        start: (m,) what they were at the velocity `before` (nv,).
+        before: See above.
+        least: That speed.
+        v: (nv,) the velocity, which is changed.
+
+    Returns:
+        The kinetic energy gained, and the fastest speed that was taken away.
+    """
+    taken, speeds = np.empty(rows.shape), np.empty(len(rows))
+    fastest, total = 0.0, 0
+    for a in range(len(rows)):
+        if stopped[a]:
+            speed = start[a]
+            for j in range(len(v)):
+                speed += rows[a, j] * (v[j] - before[j])
+            assign(taken[total], rows[a])
+            speeds[total], fastest = speed, max(fastest, abs(speed))
+            total += 1
+    if fastest < least:
+        return 0.0, 0.0
+    return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
 
 
 @ahead(INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
