@@ -220,6 +220,80 @@ def could_open_or_stay(seed, bound):
             return delassus, free, alone, resting
 
 
+def could_slip_or_stay(seed, bound):
+    """A contact that begins to slip beside a joint that begins to move, lawfully, though both could rest."""
+    rng = np.random.default_rng(seed)
+    while True:
+        jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
+        delassus, angle, side = jacobian @ jacobian.T, rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
+        push = rng.uniform(0.1, 1.0)
+        sliding = np.array([-push * np.cos(angle), -push * np.sin(angle), push, -side * bound])
+        slip, rate = rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.5)
+        a = np.array([slip * np.cos(angle), slip * np.sin(angle), 0.0, side * rate])
+        free = a - delassus @ sliding
+        resting = np.linalg.solve(delassus, -free)
+        if 0.01 < np.hypot(*resting[:2]) < 0.99 * resting[2] and abs(resting[3]) < bound:
+            return delassus, free, sliding, resting
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip(pressed):
+    bound = 1.0
+    for seed in range(40):
+        delassus, free, sliding, resting = could_slip_or_stay(seed, bound)
+        force, strength = sliding[None, :3].copy(), sliding[3:].copy()
+        stay(
+            np.array([PRESSED if pressed else TOUCHES, 1]),
+            np.zeros(1, dtype=np.int64),
+            delassus,
+            free,
+            np.zeros((1, 2)),
+            np.ones(1),
+            np.zeros(1, dtype=np.bool_),
+            np.array([-bound]),
+            np.array([bound]),
+            force,
+            strength,
+        )
+        expected = resting if pressed else sliding
+        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("slides", [0.0, 0.6])
+def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(slides):
+    """Two contacts, one of which slips: what rests has no acceleration, what slips none along its normal."""
+    found = 0
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        jacobian = rng.normal(size=(6, 7)) @ np.diag(rng.uniform(0.2, 2.0, size=7))
+        delassus, free, mu = jacobian @ jacobian.T, rng.normal(size=6), np.array([1.0, slides])
+        friction = np.array([-slides * 0.6, -slides * 0.8, 1.0])
+        effects = np.column_stack([delassus[:, :3], delassus[:, 3:] @ friction])
+        *resting, push = np.linalg.solve(effects[[0, 1, 2, 5]], -free[[0, 1, 2, 5]])
+        alone = -free[5] / effects[5, 3]
+        rests = 0.01 < np.hypot(*resting[:2]) < 0.9 * resting[2] and push > 0.01
+        opens = alone > 0.01 and (free + effects[:, 3] * alone)[2] > 0.01
+        if not (rests and opens):
+            continue
+        found += 1
+        force, none = np.array([[0.0, 0.0, 0.0], alone * friction]), np.zeros(0)
+        stay(
+            np.full(2, PRESSED),
+            np.arange(2),
+            delassus,
+            free,
+            np.array([[0.0, 0.0], [0.6, 0.8]]),
+            mu,
+            np.zeros(2, dtype=np.bool_),
+            none,
+            none,
+            force,
+            none.copy(),
+        )
+        np.testing.assert_allclose(force, [resting, push * friction], rtol=1e-8, atol=1e-8)
+    assert found > 0
+
+
 @pytest.mark.parametrize("bound", [0.1, 10.0])
 @pytest.mark.parametrize("pressed", [True, False])
 def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):

@@ -248,21 +248,25 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
         strength: (ns,) those of the scalar rows, likewise.
     """
     nc, ns, size = len(contacts), len(strength), len(free)
-    x, fixed, opens = np.zeros(size), np.zeros(size, dtype=np.int64), False
+    x, fixed, stays = np.zeros(size), np.zeros(size, dtype=np.int64), flags(nc, False)
     for k in range(nc):
-        at_rest = mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
-        stays = at_rest and candidates[contacts[k]] == PRESSED
-        opens |= stays and force[k, 2] == 0.0
+        slides = mu[k] == 0.0 or slip[k, 0] != 0.0 or slip[k, 1] != 0.0
+        stays[k] = not (slides or held[k]) and candidates[contacts[k]] == PRESSED
         for d in range(3):
             x[3 * k + d] = force[k, d]
-            fixed[3 * k + d] = not (stays or held[k])
-    if not opens:
+            fixed[3 * k + d] = not (stays[k] or held[k])
+        if slides and not held[k] and force[k, 2] > 0.0:
+            fixed[3 * k + 2] = 0
+    before, pressed = inside_cones(stays, mu, force), 0
+    for k in range(nc):
+        pressed += stays[k]
+    if before == pressed:
         return
     beyond = True
     while (
         beyond
     ):  # what would leave its bounds is at them, and then what would pull is let go, until nothing does
-        stop_rows(delassus, free, fixed, x)
+        stop_rows(delassus, free, slip, mu, fixed, x)
         beyond = False
         for m in range(ns):
             within = min(max(x[3 * nc + m], lower[m]), upper[m])
@@ -270,7 +274,7 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
                 x[3 * nc + m], fixed[3 * nc + m] = within, 1
                 beyond = True
         for k in range(nc):
-            if x[3 * k + 2] < 0.0 and fixed[3 * k] == 0 and not held[k] and not beyond:
+            if x[3 * k + 2] < 0.0 and not held[k] and not beyond:
                 beyond = True
                 for a in range(3 * k, 3 * k + 3):
                     x[a], fixed[a] = 0.0, 1
@@ -280,15 +284,10 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
             others[a // 3, a % 3] = x[a]
         else:
             other_strength[a - 3 * nc] = x[a]
-    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, others, other_strength)
-    if sweeps < 0 or jamming >= 0:
+    if inside_cones(stays, mu, others) <= before:
         return
-    more = False
-    for k in range(nc):
-        if force[k, 2] > 0.0 and others[k, 2] == 0.0:
-            return
-        more |= others[k, 2] > force[k, 2] and force[k, 2] == 0.0
-    if not more:
+    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, others, other_strength)
+    if sweeps < 0 or jamming >= 0 or inside_cones(stays, mu, others) <= before:
         return
     for k in range(nc):
         assign(force[k], others[k])
@@ -296,11 +295,31 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
 
 
 @inner
-def stop_rows(delassus, free, fixed, x):
-    """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration."""
+def inside_cones(chosen, mu, force):
+    """Return how many of the chosen contacts have forces inside their cones, so that they stick."""
+    count = 0
+    for k in range(len(mu)):
+        tangent = math.hypot(force[k, 0], force[k, 1])
+        count += chosen[k] and force[k, 2] > 0.0 and tangent <= INSIDE * mu[k] * force[k, 2]
+    return count
+
+
+@inner
+def stop_rows(delassus, free, slip, mu, fixed, x):
+    """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration.
+
+    Where the normal row alone of a contact is not fixed its friction goes with it, against its slip.
+    """
     rows = nonzero(1 - fixed)
     m = len(rows)
-    system, right, solution = np.empty((m, m)), np.empty(m), np.empty(m)
+    system, right, solution, drag = np.empty((m, m)), np.empty(m), np.empty(m), np.zeros((m, 2))
+    for c in range(m):
+        k, d = rows[c] // 3, rows[c] % 3
+        if k < len(mu) and d == 2 and fixed[rows[c] - 1] != 0:
+            speed = math.hypot(slip[k, 0], slip[k, 1])
+            for e in range(2):
+                x[3 * k + e] = 0.0
+                drag[c, e] = -mu[k] * slip[k, e] / speed if speed > 0.0 else 0.0
     for c in range(m):
         right[c] = -free[rows[c]]
         for b in range(len(x)):
@@ -308,9 +327,15 @@ def stop_rows(delassus, free, fixed, x):
                 right[c] -= delassus[rows[c], b] * x[b]
         for d in range(m):
             system[c, d] = delassus[rows[c], rows[d]]
+            for e in range(2):
+                if drag[d, e] != 0.0:
+                    system[c, d] += delassus[rows[c], rows[d] - 2 + e] * drag[d, e]
     least_norm(system, right, RANK, solution, np.empty((0, m)))
     for c in range(m):
         x[rows[c]] = solution[c]
+        for e in range(2):
+            if drag[c, e] != 0.0:
+                x[rows[c] - 2 + e] = drag[c, e] * solution[c]
 
 
 @inner
