@@ -191,9 +191,12 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking):
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
-    if ns > 0:
-        # a joint whose row hardly differs from those of contacts rests but for its error; a contact exactly,
-        # for what is left of its velocity would be slip
+    begins = False
+    for k in range(nc):
+        begins |= modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
+    if ns > 0 and begins:
+        # a joint whose row hardly differs from those of contacts rests but for its error; a contact that
+        # begins to slip exactly, for what is left of its velocity would be slip
         gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, NOTHING * work.stick_speed, v)[0]
     for j in range(n):
         if breaking[j] * v[j] > 0.0 and abs(v[j]) <= NOTHING * work.stick_speed:
