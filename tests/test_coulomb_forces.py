@@ -8,6 +8,8 @@ import numba
 import numpy as np
 import pytest
 
+from pinimpact.scene._kernels.approach import PRESSED, TOUCHES
+from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
 
 
@@ -218,3 +220,124 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
         for force, rate, most in zip(x[3:], a[3:], bound, strict=True):
             assert abs(force) <= most + near
             assert abs(rate) <= near or force == pytest.approx(-np.sign(rate) * most, abs=near)
+
+
+@numba.njit
+def stay(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+    """Call the kernel, which only kernels can."""
+    hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
+
+
+def could_open_or_stay(seed, bound):
+    """A contact beside a joint at its bound that obeys the law open and, by linear algebra, at rest too."""
+    rng = np.random.default_rng(seed)
+    while True:
+        jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
+        delassus, free = jacobian @ jacobian.T, rng.normal(size=4)
+        alone = np.clip(-free[3] / delassus[3, 3], -bound, bound)
+        opens = free + delassus[:, 3] * alone
+        resting = np.linalg.solve(delassus, -free)
+        if abs(resting[3]) > bound:  # it yields
+            resting[3] = np.sign(resting[3]) * bound
+            resting[:3] = np.linalg.solve(delassus[:3, :3], -free[:3] - delassus[:3, 3] * resting[3])
+            if (delassus[3] @ resting + free[3]) * resting[3] > 0.0:
+                continue
+        if opens[2] > 0.01 and 0.01 < np.hypot(*resting[:2]) < 0.9 * resting[2]:
+            return delassus, free, alone, resting
+
+
+def could_slip_or_stay(seed, bound):
+    """A contact that begins to slip beside a joint that begins to move, lawfully, though both could rest."""
+    rng = np.random.default_rng(seed)
+    while True:
+        jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
+        delassus, angle, side = jacobian @ jacobian.T, rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
+        push = rng.uniform(0.1, 1.0)
+        sliding = np.array([-push * np.cos(angle), -push * np.sin(angle), push, -side * bound])
+        slip, rate = rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.5)
+        a = np.array([slip * np.cos(angle), slip * np.sin(angle), 0.0, side * rate])
+        free = a - delassus @ sliding
+        resting = np.linalg.solve(delassus, -free)
+        if 0.01 < np.hypot(*resting[:2]) < 0.99 * resting[2] and abs(resting[3]) < bound:
+            return delassus, free, sliding, resting
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip(pressed):
+    bound = 1.0
+    for seed in range(40):
+        delassus, free, sliding, resting = could_slip_or_stay(seed, bound)
+        force, strength = sliding[None, :3].copy(), sliding[3:].copy()
+        stay(
+            np.array([PRESSED if pressed else TOUCHES, 1]),
+            np.zeros(1, dtype=np.int64),
+            delassus,
+            free,
+            np.zeros((1, 2)),
+            np.ones(1),
+            np.zeros(1, dtype=np.bool_),
+            np.array([-bound]),
+            np.array([bound]),
+            force,
+            strength,
+        )
+        expected = resting if pressed else sliding
+        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("slides", [0.0, 0.6])
+def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(slides):
+    """Two contacts, one of which slips: what rests has no acceleration, what slips none along its normal."""
+    found = 0
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        jacobian = rng.normal(size=(6, 7)) @ np.diag(rng.uniform(0.2, 2.0, size=7))
+        delassus, free, mu = jacobian @ jacobian.T, rng.normal(size=6), np.array([1.0, slides])
+        friction = np.array([-slides * 0.6, -slides * 0.8, 1.0])
+        effects = np.column_stack([delassus[:, :3], delassus[:, 3:] @ friction])
+        *resting, push = np.linalg.solve(effects[[0, 1, 2, 5]], -free[[0, 1, 2, 5]])
+        alone = -free[5] / effects[5, 3]
+        rests = 0.01 < np.hypot(*resting[:2]) < 0.9 * resting[2] and push > 0.01
+        opens = alone > 0.01 and (free + effects[:, 3] * alone)[2] > 0.01
+        if not (rests and opens):
+            continue
+        found += 1
+        force, none = np.array([[0.0, 0.0, 0.0], alone * friction]), np.zeros(0)
+        stay(
+            np.full(2, PRESSED),
+            np.arange(2),
+            delassus,
+            free,
+            np.array([[0.0, 0.0], [0.6, 0.8]]),
+            mu,
+            np.zeros(2, dtype=np.bool_),
+            none,
+            none,
+            force,
+            none.copy(),
+        )
+        np.testing.assert_allclose(force, [resting, push * friction], rtol=1e-8, atol=1e-8)
+    assert found > 0
+
+
+@pytest.mark.parametrize("bound", [0.1, 10.0])
+@pytest.mark.parametrize("pressed", [True, False])
+def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
+    for seed in range(40):
+        delassus, free, alone, resting = could_open_or_stay(seed, bound)
+        force, strength = np.zeros((1, 3)), np.array([alone])
+        stay(
+            np.array([PRESSED if pressed else TOUCHES, 1]),
+            np.zeros(1, dtype=np.int64),
+            delassus,
+            free,
+            np.zeros((1, 2)),
+            np.ones(1),
+            np.zeros(1, dtype=np.bool_),
+            np.array([-bound]),
+            np.array([bound]),
+            force,
+            strength,
+        )
+        expected = resting if pressed else [0.0, 0.0, 0.0, alone]
+        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)

@@ -258,3 +258,26 @@ def test_a_slip_that_has_turned_back_ever_so_slightly_has_ended(rtol):
     trajectory = simulate(scene, np.zeros(3), [speed, 0.0, 0.0], end, rtol=rtol, atol=1e-2 * rtol)
     assert abs(trajectory.v[-1, 0]) <= 1e-12
     assert trajectory.q[-1, 0] == pytest.approx(0.5 * speed**2 / brake, rel=1e-11)
+
+
+@pytest.mark.parametrize("arm", [1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("torque", [-10.0, 10.0])
+def test_a_contact_and_a_joint_that_hold_nearly_the_same_motion_rest_by_the_error_of_a_step(arm, torque):
+    """A disc turns on a joint that slides, its tip a hair's breadth below the axis; both only just rest."""
+    model, parent = pin.Model(), 0
+    for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
+        parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(parent, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.0, 0.0, -arm]))
+    model.addFrame(pin.Frame("tip", parent, 0, tip, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction = np.array([10.0, 0.0, 0.0])
+    floor = Contact("tip", Plane(), friction=0.5, restitution=0.0)
+    scene = Scene(model, [floor], control=lambda t, q, v: [0.0, 0.0, torque], resting_speed=1e-4)
+    for rtol in (1e-4, 1e-6):
+        trajectory = simulate(
+            scene, [0.0, arm, 0.0], [-0.3 * arm, 0.0, -0.3], 0.02, rtol=rtol, atol=1e-2 * rtol
+        )
+        # but for what friction does on so short an arm
+        assert trajectory.v[-1, 2] == pytest.approx(-0.3 + 0.02 * torque, abs=0.2 * arm)
+        assert abs(trajectory.v[-1, 0]) <= 0.3 * arm

@@ -17,12 +17,12 @@ MU = 2.0
 INERTIA = 1.0 / 3.0
 
 
-def planar_rod():
+def planar_rod(about=INERTIA):
     """A rod of mass 1 and half length 1 in the plane; zero is level, ``tip`` sinks as it turns."""
     model, parent = pin.Model(), 0
     for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
         parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
-    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, INERTIA, INERTIA]))
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, about, about]))
     model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
     tip = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
     model.addFrame(pin.Frame("tip", parent, 0, tip, pin.FrameType.OP_FRAME))
@@ -251,3 +251,38 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         assert end.max() > 1e-8
         assert end.min() <= 0.0
     assert found > 10
+
+
+def test_what_has_been_pressed_stays_closed_though_it_could_open():
+    """A rod whose middle is pushed up and ahead strikes and stops: free of the floor its tip would rise."""
+    about, angle, falls = 0.1, np.pi / 3.0, 0.05
+    push = np.array([10.0, 1.0])
+    model = planar_rod(about)
+    floor = Contact("tip", Plane(), friction=1.2, restitution=0.0, name="tip")
+    scene = Scene(model, [floor], control=lambda t, q, v: [push[0], push[1] + G, 0.0])
+    trajectory = run(scene, [0.0, np.sin(angle), angle], [0.0, -falls, 0.0], 0.1, rtol=1e-10, atol=1e-12)
+
+    def rates(t, y):  # about the tip, which is where it was
+        return [y[1], (push[0] * np.sin(y[0]) + push[1] * np.cos(y[0])) / (about + 1.0)]
+
+    start = [angle, -falls * np.cos(angle) / (about + 1.0)]
+    times = np.linspace(0.01, 0.1, 10)
+    turn, rate = solve_ivp(rates, (0.0, 0.1), start, "DOP853", times, rtol=1e-12, atol=1e-13).y
+    s, c = np.sin(turn), np.cos(turn)
+    turns = (push[0] * s + push[1] * c) / (about + 1.0)
+    assert len(trajectory.impacts) == 1
+    q = np.array([trajectory.at(t)[0] for t in times])
+    np.testing.assert_allclose(q, np.transpose([np.cos(angle) - c, s, turn]), atol=1e-9)
+    force = trajectory.forces_world("tip", times)[:, ::2]
+    expected = np.transpose([s * turns + c * rate**2, c * turns - s * rate**2]) - push
+    np.testing.assert_allclose(force, expected, atol=1e-8)
+    assert expected[:, 1].min() > 1.0
+
+
+def test_what_only_touches_opens_where_it_could_stay_closed_too():
+    model = planar_rod(0.1)
+    floor = Contact("tip", Plane(), friction=1.2, restitution=0.0)
+    scene = Scene(model, [floor], control=lambda t, q, v: [10.0, 1.0 + G, 0.0])
+    angle = np.pi / 3.0
+    trajectory = run(scene, [0.0, np.sin(angle), angle], np.zeros(3), 0.1)
+    np.testing.assert_allclose(trajectory.q[-1], [0.05, np.sin(angle) + 0.005, angle], atol=1e-9)

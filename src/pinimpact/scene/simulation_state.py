@@ -16,7 +16,7 @@ from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.pinocchio_bridge import check_inertia
 from ..robot.touching import flat_rim, tilt_of_rim
-from ._kernels.approach import APART, ARRIVING, TOUCHING
+from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import FREE, SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
@@ -172,7 +172,7 @@ class SimulationState:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             self._check_rims(where)
             if i >= 0:
-                where[i] = TOUCHING
+                where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
             before, modes = self.v, self.dynamics.work.modes.copy()
@@ -377,7 +377,7 @@ class SimulationState:
         self.change_velocity(impact.v)
         found = []
         for source, place, resting, make in impact.struck:
-            self._where[source] = TOUCHING
+            self._where[source] = STRUCK
             if resting:
                 self._note_rest(source)
             found.append(

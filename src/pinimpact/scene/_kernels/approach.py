@@ -10,8 +10,11 @@ from .contact_forces import FREE
 from .dynamics import all_gaps
 from .workspace import SceneWorkspace
 
-APART, TOUCHING, ARRIVING = range(3)
-"""Where a contact or limit is at an instant; arriving: its gap closes now."""
+APART, TOUCHING, ARRIVING, STRUCK = range(4)
+"""Where a contact or limit is at an instant; arriving: its gap closes now; struck: it has had an impulse."""
+
+TOUCHES, PRESSED = 1, 2
+"""What touches without bouncing, and that of it which is pressed: it was closed, or has just been struck."""
 
 
 @ahead(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)
@@ -24,8 +27,9 @@ def fastest_approach(work, q, v, starting, where, slow):
         q: (nq,) configuration.
         v: (nv,) velocity.
         starting: Whether the motion starts now, so that what touches has just closed its gap.
-        where: (n + nl,) `APART`, `TOUCHING` or `ARRIVING`; what is near is added.
-        slow: (n + nl,) takes what touches and approaches or parts no faster than the resting speed.
+        where: (n + nl,) `APART`, `TOUCHING`, `ARRIVING` or `STRUCK`; what is near is added.
+        slow: (n + nl,) takes `TOUCHES` or `PRESSED` for what touches and approaches or parts no faster than
+            the resting speed.
     """
     bilateral, modes, near, resting_speed = work.bilateral, work.modes, work.touching_gap, work.resting_speed
     contacts = len(bilateral)
@@ -36,7 +40,7 @@ def fastest_approach(work, q, v, starting, where, slow):
         gap, rate = found[i, 0], found[i, 1]
         slow[i] = 0
         if i < contacts and bilateral[i] != 0:
-            slow[i] = 1
+            slow[i] = PRESSED
             continue
         if where[i] == APART and (gap <= near or modes[i] != FREE):
             where[i] = ARRIVING if starting and gap <= near else TOUCHING
@@ -47,5 +51,5 @@ def fastest_approach(work, q, v, starting, where, slow):
         ) and rate < fastest:
             fastest, source = rate, i
         if resting_speed > 0.0 and abs(rate) <= resting_speed:
-            slow[i] = 1
+            slow[i] = PRESSED if where[i] == STRUCK or modes[i] != FREE else TOUCHES
     return source, fastest

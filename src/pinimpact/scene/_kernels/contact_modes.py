@@ -10,9 +10,12 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.elimination import RANK
 from ..._numeric.jit import inner, jit, separate
+from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
+from .approach import PRESSED
 from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
@@ -99,7 +102,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
-        candidates: Not zero for what touches, in the order of the modes.
+        candidates: Not zero for what touches, in the order of the modes; `PRESSED` as `approach` says.
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
@@ -154,6 +157,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
                     force[a // 3, a % 3] = both[a]
                 else:
                     strength[a - 3 * nc] = both[a]
+    if converged:
+        hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
@@ -186,19 +191,13 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         modes[work.contacts + joints[m]] = 1 if closed else 0
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, taken, speeds = v.copy(), np.empty((size, n)), np.empty(size)
+    before, start = v.copy(), np.empty(size)
+    for a in range(size):
+        start[a] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
     gained = fastest = 0.0
     for _ in range(2):
-        total = 0
-        for a in range(size):
-            if stopped[a]:
-                assign(taken[total], rows[a])
-                speed = velocity[a // 3, a % 3] if a < 3 * nc else before[scalars[a - 3 * nc]]
-                for j in range(n):
-                    speed += rows[a, j] * (v[j] - before[j])
-                speeds[total], fastest = speed, max(fastest, abs(speed))
-                total += 1
-        gained += stop_along(taken[:total], speeds[:total], work.minverse, v)
+        more, speed = stop_chosen(work, rows, stopped, start, before, 0.0, v)
+        gained, fastest = gained + more, max(fastest, speed)
         turned = False
         for m in range(ns):  # what is let go may have been thrown against its force, though not to move
             i = scalars[m]
@@ -206,6 +205,13 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
+    begins = False
+    for k in range(nc):
+        begins |= modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
+    if ns > 0 and begins:
+        # a joint whose row hardly differs from those of contacts rests but for its error; a contact that
+        # begins to slip exactly, for what is left of its velocity would be slip
+        gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, NOTHING * work.stick_speed, v)[0]
     for m in range(ns):
         i = scalars[m]
         # not even a rounding error begins against the force, nor what rows that hardly differ leave of a stop
@@ -213,6 +219,142 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         if breaking[i] * v[i] > 0.0 and abs(v[i]) <= least:
             v[i] = 0.0
     return -1, converged, gained, fastest
+
+
+@ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
+@separate
+def stop_chosen(work, rows, stopped, start, before, least, v):
+    """Stop what is to stop, if any of it is faster than the least speed that counts.
+
+    Args:
+        work: The workspace, with M⁻¹.
+        rows: (k, nv) rows of velocities, the first of all.
+        stopped: (m,) which of all are to vanish.
+        start: (m,) what they were at the velocity `before` (nv,).
+        before: See above.
+        least: That speed.
+        v: (nv,) the velocity, which is changed.
+
+    Returns:
+        The kinetic energy gained, and the fastest speed that was taken away.
+    """
+    taken, speeds = np.empty(rows.shape), np.empty(len(rows))
+    fastest, total = 0.0, 0
+    for a in range(len(rows)):
+        if stopped[a]:
+            speed = start[a]
+            for j in range(len(v)):
+                speed += rows[a, j] * (v[j] - before[j])
+            assign(taken[total], rows[a])
+            speeds[total], fastest = speed, max(fastest, abs(speed))
+            total += 1
+    if fastest < least:
+        return 0.0, 0.0
+    return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
+
+
+@ahead(INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
+@separate
+def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+    """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too. (theory.md, 11)
+
+    Args:
+        candidates: As in `find_modes`.
+        contacts: (nc,) their numbers.
+        delassus, free: Of the rows.
+        slip: (nc, 2) velocities of slip, zero for a contact that may stick.
+        mu, held, lower, upper: As in `forces_by_sweeps`.
+        force: (nc, 3) forces on the contacts that obey the law, replaced by others if there are such.
+        strength: (ns,) those of the scalar rows, likewise.
+    """
+    nc, ns, size = len(contacts), len(strength), len(free)
+    x, fixed, stays = np.zeros(size), np.zeros(size, dtype=np.int64), flags(nc, False)
+    for k in range(nc):
+        slides = mu[k] == 0.0 or slip[k, 0] != 0.0 or slip[k, 1] != 0.0
+        stays[k] = not (slides or held[k]) and candidates[contacts[k]] == PRESSED
+        for d in range(3):
+            x[3 * k + d] = force[k, d]
+            fixed[3 * k + d] = not (stays[k] or held[k])
+        if slides and not held[k] and force[k, 2] > 0.0:
+            fixed[3 * k + 2] = 0
+    before, pressed = inside_cones(stays, mu, force), 0
+    for k in range(nc):
+        pressed += stays[k]
+    if before == pressed:
+        return
+    beyond = True
+    while beyond:
+        # what would leave its bounds is at them, and then what would pull is let go, until nothing does
+        stop_rows(delassus, free, slip, mu, fixed, x)
+        beyond = False
+        for m in range(ns):
+            within = min(max(x[3 * nc + m], lower[m]), upper[m])
+            if within != x[3 * nc + m]:
+                x[3 * nc + m], fixed[3 * nc + m] = within, 1
+                beyond = True
+        for k in range(nc):
+            if x[3 * k + 2] < 0.0 and not held[k] and not beyond:
+                beyond = True
+                for a in range(3 * k, 3 * k + 3):
+                    x[a], fixed[a] = 0.0, 1
+    others, other_strength = np.empty((nc, 3)), np.empty(ns)
+    for a in range(size):
+        if a < 3 * nc:
+            others[a // 3, a % 3] = x[a]
+        else:
+            other_strength[a - 3 * nc] = x[a]
+    if inside_cones(stays, mu, others) <= before:
+        return
+    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, others, other_strength)
+    if sweeps < 0 or jamming >= 0 or inside_cones(stays, mu, others) <= before:
+        return
+    for k in range(nc):
+        assign(force[k], others[k])
+    assign(strength, other_strength)
+
+
+@inner
+def inside_cones(chosen, mu, force):
+    """Return how many of the chosen contacts have forces inside their cones, so that they stick."""
+    count = 0
+    for k in range(len(mu)):
+        tangent = math.hypot(force[k, 0], force[k, 1])
+        count += chosen[k] and force[k, 2] > 0.0 and tangent <= INSIDE * mu[k] * force[k, 2]
+    return count
+
+
+@inner
+def stop_rows(delassus, free, slip, mu, fixed, x):
+    """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration.
+
+    Where the normal row alone of a contact is not fixed its friction goes with it, against its slip.
+    """
+    rows = nonzero(1 - fixed)
+    m = len(rows)
+    system, right, solution, drag = np.empty((m, m)), np.empty(m), np.empty(m), np.zeros((m, 2))
+    for c in range(m):
+        k, d = rows[c] // 3, rows[c] % 3
+        if k < len(mu) and d == 2 and fixed[rows[c] - 1] != 0:
+            speed = math.hypot(slip[k, 0], slip[k, 1])
+            for e in range(2):
+                x[3 * k + e] = 0.0
+                drag[c, e] = -mu[k] * slip[k, e] / speed if speed > 0.0 else 0.0
+    for c in range(m):
+        right[c] = -free[rows[c]]
+        for b in range(len(x)):
+            if fixed[b] != 0:
+                right[c] -= delassus[rows[c], b] * x[b]
+        for d in range(m):
+            system[c, d] = delassus[rows[c], rows[d]]
+            for e in range(2):
+                if drag[d, e] != 0.0:
+                    system[c, d] += delassus[rows[c], rows[d] - 2 + e] * drag[d, e]
+    least_norm(system, right, RANK, solution, np.empty((0, m)))
+    for c in range(m):
+        x[rows[c]] = solution[c]
+        for e in range(2):
+            if drag[c, e] != 0.0:
+                x[rows[c] - 2 + e] = drag[c, e] * solution[c]
 
 
 @inner
