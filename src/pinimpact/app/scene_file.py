@@ -249,7 +249,7 @@ class SceneFile(_Table):
     """Relative tolerance of each step."""
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
-    max_impacts: Annotated[int, Field(gt=0)] = 10_000
+    max_impacts: Annotated[int, Field(gt=0)] = 100_000
     """At how many instants to resolve impacts before giving up."""
     output: OutputTable = OutputTable()
 

@@ -96,7 +96,7 @@ def simulate(
     rtol: float = 1e-8,
     atol: float = 1e-10,
     max_step: float | None = None,
-    max_impacts: int = 10_000,
+    max_impacts: int = 100_000,
     progress: Progress | None = None,
 ) -> Trajectory:
     """Simulate a scene from a state, for a time. (scenes.md)

@@ -47,7 +47,7 @@ class Stepper:
         rtol: float = 1e-8,
         atol: float = 1e-10,
         max_step: float | None = None,
-        max_impacts: int = 10_000,
+        max_impacts: int = 100_000,
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(
