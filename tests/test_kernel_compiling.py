@@ -95,7 +95,11 @@ def package(tmp_path: Path) -> Path:
 
 def python(package: Path, code: str = CALL, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = dict(
-        os.environ, PYTHONPATH=str(package.parent), NUMBA_CACHE_DIR=str(package.parent / "cache"), **variables
+        os.environ,
+        PYTHONPATH=str(package.parent),
+        PYTHONDONTWRITEBYTECODE="1",  # bytecode knows sources by their size and the second of their change
+        NUMBA_CACHE_DIR=str(package.parent / "cache"),
+        **variables,
     )
     return subprocess.run(
         [sys.executable, "-c", code],
