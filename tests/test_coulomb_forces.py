@@ -134,6 +134,35 @@ def test_forces_are_found_for_a_contact_that_slides_off_a_stretched_arm(seed, be
     assert x[:2] == pytest.approx(-mu * x[2] * a[:2] / np.hypot(a[0], a[1]), rel=1e-6, abs=1e-6 * x[2])
 
 
+@pytest.mark.parametrize("seed", [12, 2407])
+def test_forces_are_found_where_a_joint_yields_the_other_way(seed):
+    """A contact at rest beside one that slips, and dry joints: the convex programs end elsewhere."""
+    rng = np.random.default_rng(seed)
+    jacobian, factor = rng.normal(size=(9, 8)), rng.normal(size=(8, 8))
+    delassus = jacobian @ (factor @ factor.T / 8.0 + 0.1 * np.eye(8)) @ jacobian.T
+    free = jacobian @ rng.normal(size=8) - np.array([0, 0, 1, 0, 0, 1, 0, 0, 0])
+    velocity = np.array([[0.0, 0.0], rng.normal(size=2)])
+    mu, bound = rng.uniform(0.5, 1.2, size=2), rng.uniform(0.05, 0.5)
+    x, bounds = np.zeros(9), np.full(3, bound)
+    accuracy = solve(delassus, free, velocity, mu, np.zeros(2, dtype=bool), -bounds, bounds, x)
+    assert accuracy <= 1e-10
+    a, near = delassus @ x + free, 1e-9 * np.abs(free).max()
+    for i in range(2):
+        push, lift = x[3 * i + 2], a[3 * i + 2]
+        assert push >= 0.0
+        assert lift >= -near
+        assert push * lift == pytest.approx(0.0, abs=near * max(push, 1.0))
+        slip = velocity[i] if i else a[:2]
+        friction = x[3 * i : 3 * i + 2]
+        assert np.linalg.norm(friction) <= mu[i] * push * (1 + 1e-9) + near
+        if np.linalg.norm(slip) > near:
+            assert friction == pytest.approx(-mu[i] * push * slip / np.linalg.norm(slip), abs=1e-7)
+    for force, rate in zip(x[6:], a[6:], strict=True):
+        assert abs(force) <= bound * (1 + 1e-9)
+        if abs(rate) > near:
+            assert force == pytest.approx(-np.copysign(bound, rate))
+
+
 def choices_that_hold(delassus, free, directions, mu):
     """Return the forces of each choice of which slipping contacts are closed that obeys the law."""
     contacts = len(mu)

@@ -307,6 +307,24 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     if best < worst:
         worst = best
         assign(x, best_x)
+    if worst > USABLE:  # where a solution has just ceased to exist, another is often a joint's yielding away
+        assign(best_x, x)
+        best = worst
+        for i in range(ns):
+            for bound in (lower[i], upper[i]):
+                if abs(bound) == math.inf or bound == best_x[3 * nc + i]:
+                    continue
+                assign(x, best_x)
+                x[3 * nc + i] = bound
+                worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+                worst = polish(
+                    *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst),
+                    undecided,
+                )
+                if worst <= USABLE:
+                    return worst
+        assign(x, best_x)
+        worst = best
     return worst
 
 
