@@ -291,27 +291,32 @@ def could_slip_or_stay(seed, bound):
             return delassus, free, sliding, resting
 
 
+def held_beside_a_joint(delassus, free, forces, bound, pressed):
+    """Return what `hold_on` makes of the forces (4,) on a contact at rest, μ = 1, and a joint so bounded."""
+    force, strength = forces[None, :3].copy(), forces[3:].copy()
+    stay(
+        np.array([PRESSED if pressed else TOUCHES, 1]),
+        np.zeros(1, dtype=np.int64),
+        delassus,
+        free,
+        np.zeros((1, 2)),
+        np.ones(1),
+        np.zeros(1, dtype=np.bool_),
+        np.array([-bound]),
+        np.array([bound]),
+        force,
+        strength,
+    )
+    return np.array([*force[0], *strength])
+
+
 @pytest.mark.parametrize("pressed", [True, False])
 def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip(pressed):
     bound = 1.0
     for seed in range(40):
         delassus, free, sliding, resting = could_slip_or_stay(seed, bound)
-        force, strength = sliding[None, :3].copy(), sliding[3:].copy()
-        stay(
-            np.array([PRESSED if pressed else TOUCHES, 1]),
-            np.zeros(1, dtype=np.int64),
-            delassus,
-            free,
-            np.zeros((1, 2)),
-            np.ones(1),
-            np.zeros(1, dtype=np.bool_),
-            np.array([-bound]),
-            np.array([bound]),
-            force,
-            strength,
-        )
-        expected = resting if pressed else sliding
-        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)
+        found = held_beside_a_joint(delassus, free, sliding, bound, pressed)
+        np.testing.assert_allclose(found, resting if pressed else sliding, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("slides", [0.0, 0.6])
@@ -354,19 +359,6 @@ def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(sl
 def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
     for seed in range(40):
         delassus, free, alone, resting = could_open_or_stay(seed, bound)
-        force, strength = np.zeros((1, 3)), np.array([alone])
-        stay(
-            np.array([PRESSED if pressed else TOUCHES, 1]),
-            np.zeros(1, dtype=np.int64),
-            delassus,
-            free,
-            np.zeros((1, 2)),
-            np.ones(1),
-            np.zeros(1, dtype=np.bool_),
-            np.array([-bound]),
-            np.array([bound]),
-            force,
-            strength,
-        )
-        expected = resting if pressed else [0.0, 0.0, 0.0, alone]
-        np.testing.assert_allclose([*force[0], *strength], expected, rtol=1e-9, atol=1e-9)
+        open_one = np.array([0.0, 0.0, 0.0, alone])
+        found = held_beside_a_joint(delassus, free, open_one, bound, pressed)
+        np.testing.assert_allclose(found, resting if pressed else open_one, rtol=1e-9, atol=1e-9)
