@@ -149,6 +149,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     converged = sweeps >= 0 and jamming < 0
     if not converged:
         both = np.empty(size)
+        for a in range(size):
+            both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
         converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others

@@ -4,8 +4,9 @@ With a dual cone in place of the law, f minimises ½ fᵀWf + fᵀ(a⁰ + s) in 
 contact at rest: a convex program for given s, repeated with the s that it gives. (Acary, Cadoux, Lemaréchal,
 Malick, A formulation of the linear discrete Coulomb friction problem via convex optimization, 2011.) Friction
 of contacts that slip is carried over from one program to the next. From what is open, sticks and slips then
-Newton's method goes to rounding. It is also tried first, from each choice of which slipping contacts close,
-and last from what Lemke's pivots find, see `force_pivots`.
+Newton's method goes to rounding. It is also tried first, from what the sweeps have left (which go away from
+solutions of a negative determinant) and from each choice of which slipping contacts close, and last from what
+Lemke's pivots find, see `force_pivots`.
 """
 
 from __future__ import annotations
@@ -134,10 +135,44 @@ def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a
     return worst
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@separate
+def newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
+    """Take forces x to rounding by Newton's method on what they say is active; return the residual."""
+    worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    if not 0.0 < worst < math.inf:
+        return worst
+    undecided = repeated(len(mu), AS_FORCES_SAY)
+    return polish(
+        delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
+    )
+
+
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@separate
+def forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
+    """Take one scalar force at a time to a bound, and go on from there; keep x where nothing comes of it.
+
+    Where a solution has just ceased to exist, another is often a joint's yielding away. Returns the residual.
+    """
+    start, nc = x.copy(), len(mu)
+    for i in range(len(lower)):
+        for bound in (lower[i], upper[i]):
+            if abs(bound) == math.inf or bound == start[3 * nc + i]:
+                continue
+            assign(x, start)
+            x[3 * nc + i] = bound
+            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            if worst <= USABLE:
+                return worst
+    assign(x, start)
+    return residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+
+
 @ahead(*SYSTEM)
 @separate
 def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
-    """Fill x with forces from a sequence of convex programs, then Newton's method on what they say is active.
+    """Fill x with forces: near those that it has, or from convex programs. (see above)
 
     Returns the residual.
     """
@@ -165,6 +200,9 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     scale_a, scale_f = np.empty(size), np.empty(size)
     for a in range(size):
         scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
+    a_now = np.empty(size)
+    if newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= 1e-12:
+        return 0.0
     if forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f) <= 1e-12:
         return 0.0
     w = np.empty((size, size))
@@ -219,10 +257,10 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             if upper[i] < math.inf:
                 G[line, a], h[line] = 1.0, upper[i] / scale_f[row]
                 line += 1
-    f, a_now = np.zeros(size), np.empty(size)
+    f = np.zeros(size)
     corrected = np.zeros(size)  # what is added to the free accelerations
     lifts, changes, reach = np.zeros(nc), np.zeros(nc), 1.0  # s, its last changes, and a factor on them
-    worst, undecided = math.inf, repeated(nc, AS_FORCES_SAY)
+    worst = math.inf
     best, best_x, since = math.inf, np.empty(size), 0
     for outer in range(OUTER):
         for k in range(n):
@@ -243,9 +281,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
         if worst <= 1e-12:
             return worst
         if worst <= 1e-3 or outer == OUTER - 1:
-            worst = polish(
-                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
-            )
+            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
             since += 1
             if worst < best:
                 since = 0 if worst < 0.5 * best else since
@@ -299,32 +335,12 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
         if forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
             for a in range(size):
                 x[a] = f[a] * scale_f[a]
-            worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-            worst = polish(
-                *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst),
-                undecided,
-            )
+            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
     if best < worst:
         worst = best
         assign(x, best_x)
-    if worst > USABLE:  # where a solution has just ceased to exist, another is often a joint's yielding away
-        assign(best_x, x)
-        best = worst
-        for i in range(ns):
-            for bound in (lower[i], upper[i]):
-                if abs(bound) == math.inf or bound == best_x[3 * nc + i]:
-                    continue
-                assign(x, best_x)
-                x[3 * nc + i] = bound
-                worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-                worst = polish(
-                    *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst),
-                    undecided,
-                )
-                if worst <= USABLE:
-                    return worst
-        assign(x, best_x)
-        worst = best
+    if worst > USABLE:
+        worst = forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
     return worst
 
 
