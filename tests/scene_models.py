@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -40,6 +42,25 @@ def slider(mass=1.0):
     model.addFrame(pin.Frame("point", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     unbounded(model)
     return model
+
+
+def rough_joint(friction):
+    """A mass of 1 kg on one sliding joint with dry friction."""
+    model = pin.Model()
+    index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    unbounded(model)
+    model.friction = np.array([friction])
+    return model
+
+
+def box_on(corners, height=0.1, turn=0.3, mu=0.5):
+    """A box of 1 kg whose lower corners lie on an ellipse, and contacts there; its centre's height."""
+    angle = 2.0 * math.pi * np.arange(corners) / corners + turn
+    points = np.column_stack([0.3 * np.cos(angle), 0.2 * np.sin(angle), np.full(corners, -height)])
+    model = free_body(pin.Inertia.FromBox(1.0, 0.6, 0.4, 2.0 * height), points)
+    plane = pinimpact.Plane()
+    return model, [pinimpact.Contact(f"tip{k}", plane, friction=mu) for k in range(corners)]
 
 
 def pendulum(mass=1.0, length=1.0, joint=None):

@@ -365,8 +365,7 @@ def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
 
 
 def every_solution(delassus, free, mu, bound):
-    """All forces of one contact that slips along t₁ and of rows within ±bound: of what is open, closed, held and
-    at a bound, all choices."""
+    """All forces of one contact that slips along t₁ and of rows within ±bound, by enumeration."""
     size = len(free)
     found = []
     for closed, *at in itertools.product((False, True), *[(-1, 0, 1)] * (size - 3)):

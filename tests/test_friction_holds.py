@@ -10,25 +10,8 @@ import pytest
 
 from pinimpact import Contact, Event, Plane, Scene, simulate
 
-from .scene_models import G, free_body, slider, unbounded
+from .scene_models import G, box_on, free_body, rough_joint, slider, unbounded
 from .stick_slip import Swing, stick_slip
-
-
-def rough_joint(friction):
-    model = pin.Model()
-    index = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
-    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    unbounded(model)
-    model.friction = np.array([friction])
-    return model
-
-
-def box_on(corners):
-    """A box of 1 kg whose lower corners lie on an ellipse, and contacts there of μ = 0.5."""
-    turn = 2.0 * math.pi * np.arange(corners) / corners + 0.3
-    points = np.column_stack([0.3 * np.cos(turn), 0.2 * np.sin(turn), np.full(corners, -0.1)])
-    model = free_body(pin.Inertia.FromBox(1.0, 0.6, 0.4, 0.2), points)
-    return model, [Contact(f"tip{k}", Plane(), friction=0.5) for k in range(corners)]
 
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
@@ -44,20 +27,6 @@ def test_dry_friction_holds_between_two_crossings_and_lets_go_gently(a, b, t_c, 
     (stuck,) = [interval for interval in trajectory.modes if interval.mode == "stuck"]
     assert stuck.start == pytest.approx(t_c - b, abs=1e3 * rtol)
     assert stuck.end == pytest.approx(t_c, abs=1e-8)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_a_joint_with_dry_friction_under_a_swinging_force(seed):
-    rng = np.random.default_rng(seed)
-    load = Swing(
-        rng.uniform(0.1, 2.0), 10 ** rng.uniform(-0.5, 1.3), rng.uniform(0, 6.28), rng.uniform(-0.45, 0.45)
-    )
-    x, v, _ = stick_slip(load, 0.5, 20.0)
-    scene = Scene(rough_joint(0.5), control=lambda t, q, v: np.array([load.force(t)]))
-    trajectory = simulate(scene, [0.0], [0.0], 20.0, rtol=1e-8, atol=1e-10)
-    assert trajectory.q[-1, 0] == pytest.approx(x, abs=1e-5)
-    assert trajectory.v[-1, 0] == pytest.approx(v, abs=1e-5)
-    assert np.diff(trajectory.energy.joints).max() <= 1e-12
 
 
 def test_a_tip_that_comes_to_stick_sets_a_dry_joint_in_motion():
