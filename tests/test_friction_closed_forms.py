@@ -74,7 +74,7 @@ def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, turn, heading,
     assert trajectory.v[-1, :2] @ along == pytest.approx(0.5 * rate, rel=1e3 * rtol)
     assert trajectory.q[-1, :2] @ along == pytest.approx(rate / 6.0, rel=1e3 * rtol)
     starts = [m.start for m in trajectory.modes if m.mode == "slip"]
-    # a part rtol of the largest force is none, and of forces that are not unique 1e-10 of the weight
+    # a part rtol of the largest force is none, nor are 1e-10 of the weight, on each corner
     assert starts == pytest.approx([onset] * corners, rel=(3.0 * rtol + 1e-10 * corners) / mu)
 
 
