@@ -16,7 +16,7 @@ from pinimpact import Contact, Plane, Scene, simulate
 from .drawing import examples
 from .scene_models import G
 
-HEIGHT, HALF = 1e-3, 3.0
+HEIGHT, HALF = 1e-3, 30.0
 """Half of a box's height, and of its sides: none tips, nor comes to an edge."""
 
 
