@@ -11,6 +11,7 @@ import pytest
 from pinimpact.scene._kernels.approach import PRESSED, TOUCHES
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
+from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
 
 
 @numba.njit
@@ -161,6 +162,23 @@ def test_forces_are_found_where_a_joint_yields_the_other_way(seed):
         assert abs(force) <= bound * (1 + 1e-9)
         if abs(rate) > near:
             assert force == pytest.approx(-np.copysign(bound, rate))
+
+
+def test_sweeps_that_grow_without_end_have_found_no_forces():
+    """Slip of each of two contacts drives the other in: f₁ = 1 + p f₂ and f₂ = 1 + p f₁, for no f ≥ 0."""
+    mu, p, reach = 1.2, 11.88, 100.0
+    delassus = np.diag([reach, reach, 1.0] * 2)
+    for normal, tangent in ((2, 3), (5, 0)):
+        delassus[normal, tangent] = delassus[tangent, normal] = p / mu
+    assert np.linalg.eigvalsh(delassus).min() > 0.0
+    velocity, free = np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([0.0, 0.0, -1.0] * 2)
+    along = delassus.reshape(2, 3, 2, 3)[:, 2] @ [-mu, 0.0, 1.0]
+    assert along == pytest.approx(np.array([[1.0, -p], [-p, 1.0]]))
+    force, no_force, held = np.zeros((2, 3)), np.zeros(0), np.zeros(2, dtype=bool)
+    sweeps, _ = forces_by_sweeps(
+        delassus, free, velocity, np.full(2, mu), held, no_force, no_force, force, no_force
+    )
+    assert sweeps < 0
 
 
 def choices_that_hold(delassus, free, directions, mu):
