@@ -11,6 +11,7 @@ import pytest
 from pinimpact.scene._kernels.approach import PRESSED, TOUCHES
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
+from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
 
 
 @numba.njit
@@ -143,24 +144,60 @@ def test_forces_are_found_where_a_joint_yields_the_other_way(seed):
     free = jacobian @ rng.normal(size=8) - np.array([0, 0, 1, 0, 0, 1, 0, 0, 0])
     velocity = np.array([[0.0, 0.0], rng.normal(size=2)])
     mu, bound = rng.uniform(0.5, 1.2, size=2), rng.uniform(0.05, 0.5)
-    x, bounds = np.zeros(9), np.full(3, bound)
-    accuracy = solve(delassus, free, velocity, mu, np.zeros(2, dtype=bool), -bounds, bounds, x)
+    forces_obey_the_law(delassus, free, velocity, mu, bound)
+
+
+@pytest.mark.parametrize("seed", [1344, 4048, 10102, 13088])
+def test_forces_are_found_where_both_ends_of_an_edge_may_begin_to_slip_beside_others_that_do(seed):
+    """The ends move alike along the edge; neither sticking nor the slip that convex programs see will do."""
+    rng = np.random.default_rng(seed)
+    jacobian, factor = rng.normal(size=(15, 14)), rng.normal(size=(14, 14))
+    jacobian[9] = jacobian[6]
+    delassus = jacobian @ (factor @ factor.T / 14.0 + 0.1 * np.eye(14)) @ jacobian.T
+    free = jacobian @ rng.normal(size=14) - np.array([0, 0, 1] * 4 + [0] * 3)
+    velocity = np.vstack([rng.normal(size=(2, 2)), np.zeros((2, 2))])
+    mu, bound = rng.uniform(0.5, 1.2, size=4), rng.uniform(0.05, 0.5)
+    forces_obey_the_law(delassus, free, velocity, mu, bound)
+
+
+def forces_obey_the_law(delassus, free, velocity, mu, bound):
+    """Check the forces of contacts that slip or, where their velocity is zero, rest, and of dry joints."""
+    contacts, joints = len(mu), len(free) - 3 * len(mu)
+    x, bounds = np.zeros(len(free)), np.full(joints, bound)
+    accuracy = solve(delassus, free, velocity, mu, np.zeros(contacts, dtype=bool), -bounds, bounds, x)
     assert accuracy <= 1e-10
     a, near = delassus @ x + free, 1e-9 * np.abs(free).max()
-    for i in range(2):
+    for i in range(contacts):
         push, lift = x[3 * i + 2], a[3 * i + 2]
-        assert push >= 0.0
+        assert push >= -near
         assert lift >= -near
         assert push * lift == pytest.approx(0.0, abs=near * max(push, 1.0))
-        slip = velocity[i] if i else a[:2]
+        slip = velocity[i] if velocity[i].any() else a[3 * i : 3 * i + 2]
         friction = x[3 * i : 3 * i + 2]
         assert np.linalg.norm(friction) <= mu[i] * push * (1 + 1e-9) + near
         if np.linalg.norm(slip) > near:
             assert friction == pytest.approx(-mu[i] * push * slip / np.linalg.norm(slip), abs=1e-7)
-    for force, rate in zip(x[6:], a[6:], strict=True):
+    for force, rate in zip(x[3 * contacts :], a[3 * contacts :], strict=True):
         assert abs(force) <= bound * (1 + 1e-9)
         if abs(rate) > near:
             assert force == pytest.approx(-np.copysign(bound, rate))
+
+
+def test_sweeps_that_grow_without_end_have_found_no_forces():
+    """Slip of each of two contacts drives the other in: f₁ = 1 + p f₂ and f₂ = 1 + p f₁, for no f ≥ 0."""
+    mu, p, reach = 1.2, 11.88, 100.0
+    delassus = np.diag([reach, reach, 1.0] * 2)
+    for normal, tangent in ((2, 3), (5, 0)):
+        delassus[normal, tangent] = delassus[tangent, normal] = p / mu
+    assert np.linalg.eigvalsh(delassus).min() > 0.0
+    velocity, free = np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([0.0, 0.0, -1.0] * 2)
+    along = delassus.reshape(2, 3, 2, 3)[:, 2] @ [-mu, 0.0, 1.0]
+    assert along == pytest.approx(np.array([[1.0, -p], [-p, 1.0]]))
+    force, no_force, held = np.zeros((2, 3)), np.zeros(0), np.zeros(2, dtype=bool)
+    sweeps, _ = forces_by_sweeps(
+        delassus, free, velocity, np.full(2, mu), held, no_force, no_force, force, no_force
+    )
+    assert sweeps < 0
 
 
 def choices_that_hold(delassus, free, directions, mu):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
+from pinimpact.robot.surfaces import contact_axes
 from pinimpact.scene.scene_impacts import _growing
 
 from .random_scenes import draw, unaccounted
@@ -251,6 +253,80 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         assert end.max() > 1e-8
         assert end.min() <= 0.0
     assert found > 10
+
+
+@numba.njit
+def pressed_springs(delassus, velocity, loads, friction, softness, step, steps):
+    """Return velocities once springs under contacts have let go, which give back `softness`² of their work.
+
+    Small steps, with the friction that each ends with, whatever sticks, slips or turns.
+    """
+    count = len(velocity) // 3
+    depth, deepest, force = np.zeros(count), np.zeros(count), np.zeros(3 * count)
+    for _ in range(steps):
+        for j in range(count):
+            back = (deepest[j] - depth[j]) / softness**2
+            force[3 * j + 2] = max(0.0, deepest[j] - back) if depth[j] < deepest[j] else max(0.0, depth[j])
+        for _ in range(200):
+            change = 0.0
+            for j in range(count):
+                b, limit = 3 * j, friction * force[3 * j + 2]
+                pace = step * (delassus[b, b] + delassus[b + 1, b + 1])
+                x, y = force[b], force[b + 1]
+                ends = velocity[b : b + 2] + step * (loads[b : b + 2] + delassus[b : b + 2] @ force)
+                force[b : b + 2] -= ends / pace
+                size = np.hypot(force[b], force[b + 1])
+                if size > limit:
+                    force[b : b + 2] *= limit / size
+                change = max(change, abs(force[b] - x), abs(force[b + 1] - y))
+            if change < 1e-16:
+                break
+        velocity = velocity + step * (loads + delassus @ force)
+        for j in range(count):
+            depth[j] -= step * velocity[3 * j + 2]
+            deepest[j] = max(deepest[j], depth[j]) if depth[j] > 0.0 else 0.0
+    return velocity
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [262, 2030, 4621])
+def test_what_rests_may_slip_in_an_impact_without_collision(seed):
+    """A body turns about a tip at rest, and drives the other in only once the first one slips.
+
+    What comes of it is what springs under the tips come to, which the loads press in.
+    """
+    rng = np.random.default_rng(seed)
+    inertia = np.diag(10.0 ** rng.uniform(-1.5, 0.0, 3))
+    points, normals = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    rows = [
+        contact_axes(n) @ np.hstack([np.eye(3), -pin.skew(p)]) for p, n in zip(points, normals, strict=True)
+    ]
+    jacobian, speed = np.vstack(rows), 1e-3
+    v = np.linalg.svd(jacobian[[0, 1, 2, 5]])[2][4:].T @ rng.normal(size=2)
+    v *= speed / np.linalg.norm((jacobian @ v)[3:5])
+    gravity = rng.normal(size=3)
+    gravity *= G / np.linalg.norm(gravity)
+
+    model = free_body(pin.Inertia(1.0, np.zeros(3), inertia), points)
+    model.gravity.linear = gravity
+    contacts = [
+        Contact(f"tip{k}", Plane(tuple(points[k]), tuple(normals[k])), friction=1.0) for k in range(2)
+    ]
+    trajectory = simulate(Scene(model, contacts), pin.neutral(model), v, 1e-9, rtol=1e-9, atol=1e-11)
+    assert "without collision" in trajectory.notes[0].text
+    after = jacobian @ trajectory.impacts[-1].v_after
+
+    response = np.diag([1.0, 1.0, 1.0, *1.0 / inertia.diagonal()])
+    loads, before = jacobian[:, :3] @ gravity, jacobian @ v / speed
+    before[[0, 1, 2, 5]] = 0.0
+    delassus = jacobian @ response @ jacobian.T
+    soft, softer = (
+        pressed_springs(delassus, before, 1e-8 * loads, 1.0, softness, 0.1 * softness, int(4e3 / softness))
+        for softness in (0.02, 0.04)
+    )
+    assert np.abs(soft - softer).max() < 0.02
+    assert after / speed == pytest.approx(2.0 * soft - softer, abs=3e-3)
 
 
 def test_what_has_been_pressed_stays_closed_though_it_could_open():

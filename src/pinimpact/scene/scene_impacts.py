@@ -316,7 +316,9 @@ class SceneImpacts:
             friction = friction * more
         growing = _growing(matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus))
         if growing is None:
-            return None
+            if slack > 0.0 or not friction[~slips].any():
+                return None
+            growing = np.maximum(-push, 0.0) / -push.min()  # what grows where what rests slips (13.7)
         # what begins is small beside the slip of what jams, and what counts as rest beside the fastest
         jamming = int(np.argmax(growing * slips))
         slow = float(np.hypot(velocity[jamming, 0], velocity[jamming, 1]))

@@ -154,11 +154,11 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
-            for a in range(size):
-                if a < 3 * nc:
-                    force[a // 3, a % 3] = both[a]
-                else:
-                    strength[a - 3 * nc] = both[a]
+        for a in range(size):  # if not found, then the nearest to it
+            if a < 3 * nc:
+                force[a // 3, a % 3] = both[a]
+            else:
+                strength[a - 3 * nc] = both[a]
     if converged:
         hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
     if jamming >= 0:

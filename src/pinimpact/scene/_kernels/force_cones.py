@@ -52,6 +52,9 @@ GAP = 1e-20
 """Gap to which programs are solved: what is about to slip has an acceleration of 10⁻⁸ beside those of others,
 and its force is to be at its bound to 10⁻¹² nevertheless."""
 
+FEWEST_SIDES, MOST_SIDES = np.int64(8), np.int64(64)
+"""Sides of the polygons in place of cones, where pivots are tried."""
+
 CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
 """What `polish` is told of a contact in its first iteration."""
 
@@ -307,7 +310,7 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             reach *= (old - along) / (new - 2.0 * along + old)
         else:
             reach = min(2.0 * reach, LONGEST if along > STEADY * math.sqrt(new * old) else 1.0)
-        before = corrected.copy()
+        last = corrected.copy()
         gone = 0.0
         for a in range(size):
             corrected[a] = 0.0
@@ -325,17 +328,28 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             reach = gone / new
         moved = 0.0
         for a in range(size):
-            moved = max(moved, abs(corrected[a] - before[a]))
+            moved = max(moved, abs(corrected[a] - last[a]))
         if moved == 0.0:  # the same program again
             break
     if best > USABLE:
         low, high = np.empty(ns), np.empty(ns)
         for i in range(ns):
             low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-        if forces_by_pivots(w, f0, velocity, mu, held, low, high, f):
+        sides = FEWEST_SIDES
+        while best > USABLE and sides <= MOST_SIDES:
+            if not forces_by_pivots(w, f0, velocity, mu, held, low, high, sides, f):
+                break
             for a in range(size):
                 x[a] = f[a] * scale_f[a]
+            before = math.inf
             worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            while worst < 0.5 * before and worst > ACCURATE:  # slow where hardly anything begins to slip
+                before = worst
+                worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            if worst < best:
+                best = worst
+                assign(best_x, x)
+            sides *= 2
     if best < worst:
         worst = best
         assign(x, best_x)

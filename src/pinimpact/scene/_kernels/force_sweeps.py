@@ -102,6 +102,8 @@ def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, sc
             x[b] = min(max(x[b] - a / delassus[b, b], lower[i]), upper[i])
             change = max(change, abs(x[b] - old))
             largest = max(largest, abs(x[b]))
+        if not largest < math.inf:  # where slip drives the surface in, sweeps may grow without end
+            break
         if change <= TOLERANCE * largest:
             taken = sweep + 1
             break
