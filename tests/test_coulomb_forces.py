@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import pytest
 
-from pinimpact.scene._kernels.approach import PRESSED, TOUCHES
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
 from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
@@ -289,9 +288,9 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
 
 
 @numba.njit
-def stay(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+def stay(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
     """Call the kernel, which only kernels can."""
-    hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
+    hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
 
 
 def could_open_or_stay(seed, bound):
@@ -332,8 +331,7 @@ def held_beside_a_joint(delassus, free, forces, bound, pressed):
     """Return what `hold_on` makes of the forces (4,) on a contact at rest, μ = 1, and a joint so bounded."""
     force, strength = forces[None, :3].copy(), forces[3:].copy()
     stay(
-        np.array([PRESSED if pressed else TOUCHES, 1]),
-        np.zeros(1, dtype=np.int64),
+        np.array([pressed, False]),
         delassus,
         free,
         np.zeros((1, 2)),
@@ -375,8 +373,7 @@ def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(sl
         found += 1
         force, none = np.array([[0.0, 0.0, 0.0], alone * friction]), np.zeros(0)
         stay(
-            np.full(2, PRESSED),
-            np.arange(2),
+            np.ones(2, dtype=np.bool_),
             delassus,
             free,
             np.array([[0.0, 0.0], [0.6, 0.8]]),
@@ -447,3 +444,42 @@ def test_of_several_forces_those_where_the_search_begins_are_taken():
             assert worst <= 1e-10
             assert near == pytest.approx(x, rel=1e-9, abs=1e-9)
     assert several > 50
+
+
+def could_move_or_hold(seed, bound):
+    """A contact that slips beside a joint that begins to move, though both laws let it be held too."""
+    rng = np.random.default_rng(seed)
+    while True:
+        jacobian = rng.normal(size=(4, 5)) @ np.diag(rng.uniform(0.2, 2.0, size=5))
+        delassus, mu, push, side = jacobian @ jacobian.T, rng.uniform(0.5, 3.0), 1.0, rng.choice([-1.0, 1.0])
+        friction = np.array([-0.6 * mu, -0.8 * mu, 1.0])
+        effects = np.column_stack([delassus[:, :3] @ friction, delassus[:, 3]])
+        free = rng.normal(size=4)
+        free[2:] = np.array([0.0, side * rng.uniform(0.01, 1.0)]) - effects[2:] @ [push, -side * bound]
+        resting = np.linalg.solve(effects[2:], -free[2:])
+        if resting[0] > 0.01 and abs(resting[1]) < 0.99 * bound:
+            return delassus, free, mu, push * friction, -side * bound, resting[0] * friction, resting[1]
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move(held):
+    bound = 1.0
+    for seed in range(40):
+        delassus, free, mu, force, strength, force_held, strength_held = could_move_or_hold(seed, bound)
+        force, strength = force[None].copy(), np.array([strength])
+        stay(
+            np.array([True, held]),
+            delassus,
+            free,
+            np.array([[0.6, 0.8]]),
+            np.array([mu]),
+            np.zeros(1, dtype=np.bool_),
+            np.array([-bound]),
+            np.array([bound]),
+            force,
+            strength,
+        )
+        assert (abs(strength[0]) == bound) != held
+        if held:
+            assert force[0] == pytest.approx(force_held, rel=1e-8)
+            assert strength[0] == pytest.approx(strength_held, rel=1e-8)

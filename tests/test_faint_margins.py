@@ -116,3 +116,58 @@ def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
     finer = simulate(drawn.scene, drawn.q, drawn.v, 1.0, rtol=1e-10, atol=1e-12)
     assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)
+
+
+def test_a_joint_that_has_been_held_beside_a_foot_that_slips_is_held_on():
+    """It could be held, or move with a force that grows, or by less with one from which it would jam."""
+    drawn = random_control.draw(162000955)
+    times = []
+
+    def watch(t, _):
+        times.append(t)
+        assert len(times) < 3000
+
+    trajectory = simulate(
+        drawn.scene, drawn.q, drawn.v, 0.45, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch
+    )
+    assert trajectory.complete
+    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+
+
+ON_A_CORNER = """
+0.051030458432607034 0.0027786600730432282 0.9416270013066014 -0.0055847311518376725 -0.1183241695083063
+0.014179200043318348 0.9928580724223695 -0.047725579089455045 -0.011367994084233066 -0.31808346312226465
+1.1394804972898898 -0.584684914556696 -0.0007861237680982408 0.03678541591285784 0.045385405222532156
+-0.31079382310207065 1.1386584189097635 -0.5908281412951742 -0.036117160715664065 -0.01488970809409922
+-0.05196619961329165 0.2571099387654329 0.13701712791543913 -0.031127140877716845 -0.5074559501508041
+0.010033100550841672 -0.0006224734351350492 0.12497379288709239 -6.18530806804599e-16
+-0.29865238714717535 -0.12520053809908266 -0.0407502734253794 -0.6110489923303465 0.04484080958589341
+0.04529841519094332 0.11524852480759057 -0.012764213313947496 -0.03074443914532945 -0.07121153930635814
+"""
+TURNING = """
+-0.3992054799458161 0.02668907881613954 0.05642294587818054 -0.03194643266174307 -0.4808655373581894
+-0.009391715144122117 -7.246108810335677e-29 -4.9665874025773896e-29 -0.0023535947808114364
+0.055817573695074174 0.4282271915616919 0.005232275740924509 -6.401706171108954e-14
+1.2086445364324835e-29 1.441941939079212e-29 0.045233719633261844 0.4340775088825513 0.0511264723644171
+3.448379950702062e-29 0.09943693898204173 0.010808818728659549 0.005106836998984675
+-2.0737246166461274e-30 5.0416765029072365e-30 5.7657291250394795e-31 -1.057926711848315e-29
+-6.610283150518517e-30 -4.6676352720548343e-29 1.0798245580032332e-29 -1.549908968294704e-29
+-2.2436093914794564e-29 -8.272034808360399e-30 0.0001726533536401412 4.299437791288634e-30
+1.478258603675187e-29 3.89621212005054e-29 6.67787565096329e-31 -1.2819238768512713e-30
+"""
+"""Configuration and velocity of seed 10000103 where one of its soles begins to turn about a corner."""
+
+
+def test_slip_that_begins_aside_of_its_friction_sets_no_joint_in_motion():
+    """Of the ways to share a load one lets a corner slip aside, and a joint move that another holds."""
+    drawn = random_control.draw(10000103)
+    q, v = (np.array([float(x) for x in text.split()]) for text in (ON_A_CORNER, TURNING))
+    times = []
+
+    def watch(t, _):
+        times.append(t)
+        assert len(times) < 100
+
+    trajectory = simulate(drawn.scene, q, v, 1e-3, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch)
+    assert trajectory.complete
+    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""

@@ -15,7 +15,7 @@ from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
-from .approach import PRESSED
+from .approach import PRESSED, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
@@ -25,7 +25,7 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .force_cones import forces_by_cones
+from .force_cones import forces_by_cones, residual, scale
 from .force_sweeps import forces_by_sweeps
 from .workspace import SceneWorkspace
 
@@ -64,7 +64,8 @@ def set_modes(work, t, q, v, slow):
                 slow_enough = abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * v[j] > dry[j] * work.certain_speed
                 rests = slow_enough and not (moves and work.settling[work.contacts + work.limits + j] == 0)
-                candidates[touching + j] = rests
+                held = work.modes[work.contacts + work.limits + j] != 0
+                candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
         if len(nonzero(candidates)) == 0:
             break
@@ -102,7 +103,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
-        candidates: Not zero for what touches, in the order of the modes; `PRESSED` as `approach` says.
+        candidates: Not zero for what touches, in the order of the modes; `PRESSED` as `approach` says, and
+            for joints that their dry friction has held.
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
@@ -160,7 +162,12 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
             else:
                 strength[a - 3 * nc] = both[a]
     if converged:
-        hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength)
+        pressed = np.empty(nc + ns, dtype=np.bool_)
+        for k in range(nc):
+            pressed[k] = candidates[contacts[k]] == PRESSED
+        for m in range(ns):
+            pressed[nc + m] = scalar[joints[m]] == PRESSED
+        hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
@@ -255,34 +262,33 @@ def stop_chosen(work, rows, stopped, start, before, least, v):
     return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
 
 
-@ahead(INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
+@ahead(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @separate
-def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, force, strength):
+def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
     """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too. (theory.md, 11)
 
     Args:
-        candidates: As in `find_modes`.
-        contacts: (nc,) their numbers.
+        pressed: (nc + ns,) what of contacts and scalar rows has been pressed, or held, until now.
         delassus, free: Of the rows.
         slip: (nc, 2) velocities of slip, zero for a contact that may stick.
         mu, held, lower, upper: As in `forces_by_sweeps`.
         force: (nc, 3) forces on the contacts that obey the law, replaced by others if there are such.
         strength: (ns,) those of the scalar rows, likewise.
     """
-    nc, ns, size = len(contacts), len(strength), len(free)
-    x, fixed, stays = np.zeros(size), np.zeros(size, dtype=np.int64), flags(nc, False)
+    nc, ns, size = len(mu), len(strength), len(free)
+    x, fixed, stays = np.zeros(size), np.zeros(size, dtype=np.int64), pressed.copy()
     for k in range(nc):
         slides = mu[k] == 0.0 or slip[k, 0] != 0.0 or slip[k, 1] != 0.0
-        stays[k] = not (slides or held[k]) and candidates[contacts[k]] == PRESSED
+        stays[k] = pressed[k] and not (slides or held[k])
         for d in range(3):
             x[3 * k + d] = force[k, d]
             fixed[3 * k + d] = not (stays[k] or held[k])
         if slides and not held[k] and force[k, 2] > 0.0:
             fixed[3 * k + 2] = 0
-    before, pressed = inside_cones(stays, mu, force), 0
-    for k in range(nc):
-        pressed += stays[k]
-    if before == pressed:
+    before, most = inside_bounds(stays, mu, lower, upper, force, strength), 0
+    for k in range(nc + ns):
+        most += stays[k]
+    if before == most:
         return
     beyond = True
     while beyond:
@@ -305,10 +311,20 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
             others[a // 3, a % 3] = x[a]
         else:
             other_strength[a - 3 * nc] = x[a]
-    if inside_cones(stays, mu, others) <= before:
+    if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
         return
-    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, others, other_strength)
-    if sweeps < 0 or jamming >= 0 or inside_cones(stays, mu, others) <= before:
+    width, a_now = np.empty(size), np.empty(size)
+    scale_a, scale_f = np.empty(size), np.empty(size)
+    off = 0.0
+    if scale(delassus, free, nc, width, scale_a, scale_f) > 0.0:
+        off = residual(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    if not off <= ACCURACY:
+        sweeps, jamming = forces_by_sweeps(
+            delassus, free, slip, mu, held, lower, upper, others, other_strength
+        )
+        if sweeps < 0 or jamming >= 0:
+            return
+    if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
         return
     for k in range(nc):
         assign(force[k], others[k])
@@ -316,12 +332,14 @@ def hold_on(candidates, contacts, delassus, free, slip, mu, held, lower, upper, 
 
 
 @inner
-def inside_cones(chosen, mu, force):
-    """Return how many of the chosen contacts have forces inside their cones, so that they stick."""
-    count = 0
-    for k in range(len(mu)):
+def inside_bounds(chosen, mu, lower, upper, force, strength):
+    """Return how many of the chosen contacts and scalar rows have forces at which they rest for certain."""
+    nc, count = len(mu), 0
+    for k in range(nc):
         tangent = math.hypot(force[k, 0], force[k, 1])
         count += chosen[k] and force[k, 2] > 0.0 and tangent <= INSIDE * mu[k] * force[k, 2]
+    for m in range(len(strength)):
+        count += chosen[nc + m] and INSIDE * lower[m] < strength[m] < INSIDE * upper[m]
     return count
 
 

@@ -25,6 +25,9 @@ DOUBTFUL = 1e-8
 BACKWARDS = 1e-9
 """Part of the largest acceleration of a contact by which slip may begin against its direction."""
 
+ASIDE = 1e-3
+"""How far slip may begin aside of its friction, in parts of how far it begins along it."""
+
 
 @ahead(SceneWorkspace, float, FLOATS)
 @separate
@@ -91,7 +94,7 @@ def fit(work, t, out, enough):
             along += reference[k, d] * total
             across += reference[k, 1 - d] * total * (1 - 2 * d)
         begins = speed <= NOTHING * work.stick_speed
-        if along < -BACKWARDS * largest or (begins and abs(across) > along + BACKWARDS * largest):
+        if along < -BACKWARDS * largest or (begins and abs(across) > ASIDE * along + BACKWARDS * largest):
             return False
     sliding, v = work.sliding_friction, work.v
     for j in range(len(acceleration)):

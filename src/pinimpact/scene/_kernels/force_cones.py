@@ -172,6 +172,37 @@ def forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now,
     return residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
 
 
+@ahead(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
+@separate
+def scale(delassus, free, contacts, d, scale_a, scale_f):
+    """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
+
+    Args:
+        delassus, free: Of the rows (m,), three for each contact first.
+        contacts: How many.
+        d: (m,) takes what makes the diagonal one.
+        scale_a: (m,) takes factors of accelerations.
+        scale_f: (m,) takes units of forces.
+    """
+    size = len(free)
+    largest = unit = 0.0
+    for a in range(size):
+        largest = max(largest, delassus[a, a])
+    for i in range(contacts):
+        softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
+        softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
+        for a in range(3 * i, 3 * i + 3):
+            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
+    for a in range(3 * contacts, size):
+        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
+    for a in range(size):
+        unit = max(unit, abs(d[a] * free[a]))
+    if unit > 0.0:
+        for a in range(size):
+            scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
+    return unit
+
+
 @ahead(*SYSTEM)
 @separate
 def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
@@ -181,28 +212,11 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
-    # scales: contact by contact, so that cones keep their shape
-    d = np.empty(size)
-    largest = 0.0
-    for a in range(size):
-        largest = max(largest, delassus[a, a])
-    for i in range(nc):
-        softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
-        softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
-        for a in range(3 * i, 3 * i + 3):
-            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
-    for a in range(3 * nc, size):
-        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
-    unit = 0.0
-    for a in range(size):
-        unit = max(unit, abs(d[a] * free[a]))
-    if unit == 0.0:
+    d, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
+    if scale(delassus, free, nc, d, scale_a, scale_f) == 0.0:
         for a in range(size):
             x[a] = 0.0
         return 0.0
-    scale_a, scale_f = np.empty(size), np.empty(size)
-    for a in range(size):
-        scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
     a_now = np.empty(size)
     if newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= 1e-12:
         return 0.0
