@@ -89,8 +89,8 @@ def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
             continue
         slips = {m.source for m in trajectory.modes if m.mode == "slip" and m.start < t[k] <= m.end}
         pin.computeJointJacobians(model, data, trajectory.q[k])
-        fastest = np.abs(v[max(k - 1, 0) : k + 1]).max()  # of the step that ends here
-        error = 20.0 * (1e-2 * rtol + rtol * fastest)
+        start = max(np.searchsorted(t, t[k]) - 1, 0)  # of the step before: its error may be that of its start
+        error = 20.0 * (1e-2 * rtol + rtol * np.abs(v[start : k + 1]).max())
         for contact in scene.contacts:
             if contact.label in slips:
                 jacobian = pin.getFrameJacobian(

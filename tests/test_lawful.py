@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact.scene.records import ModeInterval
 
-from .lawful import unlawful
+from .lawful import lost, unlawful
 from .random_scenes import draw
 from .scene_models import slider
 
@@ -37,6 +39,20 @@ def test_a_lawful_motion_is_found_so(sliding):
 def test_what_once_was_not_lawful_is(seed, times):
     _, scene, q, v, rtol = draw(seed)
     assert unlawful(scene, simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol), rtol, times) == ""
+
+
+@pytest.mark.parametrize(("speed", "told"), [(1.0, False), (0.01, True)])
+def test_velocity_is_known_to_the_error_of_the_step_before(sliding, speed, told):
+    """What is left of a speed that a step takes away is known no better than that speed was."""
+    scene, _ = sliding
+    motion = SimpleNamespace(
+        t=np.array([0.0, 0.1, 0.1]),
+        q=np.zeros((3, 3)),
+        v=np.array([[speed, 0.0, 0.0], [1e-5, 0.0, 0.0], [9e-6, 0.0, 0.0]]),
+        modes=[ModeInterval("point on plane", "slip", 0.0, 0.2)],
+        impacts=[],
+    )
+    assert bool(lost(scene, motion, RTOL)) == told
 
 
 def test_what_breaks_a_law_is_told(sliding):

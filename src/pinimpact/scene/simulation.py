@@ -18,6 +18,7 @@ from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
+from ._kernels.contact_modes import CERTAIN
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
 from .chatter import check_chatter
@@ -36,9 +37,6 @@ from .trajectory import Trajectory
 Array = NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """progress(t, duration), called after every step."""
-
-CERTAIN = 10.0
-"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
 
 DIRECTED = 1e-3
 """Part of the speed of sticking below which slip has no direction but the one last known."""
@@ -250,7 +248,7 @@ class Motion:
         self.max_step = float(max_step)
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
-        self._ahead_at = self._modes_anew_at = self._rested_at = -math.inf
+        self._ahead_at = self._modes_anew_at = self._rested_at = self._all_rested_at = -math.inf
         self._ahead = 0.0
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
@@ -327,7 +325,7 @@ class Motion:
                 "ended_by",
             ),
             *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_struck"),
-            *("_rested_at", "_ahead", "_consistent", "_closed"),
+            *("_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -583,7 +581,8 @@ class Motion:
         """Find a way on where steps make no progress; False if there is none.
 
         Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
-        of sticking is taken as at rest, once, and told.
+        of sticking is taken as at rest, and told: what has come to rest since there was progress, and where
+        that does not help all of it, each once.
 
         Raises:
             SimulationError: The control chatters, or a closed rim lies flat.
@@ -592,10 +591,16 @@ class Motion:
         self._check_for_chatter()
         state.refuse_flat_rims()
         if not state.resolve_jam(NEARLY_SINGULAR):
-            if state.t - self._rested_at <= STALLED:
+            since = self.last_progress[1]
+            ended = [source for source, times in self._ends.items() if times[-1] >= since]
+            if ended and state.t - self._rested_at > STALLED:
+                work.settling[ended] = 1
+            elif state.t - self._all_rested_at > STALLED:
+                self._all_rested_at = state.t
+                work.settling[:] = 1
+            else:
                 return False
             self._rested_at = state.t
-            work.settling[:] = 1
             state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
         self._mark_progress()
         self._settle_and_begin()

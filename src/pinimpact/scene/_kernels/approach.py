@@ -13,8 +13,9 @@ from .workspace import SceneWorkspace
 APART, TOUCHING, ARRIVING, STRUCK = range(4)
 """Where a contact or limit is at an instant; arriving: its gap closes now; struck: it has had an impulse."""
 
-TOUCHES, PRESSED = 1, 2
-"""What touches without bouncing, and that of it which is pressed: it was closed, or has just been struck."""
+TOUCHES, PRESSED, SLIDES = 1, 2, 3
+"""What touches without bouncing; what of it is pressed: it was closed, or has just been struck; what of it
+slips, however slowly."""
 
 
 @ahead(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)

@@ -15,7 +15,7 @@ from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
-from .approach import PRESSED, TOUCHES
+from .approach import PRESSED, SLIDES, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
@@ -42,8 +42,14 @@ slip may then go another way."""
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
+PARTS, RUBS = 1, 2
+"""How what is open moves that is stopped, see `find_modes`."""
+
 NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
+
+CERTAIN = 10.0
+"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
 
 
 @ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
@@ -56,46 +62,63 @@ def set_modes(work, t, q, v, slow):
     for i in range(touching):
         candidates[i] = slow[i]
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    parted, before, slid = flags(work.contacts, False), v.copy(), sliding.copy()
+    vain, before, slid = np.zeros(work.contacts + work.limits, dtype=np.int64), v.copy(), sliding.copy()
+    certain, error = work.certain_speed, work.atol + work.rtol * largest_change(v, np.zeros(n))
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
         for j in range(n):  # what has been stopped may have set other joints in motion
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
-                moves = sliding[j] * v[j] > dry[j] * work.certain_speed
+                moves = sliding[j] * v[j] > dry[j] * certain
                 rests = slow_enough and not (moves and work.settling[work.contacts + work.limits + j] == 0)
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
         if len(nonzero(candidates)) == 0:
             break
-        jamming, converged, gained, stopped = find_modes(
-            work, t, q, v, candidates, modes, reference, breaking, parted
+        jamming, converged, gained, stopped, off = find_modes(
+            work, t, q, v, candidates, certain, modes, reference, breaking, vain
         )
-        energy, tried = energy + gained, tried + 1
+        energy, tried, error = energy + gained, tried + 1, max(error, off)
         if jamming >= 0 or work.callback_failed:
             return jamming, converged, energy
         let_go = False
-        for i in range(work.contacts):
-            if parted[i] and modes[i] == FREE:  # it has been stopped in vain
-                candidates[i], let_go = 0, True
+        for i in range(len(vain)):
+            if vain[i] != 0 and modes[i] == FREE:
+                candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
+        last = tried == ROUNDS or stopped <= NOTHING * work.stick_speed
+        # rest that takes more than the error of a step from anything else is none (11.8)
+        if last and not let_go and certain > error and largest_change(v, before) > CERTAIN * error:
+            certain, let_go = error, True
         if let_go:
-            for i in range(work.contacts):
-                parted[i] = False
+            for i in range(len(vain)):
+                vain[i] = 0
             assign(v, before)
             assign(sliding, slid)
             energy, stopped, tried = 0.0, math.inf, 0
     for j in range(n):
         if breaking[j] != 0.0:
-            sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
+            if idles(work, j, v[j], certain) and slid[j] != 0.0:
+                sliding[j] = slid[j]
+            else:
+                sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
     assign(work.modes, modes)
     close(work, reference)
     return jamming, converged, energy
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLAGS)
+@inner
+def largest_change(v, before):
+    """Return the largest change of a velocity (nv,)."""
+    largest = 0.0
+    for j in range(len(v)):
+        largest = max(largest, abs(v[j] - before[j]))
+    return largest
+
+
+@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
 @separate
-def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
+def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, vain):
     """Find what stays closed of the contacts, limits and joints that are at rest against each other.
 
     Args:
@@ -103,16 +126,19 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         t: Time [s].
         q: (nq,) configuration.
         v: (nv,) the velocity, which loses what closed contacts take away of it.
-        candidates: Not zero for what touches, in the order of the modes; `PRESSED` as `approach` says, and
-            for joints that their dry friction has held.
+        candidates: Not zero for what touches, in the order of the modes; as `approach` says, and
+            `PRESSED` for joints that their dry friction has held.
+        certain: The speed above which what slips goes on.
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
-        parted: (n,) set for open contacts that part and are stopped nevertheless.
+        vain: (n + nl,) set for what is open and stopped nevertheless, in vain if it does not stay closed:
+            `PARTS` where it parts, `RUBS` where a contact loses a velocity along its surface.
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
-        found to the usual accuracy; the kinetic energy gained; the fastest speed that was taken away.
+        found to the usual accuracy; the kinetic energy gained; the fastest speed that was taken away; the
+        fastest of what was closed until now.
     """
     for i in range(len(modes)):
         modes[i] = FREE
@@ -128,7 +154,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
     if work.callback_failed or not invert_mass_matrix(work):
-        return -1, True, 0.0, 0.0
+        return -1, True, 0.0, 0.0, 0.0
     rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
     velocity, free = np.empty((nc, 3)), np.empty(size)
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
@@ -138,7 +164,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         follow_surface(work, i)
         motion_of_contact(work, i, rows[b : b + 3], velocity[k], free[b : b + 3], surface)
         mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
-        if goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1]):
+        if goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
             slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
     for m in range(ns):
@@ -171,7 +197,7 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
-        return contacts[jamming], True, gained, 0.0
+        return contacts[jamming], True, gained, 0.0, 0.0
     for k in range(nc):
         assign(found[contacts[k]], force[k])
     for m in range(ns):
@@ -183,8 +209,11 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     )
     for k in range(nc):
         i = contacts[k]
-        if stopped[3 * k + 2] and work.modes[i] == FREE and velocity[k, 2] > work.certain_speed:
-            parted[i] = True
+        if work.modes[i] == FREE and stopped[3 * k + 2]:
+            if velocity[k, 2] > certain:
+                vain[i] = PARTS
+            elif stopped[3 * k] and math.hypot(velocity[k, 0], velocity[k, 1]) > certain:
+                vain[i] = RUBS
     for m in range(ns):
         a, i = 3 * nc + m, scalars[m]
         rubs = scalar[work.limits + i] != 0
@@ -196,13 +225,24 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         stopped[a] = closed
         if rubs and not closed:
             breaking[i] = strength[m]
-            stopped[a] = v[i] * strength[m] > 0.0
-        modes[work.contacts + joints[m]] = 1 if closed else 0
+            stopped[a] = v[i] * strength[m] > 0.0 and not idles(work, i, v[i], certain)
+        limit = joints[m]
+        modes[work.contacts + limit] = 1 if closed else 0
+        parts = limit < work.limits and work.limit_sign[limit] * v[i] > certain
+        if closed and parts and work.modes[work.contacts + limit] == FREE:
+            vain[work.contacts + limit] = PARTS
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, start = v.copy(), np.empty(size)
+    before, start, off = v.copy(), np.empty(size), 0.0
     for a in range(size):
-        start[a] = velocity[a // 3, a % 3] if a < 3 * nc else v[scalars[a - 3 * nc]]
+        if a < 3 * nc:
+            mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
+            was_closed = mode != FREE and (a % 3 == 2 or mode != SLIP)
+        else:
+            start[a] = v[scalars[a - 3 * nc]]
+            was_closed = work.modes[work.contacts + joints[a - 3 * nc]] != 0
+        if was_closed:
+            off = max(off, abs(start[a]))
     gained = fastest = 0.0
     for _ in range(2):
         more, speed = stop_chosen(work, rows, stopped, start, before, 0.0, v)
@@ -210,7 +250,8 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
         turned = False
         for m in range(ns):  # what is let go may have been thrown against its force, though not to move
             i = scalars[m]
-            if breaking[i] * v[i] > 0.0 and abs(v[i]) <= work.stick_speed and not stopped[3 * nc + m]:
+            slow = abs(v[i]) <= work.stick_speed and not idles(work, i, v[i], certain)
+            if breaking[i] * v[i] > 0.0 and slow and not stopped[3 * nc + m]:
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
@@ -224,10 +265,17 @@ def find_modes(work, t, q, v, candidates, modes, reference, breaking, parted):
     for m in range(ns):
         i = scalars[m]
         # not even a rounding error begins against the force, nor what rows that hardly differ leave of a stop
-        least = max(NOTHING * work.stick_speed, work.certain_speed if stopped[3 * nc + m] else 0.0)
+        least = max(NOTHING * work.stick_speed, certain if stopped[3 * nc + m] else 0.0)
         if breaking[i] * v[i] > 0.0 and abs(v[i]) <= least:
             v[i] = 0.0
-    return -1, converged, gained, fastest
+    return -1, converged, gained, fastest, off
+
+
+@inner
+def idles(work, j, speed, certain):
+    """Whether a joint that yields is too fast for rest, now that less is taken for it. (11.8)"""
+    settles = work.settling[work.contacts + work.limits + j] != 0
+    return certain < abs(speed) <= work.certain_speed and not settles
 
 
 @ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
@@ -462,13 +510,13 @@ def modes_of_contacts(
 
 
 @inner
-def goes_on_slipping(work, i, x, y):
-    """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, however slowly."""
+def goes_on_slipping(work, i, x, y, certain):
+    """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, faster than is certain."""
     speed = math.hypot(x, y)
     if speed > work.stick_speed:
         return True
     index, mode = work.closed_index, work.closed_mode
     for k in range(len(index)):
         if index[k] == i and mode[k] == SLIP and work.settling[i] == 0:
-            return speed > work.certain_speed  # also where it has turned away from the direction last known
+            return speed > certain  # also where it has turned away from the direction last known
     return False
