@@ -84,12 +84,14 @@ def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motio
         (101000001000931, 0.64),
         (111000026, 0.1525),
         pytest.param(101000001000518, 0.375, marks=pytest.mark.slow),
+        pytest.param(122000395, 0.954, marks=pytest.mark.slow),
     ],
 )
 def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration):
     """What began fast and has become slow; what goes on slipping while others begin to.
 
-    And what slips beside a foot that parts, which forces seem to stop until slip has turned.
+    And what slips beside a foot that parts, which forces seem to stop until slip has turned; or beside one
+    whose ends of slip accumulate.
     """
     drawn = random_control.draw(seed)
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}

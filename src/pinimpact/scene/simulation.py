@@ -250,7 +250,7 @@ class Motion:
         self.max_step = float(max_step)
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
-        self._ahead_at = self._modes_anew_at = self._rested_at = -math.inf
+        self._ahead_at = self._modes_anew_at = self._settled_at = self._rested_at = -math.inf
         self._ahead = 0.0
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
@@ -327,7 +327,7 @@ class Motion:
                 "ended_by",
             ),
             *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_struck"),
-            *("_rested_at", "_ahead", "_consistent", "_closed"),
+            *("_settled_at", "_rested_at", "_ahead", "_consistent", "_closed"),
         ):
             setattr(twin, name, getattr(self, name))
         twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
@@ -583,7 +583,7 @@ class Motion:
         """Find a way on where steps make no progress; False if there is none.
 
         Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
-        of sticking is taken as at rest, once, and told.
+        of sticking is taken as at rest, and told: first only where slip has ended over and over, then all.
 
         Raises:
             SimulationError: The control chatters, or a closed rim lies flat.
@@ -594,9 +594,17 @@ class Motion:
         if not state.resolve_jam(NEARLY_SINGULAR):
             if state.t - self._rested_at <= STALLED:
                 return False
-            self._rested_at = state.t
-            work.settling[:] = 1
-            state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
+            ending = [source for source, times in self._ends.items() if state.t - times[-1] <= STALLED]
+            if ending and state.t - self._settled_at > STALLED:
+                self._settled_at = state.t
+                work.settling[ending] = 1
+            else:
+                self._rested_at = state.t
+                work.settling[:] = 1
+            where = " where it ends over and over" if not work.settling.all() else ""
+            state.note(
+                f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest{where}."
+            )
         self._mark_progress()
         self._settle_and_begin()
         self._sample()
