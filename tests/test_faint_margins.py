@@ -7,6 +7,8 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Contact, Plane, Scene, simulate
+from pinimpact.scene._kernels.contact_forces import STICK
+from pinimpact.scene.simulation import Motion
 
 from . import random_control, random_scenes
 from .lawful import lost, unlawful
@@ -178,3 +180,40 @@ def test_slip_that_begins_aside_of_its_friction_sets_no_joint_in_motion():
     trajectory = simulate(drawn.scene, q, v, 1e-3, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch)
     assert trajectory.complete
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+
+
+def test_a_stretched_leg_that_sinks_by_the_error_of_steps_takes_part_in_an_impact():
+    """An arm on the shank of a leg whose foot sticks on a slope hits its stop.
+
+    Nothing moves the foot along the leg, so no impulse ends the 5·10⁻¹⁰ m/s of error at which it sinks.
+    Friction holds it across the leg, and the motion is that of the leg with this row and that of the stop.
+    """
+    model, bend = pin.Model(), 1e-9
+    end = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
+    hip = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hip")
+    knee = model.addJoint(hip, pin.JointModelRY(), end, "knee")
+    arm = model.addJoint(knee, pin.JointModelRY(), pin.SE3.Identity(), "arm")
+    for joint, centre in ((hip, -0.25), (knee, -0.25), (arm, 0.2)):
+        rod = pin.Inertia(0.5, np.array([0.0, 0.0, centre]), 0.01 * np.eye(3))
+        model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
+    model.addFrame(pin.Frame("foot", knee, 0, end, pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.lowerPositionLimit[arm - 1] = 0.0
+    slope = Plane(point=(0.0, 0.0, -1.0), normal=(-np.sin(0.3), 0.0, np.cos(0.3)))
+    scene = Scene(model, [Contact("foot", slope, friction=0.8)])
+    q, v = np.array([-0.5 * bend, bend, 0.0]), np.array([1.0, -2.0, -1e-5])
+
+    motion = Motion(scene, q, v, 1e-6, 1e-8, None, 100)
+    motion.work.modes[0], motion.work.certain_speed = STICK, 1e-6
+    foot, stop = 0, 1
+    after = motion.state._impacts.resolve_group(q, v, stop, [foot, stop]).v
+
+    data = model.createData()
+    jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId("foot"), pin.LOCAL_WORLD_ALIGNED)
+    assert -1e-9 < jacobian[2] @ v < 0.0
+    rows = np.array([jacobian[0], [0.0, 0.0, 1.0]])
+    mass = np.triu(pin.crba(model, data, q))
+    response = np.linalg.solve(mass + np.triu(mass, 1).T, rows.T)
+    expected = v - response @ np.linalg.solve(rows @ response, rows @ v)
+    assert np.abs(expected - v).max() > 4e-6
+    assert after == pytest.approx(expected, abs=1e-8)

@@ -33,6 +33,7 @@ from ..robot.matrices import (
 )
 from ..robot.names import free_velocities
 from ..robot.robot_impact import Hit, impact
+from ._kernels.contact_forces import FREE, SLIP
 from .dynamics import SceneDynamics
 from .records import ImpactGroup
 from .scene import Scene
@@ -273,8 +274,17 @@ class SceneImpacts:
             places = (3 * chosen[:, None] + np.arange(3)).ravel()
             delassus, response = np.ascontiguousarray(delassus[np.ix_(places, places)]), response[:, places]
             velocity, surface, friction = velocity[chosen], surface[chosen], friction[chosen]
-        solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
         sources = [touching[k] for k in chosen.tolist()]
+        try:
+            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
+        except UnstoppableApproachError:
+            # what is closed may approach along what nothing moves, by the error of steps: that is none
+            rests = work.modes[sources, None] > np.array([SLIP, SLIP, FREE])
+            rests &= np.abs(velocity) <= least
+            if not rests.any():
+                raise
+            velocity = np.where(rests, 0.0, velocity)
+            solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
         return _group_impact(v, response, solved, sources, axes, 0.0)
 
