@@ -11,6 +11,7 @@ import pytest
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
 from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
+from pinimpact.scene._kernels.lasting_forces import take_lasting
 
 
 @numba.njit
@@ -399,7 +400,10 @@ def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
 
 
 def every_solution(delassus, free, mu, bound):
-    """All forces of one contact that slips along t₁ and of rows within ±bound, by enumeration."""
+    """All forces of one contact that slips along t₁ and of rows within ±bound, by enumeration; their signs.
+
+    The sign is that of the determinant of the equations of what is closed and held.
+    """
     size = len(free)
     found = []
     for closed, *at in itertools.product((False, True), *[(-1, 0, 1)] * (size - 3)):
@@ -419,30 +423,61 @@ def every_solution(delassus, free, mu, bound):
             abs(x[a]) <= bound if side == 0 else side * acceleration[a] <= 0.0 for a, side in enumerate(at, 3)
         )
         if contact and rows:
-            found.append(x)
+            held = [2] * closed + [a for a, side in enumerate(at, 3) if side == 0]
+            effects = delassus[:, held] - mu * np.outer(delassus[:, 0], np.equal(held, 2))
+            found.append((x, np.linalg.det(effects[held]) > 0.0))
     return found
 
 
-def test_of_several_forces_those_where_the_search_begins_are_taken():
-    """Where sweeps come near forces but take too long, others are not to be found in their place: between two
-    that last there is a third, of a negative determinant, from which any deviation grows."""
+def problems_with_several_solutions():
+    """Of 2,000 draws: Delassus matrix, accelerations, friction, bound, and all solutions."""
     rng = np.random.default_rng(7)
-    several = 0
     for _ in range(2000):
         factor = rng.normal(size=(5, 5))
         delassus, free = factor @ factor.T, 3.0 * rng.normal(size=5)
         mu, bound = rng.uniform(1.0, 3.0), rng.uniform(0.1, 1.0)
         solutions = every_solution(delassus, free, mu, bound)
-        if len(solutions) < 2:
-            continue
+        if len(solutions) > 1:
+            yield delassus, free, mu, bound, solutions
+
+
+def slipping(delassus, free, mu, bound, x):
+    """Arguments of kernels for such a problem."""
+    limits = np.full(2, bound)
+    return (delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), np.array([False]), -limits, limits, x)
+
+
+def test_of_several_forces_those_where_the_search_begins_are_taken():
+    """Where sweeps come near forces but take too long, others are not to be found in their place."""
+    rng = np.random.default_rng(1)
+    several = 0
+    for *problem, solutions in problems_with_several_solutions():
         several += 1
-        for x in solutions:
+        for x, _ in solutions:
             near = x + 1e-6 * rng.normal(size=5)
-            limits = np.full(2, bound)
-            slip = np.array([[1.0, 0.0]])
-            worst = solve(delassus, free, slip, np.array([mu]), np.array([False]), -limits, limits, near)
-            assert worst <= 1e-10
+            assert solve(*slipping(*problem, near)) <= 1e-10
             assert near == pytest.approx(x, rel=1e-9, abs=1e-9)
+    assert several > 50
+
+
+@numba.njit
+def last(delassus, free, velocity, mu, held, lower, upper, x):
+    take_lasting(delassus, free, velocity, mu, held, lower, upper, x)
+
+
+def test_forces_from_which_any_deviation_grows_give_way_to_others():
+    """Those of a negative determinant do, where there are others."""
+    several = 0
+    for *problem, solutions in problems_with_several_solutions():
+        lasting = [x for x, positive in solutions if positive]
+        for x, positive in solutions:
+            taken = x.copy()
+            last(*slipping(*problem, taken))
+            if positive:
+                assert (taken == x).all()
+            elif lasting:
+                several += 1
+                assert min(np.abs(taken - x).max() for x in lasting) <= 1e-9 * np.abs(taken).max()
     assert several > 50
 
 

@@ -27,6 +27,7 @@ from .dynamics import (
 )
 from .force_cones import forces_by_cones, residual, scale
 from .force_sweeps import forces_by_sweeps
+from .lasting_forces import INSIDE, take_lasting
 from .workspace import SceneWorkspace
 
 STANDARD_GRAVITY = 9.80665
@@ -38,9 +39,6 @@ ACCURACY = 1e-10
 ROUNDS = 4
 """How often modes are found anew, for what closes takes velocity away, and with it forces that depend on it;
 slip may then go another way."""
-
-INSIDE = 1.0 - 1e-9
-"""Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
 PARTS, RUBS = 1, 2
 """How what is open moves that is stopped, see `find_modes`."""
@@ -175,18 +173,20 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
     converged = sweeps >= 0 and jamming < 0
+    both = np.empty(size)
+    for a in range(size):
+        both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
     if not converged:
-        both = np.empty(size)
-        for a in range(size):
-            both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
         converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
-        for a in range(size):  # if not found, then the nearest to it
-            if a < 3 * nc:
-                force[a // 3, a % 3] = both[a]
-            else:
-                strength[a - 3 * nc] = both[a]
+    if converged:
+        take_lasting(delassus, free, slip, mu, held, lower, upper, both)
+    for a in range(size):  # if not found, then the nearest to it
+        if a < 3 * nc:
+            force[a // 3, a % 3] = both[a]
+        else:
+            strength[a - 3 * nc] = both[a]
     if converged:
         pressed = np.empty(nc + ns, dtype=np.bool_)
         for k in range(nc):

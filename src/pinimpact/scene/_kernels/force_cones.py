@@ -203,6 +203,39 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
     return unit
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, FLOATS)
+@separate
+def forces_on_path(delassus, free, velocity, mu, held, lower, upper, x, a_now, d, scale_a, scale_f):
+    """Fill x with forces from Lemke's pivots and Newton's method; return the residual."""
+    ns, size = len(lower), len(x)
+    w, f0, f = np.empty((size, size)), np.empty(size), np.empty(size)
+    low, high = np.empty(ns), np.empty(ns)
+    for a in range(size):
+        f0[a] = scale_a[a] * free[a]
+        for b in range(size):
+            w[a, b] = d[a] * delassus[a, b] * d[b]
+    for i in range(ns):
+        low[i], high[i] = lower[i] / scale_f[size - ns + i], upper[i] / scale_f[size - ns + i]
+    best, best_x = math.inf, x.copy()
+    sides = FEWEST_SIDES
+    while best > USABLE and sides <= MOST_SIDES:
+        if not forces_by_pivots(w, f0, velocity, mu, held, low, high, sides, f):
+            break
+        for a in range(size):
+            x[a] = f[a] * scale_f[a]
+        before = math.inf
+        worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        while worst < 0.5 * before and worst > ACCURATE:  # slow where hardly anything begins to slip
+            before = worst
+            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        if worst < best:
+            best = worst
+            assign(best_x, x)
+        sides *= 2
+    assign(x, best_x)
+    return best
+
+
 @ahead(*SYSTEM)
 @separate
 def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
@@ -346,24 +379,9 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
         if moved == 0.0:  # the same program again
             break
     if best > USABLE:
-        low, high = np.empty(ns), np.empty(ns)
-        for i in range(ns):
-            low[i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-        sides = FEWEST_SIDES
-        while best > USABLE and sides <= MOST_SIDES:
-            if not forces_by_pivots(w, f0, velocity, mu, held, low, high, sides, f):
-                break
-            for a in range(size):
-                x[a] = f[a] * scale_f[a]
-            before = math.inf
-            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-            while worst < 0.5 * before and worst > ACCURATE:  # slow where hardly anything begins to slip
-                before = worst
-                worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-            if worst < best:
-                best = worst
-                assign(best_x, x)
-            sides *= 2
+        worst = forces_on_path(
+            delassus, free, velocity, mu, held, lower, upper, x, a_now, d, scale_a, scale_f
+        )
     if best < worst:
         worst = best
         assign(x, best_x)
