@@ -143,6 +143,13 @@ def test_a_joint_that_has_been_held_beside_a_foot_that_slips_is_held_on():
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
+def test_a_contact_that_bears_nothing_holds_nothing():
+    """The other joints bear the arm by dry friction; the first begins to turn, and its tip with it."""
+    drawn = random_control.draw(176000622)
+    trajectory = simulate(drawn.scene, drawn.q, drawn.v, 0.91, rtol=drawn.rtol, atol=1e-2 * drawn.rtol)
+    assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
+
+
 ON_A_CORNER = """
 0.051030458432607034 0.0027786600730432282 0.9416270013066014 -0.0055847311518376725 -0.1183241695083063
 0.014179200043318348 0.9928580724223695 -0.047725579089455045 -0.011367994084233066 -0.31808346312226465

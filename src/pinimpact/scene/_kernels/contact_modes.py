@@ -27,7 +27,7 @@ from .dynamics import (
 )
 from .force_cones import forces_by_cones, residual, scale
 from .force_sweeps import forces_by_sweeps
-from .lasting_forces import INSIDE, take_lasting
+from .lasting_forces import orientation, take_lasting
 from .workspace import SceneWorkspace
 
 STANDARD_GRAVITY = 9.80665
@@ -39,6 +39,9 @@ ACCURACY = 1e-10
 ROUNDS = 4
 """How often modes are found anew, for what closes takes velocity away, and with it forces that depend on it;
 slip may then go another way."""
+
+INSIDE = 1.0 - 1e-9
+"""Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
 PARTS, RUBS = 1, 2
 """How what is open moves that is stopped, see `find_modes`."""
@@ -313,7 +316,9 @@ def stop_chosen(work, rows, stopped, start, before, least, v):
 @ahead(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @separate
 def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
-    """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too. (theory.md, 11)
+    """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too, and lasts.
+
+    See theory.md, section 11.
 
     Args:
         pressed: (nc + ns,) what of contacts and scalar rows has been pressed, or held, until now.
@@ -363,16 +368,20 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
         return
     width, a_now = np.empty(size), np.empty(size)
     scale_a, scale_f = np.empty(size), np.empty(size)
-    off = 0.0
-    if scale(delassus, free, nc, width, scale_a, scale_f) > 0.0:
-        off = residual(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
+        return
+    off = residual(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f)
     if not off <= ACCURACY:
         sweeps, jamming = forces_by_sweeps(
             delassus, free, slip, mu, held, lower, upper, others, other_strength
         )
         if sweeps < 0 or jamming >= 0:
             return
-    if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
+        for a in range(size):
+            x[a] = others[a // 3, a % 3] if a < 3 * nc else other_strength[a - 3 * nc]
+        if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
+            return
+    if orientation(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f) < 0:
         return
     for k in range(nc):
         assign(force[k], others[k])
@@ -491,10 +500,10 @@ def modes_of_contacts(
         # what slips and has come to rest goes on slipping where its force stays on the cone, if no other one
         # would do; what rests and is not set in motion sticks, and whether it leaves the cone is seen just
         # after, see `events.force_bound`
-        inside = tangent <= INSIDE * mu[k] * normal
-        inside |= (not unique or before[i] != SLIP) and math.hypot(
-            acceleration[b], acceleration[b + 1]
-        ) <= pace
+        pushes = normal > work.force_tolerance  # what bears nothing may be moved by others
+        begins = math.hypot(acceleration[b], acceleration[b + 1])
+        inside = pushes and tangent <= INSIDE * mu[k] * normal
+        inside |= (not unique or before[i] != SLIP) and begins <= pace
         if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True
@@ -505,8 +514,10 @@ def modes_of_contacts(
         reference[i, 0] = 1.0
         if speed > 0.0:
             reference[i, 0], reference[i, 1] = slip[k, 0] / speed, slip[k, 1] / speed
-        elif tangent > 0.0:
+        elif pushes and tangent > 0.0:
             reference[i, 0], reference[i, 1] = -force[k, 0] / tangent, -force[k, 1] / tangent
+        elif begins > 0.0:
+            reference[i, 0], reference[i, 1] = acceleration[b] / begins, acceleration[b + 1] / begins
 
 
 @inner

@@ -390,6 +390,78 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
     return worst
 
 
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
+@separate
+def linearize(
+    delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
+):
+    """Fill the equations of a step of Newton's method from forces x, whose accelerations are `a_now`.
+
+    Contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1 leaves that to the forces.
+    """
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    for a in range(size):
+        for b in range(size):
+            system[a, b] = 0.0
+    for i in range(nc):
+        b = 3 * i
+        fn, an = x[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
+        given = closed[i] >= 0
+        opens = closed[i] == 0 if given else fn - an <= 0.0
+        if not held[i] and opens:
+            for r in range(b, b + 3):
+                system[r, r], right[r] = 1.0, -x[r] / scale_f[r]
+            continue
+        for k in range(size):
+            system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
+        right[b + 2] = -an
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
+        if not held[i] and (speed > 0.0 or mu[i] == 0.0):
+            s1 = velocity[i, 0] / speed if speed > 0.0 else 0.0
+            s2 = velocity[i, 1] / speed if speed > 0.0 else 0.0
+            system[b, b], system[b, b + 2], right[b] = 1.0, mu[i] * s1, -f1 - mu[i] * fn * s1
+            system[b + 1, b + 1], system[b + 1, b + 2], right[b + 1] = (
+                1.0,
+                mu[i] * s2,
+                -f2 - mu[i] * fn * s2,
+            )
+            continue
+        a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
+        g1, g2 = f1 - a1, f2 - a2
+        if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
+            for k in range(size):
+                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+                system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
+            right[b], right[b + 1] = -a1, -a2
+        else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
+            length = math.hypot(g1, g2)
+            u1, u2 = g1 / length, g2 / length
+            share = mu[i] * fn / length
+            right[b], right[b + 1] = -f1 + mu[i] * fn * u1, -f2 + mu[i] * fn * u2
+            for k in range(size):
+                h1 = -scale_a[b] * delassus[b, k] * scale_f[k] + (1.0 if k == b else 0.0)
+                h2 = -scale_a[b] * delassus[b + 1, k] * scale_f[k] + (1.0 if k == b + 1 else 0.0)
+                across = u1 * h2 - u2 * h1
+                system[b, k] = (1.0 if k == b else 0.0) + share * u2 * across
+                system[b + 1, k] = (1.0 if k == b + 1 else 0.0) - share * u1 * across
+            system[b, b + 2] -= mu[i] * u1
+            system[b + 1, b + 2] -= mu[i] * u2
+    for i in range(ns):
+        b = 3 * nc + i
+        f, rate = x[b] / scale_f[b], a_now[b] * scale_a[b]
+        low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
+        if f - rate <= low:
+            system[b, b], right[b] = 1.0, low - f
+        elif f - rate >= high:
+            system[b, b], right[b] = 1.0, high - f
+        else:
+            for k in range(size):
+                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+            right[b] = -rate
+
+
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
 @separate
 def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed):
@@ -403,67 +475,14 @@ def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, 
     system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
     trial = x.copy()
     best = worst
-    no_basis = np.empty((0, size))
-    for iteration in range(POLISH):
-        for a in range(size):
-            for b in range(size):
-                system[a, b] = 0.0
-        for i in range(nc):
-            b = 3 * i
-            fn, an = trial[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
-            given = iteration == 0 and closed[i] >= 0
-            opens = closed[i] == 0 if given else fn - an <= 0.0
-            if not held[i] and opens:
-                for r in range(b, b + 3):
-                    system[r, r], right[r] = 1.0, -trial[r] / scale_f[r]
-                continue
-            for k in range(size):
-                system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
-            right[b + 2] = -an
-            speed = math.hypot(velocity[i, 0], velocity[i, 1])
-            f1, f2 = trial[b] / scale_f[b], trial[b + 1] / scale_f[b]
-            if not held[i] and (speed > 0.0 or mu[i] == 0.0):
-                s1 = velocity[i, 0] / speed if speed > 0.0 else 0.0
-                s2 = velocity[i, 1] / speed if speed > 0.0 else 0.0
-                system[b, b], system[b, b + 2], right[b] = 1.0, mu[i] * s1, -f1 - mu[i] * fn * s1
-                system[b + 1, b + 1], system[b + 1, b + 2], right[b + 1] = (
-                    1.0,
-                    mu[i] * s2,
-                    -f2 - mu[i] * fn * s2,
-                )
-                continue
-            a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
-            g1, g2 = f1 - a1, f2 - a2
-            if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
-                for k in range(size):
-                    system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
-                    system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
-                right[b], right[b + 1] = -a1, -a2
-            else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
-                length = math.hypot(g1, g2)
-                u1, u2 = g1 / length, g2 / length
-                share = mu[i] * fn / length
-                right[b], right[b + 1] = -f1 + mu[i] * fn * u1, -f2 + mu[i] * fn * u2
-                for k in range(size):
-                    h1 = -scale_a[b] * delassus[b, k] * scale_f[k] + (1.0 if k == b else 0.0)
-                    h2 = -scale_a[b] * delassus[b + 1, k] * scale_f[k] + (1.0 if k == b + 1 else 0.0)
-                    across = u1 * h2 - u2 * h1
-                    system[b, k] = (1.0 if k == b else 0.0) + share * u2 * across
-                    system[b + 1, k] = (1.0 if k == b + 1 else 0.0) - share * u1 * across
-                system[b, b + 2] -= mu[i] * u1
-                system[b + 1, b + 2] -= mu[i] * u2
-        for i in range(ns):
-            b = 3 * nc + i
-            f, rate = trial[b] / scale_f[b], a_now[b] * scale_a[b]
-            low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
-            if f - rate <= low:
-                system[b, b], right[b] = 1.0, low - f
-            elif f - rate >= high:
-                system[b, b], right[b] = 1.0, high - f
-            else:
-                for k in range(size):
-                    system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
-                right[b] = -rate
+    no_basis, undecided = np.empty((0, size)), repeated(nc, AS_FORCES_SAY)
+    chosen = closed
+    for _ in range(POLISH):
+        linearize(
+            *(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f),
+            *(chosen, system, right),
+        )
+        chosen = undecided
         least_norm(system, right, 1e-11, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
