@@ -63,6 +63,33 @@ def box_on(corners, height=0.1, turn=0.3, mu=0.5):
     return model, [pinimpact.Contact(f"tip{k}", plane, friction=mu) for k in range(corners)]
 
 
+def boxes_on_a_belt(mus, speed):
+    """A scene of points of 1 kg, on three sliding joints each, on a belt that moves along x."""
+    model, contacts = pin.Model(), []
+    belt = pinimpact.Plane(velocity=(speed, 0.0, 0.0))
+    for k, mu in enumerate(mus):
+        parent = 0
+        for i, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
+            parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"{k}{'xyz'[i]}")
+        inertia = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        contacts.append(pinimpact.Contact(f"point{k}", belt, friction=mu))
+    unbounded(model)
+    return pinimpact.Scene(model, contacts)
+
+
+def box_on_a_slope(slope, mu, height):
+    """A scene of a box of 1 kg on four corners on a slope, and where it starts; its centre's height."""
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    corners = [(x, y, -height) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
+    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.3, 2.0 * height), corners)
+    turn = pin.Quaternion(pin.utils.rotate("y", slope)).coeffs()
+    plane = pinimpact.Plane(normal=tuple(normal))
+    contacts = [pinimpact.Contact(f"tip{k}", plane, friction=mu) for k in range(4)]
+    return pinimpact.Scene(model, contacts), np.array([*(height * normal), *turn])
+
+
 def pendulum(mass=1.0, length=1.0, joint=None):
     """A point mass on a massless rod that turns about y; zero hangs down, ``tip`` is the mass."""
     model = pin.Model()

@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from pinimpact import Contact, Plane, Scene, simulate
 
 from .drawing import examples
-from .scene_models import G, box_on, free_body, rough_joint, slider, unbounded
+from .scene_models import (
+    G,
+    box_on,
+    box_on_a_slope,
+    boxes_on_a_belt,
+    rough_joint,
+    slider,
+    unbounded,
+)
 from .stick_slip import Swing, stick_slip
 
 TOLERANCES = st.sampled_from([1e-4, 1e-6, 1e-8, 1e-10])
@@ -106,17 +114,8 @@ def test_a_box_on_corners_moves_as_a_point_does(corners, turn, heading, pace, ph
     TOLERANCES,
 )
 def test_boxes_on_a_belt_come_up_to_its_speed_each_for_itself(mus, speed, rtol):
-    model = pin.Model()
-    for k in range(len(mus)):
-        parent = 0
-        for i, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
-            parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"{k}{'xyz'[i]}")
-        inertia = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-        model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    unbounded(model)
-    belt = Plane(velocity=(speed, 0.0, 0.0))
-    scene = Scene(model, [Contact(f"point{k}", belt, friction=mu) for k, mu in enumerate(mus)])
+    scene = boxes_on_a_belt(mus, speed)
+    model = scene.model
     end = speed / (min(mus) * G) + 0.1
     trajectory = simulate(scene, np.zeros(model.nq), np.zeros(model.nv), end, rtol=rtol, atol=1e-2 * rtol)
     for k, mu in enumerate(mus):
@@ -130,13 +129,7 @@ def test_boxes_on_a_belt_come_up_to_its_speed_each_for_itself(mus, speed, rtol):
 def test_a_box_near_the_friction_angle_rests_or_slides(slope, part, side):
     excess = side * part
     mu = math.tan(slope) * (1.0 + excess)
-    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
-    corners = [(x, y, -0.02) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
-    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.3, 0.04), corners)
-    turn = pin.Quaternion(pin.utils.rotate("y", slope)).coeffs()
-    q0 = np.array([*(0.02 * normal), *turn])
-    plane = Plane(normal=tuple(normal))
-    scene = Scene(model, [Contact(f"tip{k}", plane, friction=mu) for k in range(4)])
+    scene, q0 = box_on_a_slope(slope, mu, 0.02)
     trajectory = simulate(scene, q0, np.zeros(6), 1.0)
     moved = float(np.linalg.norm(trajectory.q[-1, :3] - q0[:3]))
     assert moved == pytest.approx(0.5 * max(0.0, -excess) * G * math.sin(slope), abs=1e-8)

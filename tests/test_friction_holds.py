@@ -10,7 +10,16 @@ import pytest
 
 from pinimpact import Contact, Event, Plane, Scene, simulate
 
-from .scene_models import G, box_on, free_body, rough_joint, slider, unbounded
+from .scene_models import (
+    G,
+    box_on,
+    box_on_a_slope,
+    boxes_on_a_belt,
+    free_body,
+    rough_joint,
+    slider,
+    unbounded,
+)
 from .stick_slip import Swing, stick_slip
 
 
@@ -112,17 +121,7 @@ def test_a_box_on_corners_moves_as_a_point_does(corners):
 
 @pytest.mark.parametrize("mus", [(0.5, 0.5), (0.5, 0.4), (0.3, 0.3)])
 def test_two_boxes_on_a_belt(mus):
-    model = pin.Model()
-    for k in range(2):
-        parent = 0
-        for i, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
-            parent = model.addJoint(parent, kind, pin.SE3.Identity(), f"{k}{'xyz'[i]}")
-        inertia = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-        model.addFrame(pin.Frame(f"point{k}", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    unbounded(model)
-    belt = Plane(velocity=(1.0, 0.0, 0.0))
-    scene = Scene(model, [Contact(f"point{k}", belt, friction=mu) for k, mu in enumerate(mus)])
+    scene = boxes_on_a_belt(mus, 1.0)
     trajectory = simulate(scene, np.zeros(6), np.zeros(6), 2.0)
     for k, mu in enumerate(mus):
         assert trajectory.q[-1, 3 * k] == pytest.approx(2.0 - 0.5 / (mu * G), abs=1e-7)
@@ -133,13 +132,7 @@ def test_two_boxes_on_a_belt(mus):
 def test_a_box_near_the_friction_angle(excess):
     slope = math.atan(0.546)
     mu = math.tan(slope) * (1.0 + excess)
-    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
-    corners = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
-    model = free_body(pin.Inertia.FromBox(1.0, 0.4, 0.3, 0.2), corners)
-    turn = pin.Quaternion(pin.utils.rotate("y", slope)).coeffs()
-    q0 = np.array([*(0.1 * normal), *turn])
-    plane = Plane(normal=tuple(normal))
-    scene = Scene(model, [Contact(f"tip{k}", plane, friction=mu) for k in range(4)])
+    scene, q0 = box_on_a_slope(slope, mu, 0.1)
     trajectory = simulate(scene, q0, np.zeros(6), 1.0)
     assert trajectory.statistics["steps"] < 500
     moved = float(np.linalg.norm(trajectory.q[-1, :3] - q0[:3]))
