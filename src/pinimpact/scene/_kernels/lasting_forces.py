@@ -29,12 +29,30 @@ from .force_cones import (
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
 @separate
 def orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Return the sign of the determinant of the equations that forces x solve, zero where singular."""
-    size = len(x)
-    system, right, undecided = np.empty((size, size)), np.empty(size), repeated(len(mu), AS_FORCES_SAY)
+    """Return the sign of the determinant of the equations that forces x solve, zero where singular.
+
+    Where slip begins, it is negative also if it is with directions as they are, in which slip goes on.
+    """
+    nc, size = len(mu), len(x)
+    system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
     residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
     linearize(
         *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
+        *(system, right),
+    )
+    sign = solve(system, right, np.empty(size), RANK)
+    directed, begins = velocity.copy(), False
+    for k in range(nc):
+        rests = mu[k] > 0.0 and not held[k] and velocity[k, 0] == 0.0 and velocity[k, 1] == 0.0
+        b = 3 * k
+        g1 = x[b] / scale_f[b] - a_now[b] * scale_a[b]
+        g2 = x[b + 1] / scale_f[b] - a_now[b + 1] * scale_a[b]
+        if rests and math.hypot(g1, g2) > mu[k] * x[b + 2] / scale_f[b]:
+            directed[k, 0], directed[k, 1], begins = -g1, -g2, True
+    if sign <= 0 or not begins:
+        return sign
+    linearize(
+        *(delassus, free, directed, mu, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
         *(system, right),
     )
     return solve(system, right, np.empty(size), RANK)
