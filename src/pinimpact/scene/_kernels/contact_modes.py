@@ -25,7 +25,7 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .force_cones import forces_by_cones, residual, scale
+from .force_cones import SYSTEM, forces_by_cones, newton, residual, scale
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
 from .workspace import SceneWorkspace
@@ -82,6 +82,7 @@ def set_modes(work, t, q, v, slow):
         )
         energy, tried, error = energy + gained, tried + 1, max(error, off)
         if jamming >= 0 or work.callback_failed:
+            assign(sliding, slid)
             return jamming, converged, energy
         let_go = False
         for i in range(len(vain)):
@@ -176,11 +177,16 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
     converged = sweeps >= 0 and jamming < 0
-    both = np.empty(size)
+    both, start = np.empty(size), np.empty(size)
     for a in range(size):
         both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
     if not converged:
-        converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
+        forces_of_before(work, contacts, joints, start)
+        converged = go_on_from(delassus, free, slip, mu, held, lower, upper, start)
+        if converged:
+            assign(both, start)
+        else:
+            converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
     if converged:
@@ -236,7 +242,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             vain[work.contacts + limit] = PARTS
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, start, off = v.copy(), np.empty(size), 0.0
+    before, off = v.copy(), 0.0
     for a in range(size):
         if a < 3 * nc:
             mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
@@ -272,6 +278,31 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         if breaking[i] * v[i] > 0.0 and abs(v[i]) <= least:
             v[i] = 0.0
     return -1, converged, gained, fastest, off
+
+
+@inner
+def forces_of_before(work, contacts, joints, x):
+    """Fill forces x on contacts and scalar rows with those that modes were last found by."""
+    closed = 3 * len(contacts)
+    for a in range(closed):
+        x[a] = work.found_forces[contacts[a // 3], a % 3]
+    for m in range(len(joints)):
+        x[closed + m] = work.found_forces[work.contacts + joints[m], 0]
+
+
+@ahead(*SYSTEM)
+@separate
+def go_on_from(delassus, free, velocity, mu, held, lower, upper, x):
+    """Take forces x of before to those of now, by Newton's method; return whether there are such.
+
+    Near where they cease to exist they are a thousand times those of the loads, too far for any other way.
+    """
+    size = len(x)
+    width, a_now = np.empty(size), np.empty(size)
+    scale_a, scale_f = np.empty(size), np.empty(size)
+    if scale(delassus, free, len(mu), width, scale_a, scale_f) == 0.0:
+        return False
+    return newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= ACCURACY
 
 
 @inner
