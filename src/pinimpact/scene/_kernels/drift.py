@@ -81,4 +81,32 @@ def correct_drift(work, t, q, v):
     total = closed_rows(work, v, NORMAL, rows, off)
     if total == 0 or work.callback_failed:
         return 0.0
-    return stop_along(rows[:total], off[:total], minverse, v)
+    before = v.copy()
+    gained = stop_along(rows[:total], off[:total], minverse, v)
+    if ns > 0 and reverses_slip(work, before, v):
+        # a joint whose row hardly differs from those of contacts rests but for its error
+        assign(v, before)
+        gained = stop_along(rows[: total - ns], off[: total - ns], minverse, v)
+    return gained
+
+
+@inner
+def reverses_slip(work, before, v):
+    """Whether slip along its direction at a velocity before (nv,), that of the workspace, is against it at v."""
+    mode, velocity, jacobian, reference = (
+        work.closed_mode,
+        work.contact_velocity,
+        work.contact_jacobian,
+        work.slip_reference,
+    )
+    reverses = False
+    for k in range(len(mode)):
+        if mode[k] == SLIP:
+            along = after = 0.0
+            for d in range(2):
+                along += reference[k, d] * velocity[k, d]
+                after += reference[k, d] * velocity[k, d]
+                for j in range(len(v)):
+                    after += reference[k, d] * jacobian[k, d, j] * (v[j] - before[j])
+            reverses |= along >= 0.0 and after < -work.direction_speed
+    return reverses
