@@ -7,6 +7,7 @@ import itertools
 import numba
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
@@ -485,6 +486,64 @@ def test_forces_from_which_any_deviation_grows_give_way_to_others():
                 several += 1
                 assert min(np.abs(taken - x).max() for x in lasting) <= 1e-9 * np.abs(taken).max()
     assert several > 50
+
+
+def slip_that_begins(delassus, free, mu, bound):
+    """All forces (4,) of a contact that begins to slip beside a joint within ±bound; whether they last.
+
+    They do if, in the direction d(θ) of slip, the determinant of what is closed and held is positive, and the
+    acceleration across d turns slip back to it: it falls with θ where it vanishes.
+    """
+
+    def at(angle, side):
+        """Acceleration across the direction, forces, whether they obey the law, and the determinant."""
+        c, s = np.cos(angle), np.sin(angle)
+        nothing = np.zeros_like(c)
+        friction = np.array([-mu * c, -mu * s, nothing + 1.0, nothing])
+        slips, turns = delassus @ friction, delassus[:, 3]
+        if side == 0:
+            determinant = slips[2] * turns[3] - slips[3] * turns[2]
+            push = (turns[2] * free[3] - turns[3] * free[2]) / determinant
+            joint = (slips[3] * free[2] - slips[2] * free[3]) / determinant
+        else:
+            determinant, joint = slips[2], nothing + side * bound
+            push = -(free[2] + turns[2] * joint) / determinant
+        forces = push * friction + joint * np.array([nothing, nothing, nothing, nothing + 1.0])
+        a1, a2, _, rate = delassus @ forces + free[:, None]
+        obeys = (push > 0.0) & (c * a1 + s * a2 > 0.0) & (np.abs(joint) <= bound) & (side * rate <= 0.0)
+        return c * a2 - s * a1, forces, obeys, determinant
+
+    found, angles = [], np.linspace(0.0, 2.0 * np.pi, 721)
+    for side in (-1, 0, 1):
+        across, _, _, determinants = at(angles, side)
+        passes = (np.diff(np.sign(across)) != 0) & (np.diff(np.sign(determinants)) == 0)
+        for k in np.flatnonzero(passes):
+            angle = brentq(
+                lambda angle, side=side: at(np.array([angle]), side)[0][0], *angles[k : k + 2], xtol=1e-14
+            )
+            _, x, obeys, determinant = at(np.array([angle]), side)
+            if obeys[0]:
+                found.append((x[:, 0], determinant[0], determinant[0] > 0.0 and across[k] > 0.0))
+    return found
+
+
+@pytest.mark.parametrize("seed", [2, 7, 9, 14])
+def test_slip_that_begins_lasts_in_the_direction_it_takes(seed):
+    """Of all equations the determinant may be positive where neither the forces last nor the direction."""
+    rng, turned = np.random.default_rng(seed), 0
+    for _ in range(100):
+        factor = rng.normal(size=(4, 4))
+        delassus, free = factor @ factor.T, 3.0 * rng.normal(size=4)
+        mu, bound = rng.uniform(1.0, 3.0), rng.uniform(0.1, 1.0)
+        limits, solutions = np.full(1, bound), slip_that_begins(delassus, free, mu, bound)
+        for x, determinant, lasts in solutions:
+            taken = x.copy()
+            last(delassus, free, np.zeros((1, 2)), np.array([mu]), np.array([False]), -limits, limits, taken)
+            changed = np.abs(taken - x).max() > 1e-6 * np.abs(x).max()
+            assert not (lasts and changed)
+            assert changed or lasts
+            turned += bool(changed and determinant < 0.0)
+    assert turned > 0
 
 
 def could_move_or_hold(seed, bound):

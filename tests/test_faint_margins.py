@@ -127,17 +127,29 @@ def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
     assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)
 
 
-def test_a_joint_that_has_been_held_beside_a_foot_that_slips_is_held_on():
-    """It could be held, or move with a force that grows, or by less with one from which it would jam."""
-    drawn = random_control.draw(162000955)
+@pytest.mark.parametrize(
+    ("seed", "duration"),
+    [
+        # a joint that is held beside a foot that slips could be held on, or move with a force that grows
+        (162000955, 0.45),
+        # slip could begin, but would not go on in the direction in which it begins
+        (184000256, 0.5),
+        # two corners slip near where forces cease to exist, a thousand times the loads
+        pytest.param(187000590, 0.993, marks=pytest.mark.slow),
+        # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
+        (188000342, 0.56),
+    ],
+)
+def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duration):
+    drawn = random_control.draw(seed)
     times = []
 
     def watch(t, _):
         times.append(t)
-        assert len(times) < 3000
+        assert len(times) < 4000
 
     trajectory = simulate(
-        drawn.scene, drawn.q, drawn.v, 0.45, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch
+        drawn.scene, drawn.q, drawn.v, duration, rtol=drawn.rtol, atol=1e-2 * drawn.rtol, progress=watch
     )
     assert trajectory.complete
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""

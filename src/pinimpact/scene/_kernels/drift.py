@@ -92,7 +92,7 @@ def correct_drift(work, t, q, v):
 
 @inner
 def reverses_slip(work, before, v):
-    """Whether slip along its direction at a velocity before (nv,), that of the workspace, is against it at v."""
+    """Whether slip along its direction at `before` (nv,), that of the workspace, is against it at v."""
     mode, velocity, jacobian, reference = (
         work.closed_mode,
         work.contact_velocity,
