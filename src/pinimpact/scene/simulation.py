@@ -558,9 +558,12 @@ class Motion:
         unknown = self.rtol * np.abs(self.work.solution).max(initial=0.0)
         if self.work.forces_unique and excess > unknown and not self.forces_beyond:
             self.forces_beyond = True
+            beyond = f"Forces leave by {excess:.3g} N or N m what the modes of contact allow"
+            if math.isinf(excess):
+                beyond = "A contact that slips drives its surface in by itself, though others hold it back"
             self.state.note(
-                f"Forces leave by {excess:.3g} N or N m what the modes of contact allow, and no other modes "
-                "were found: the motion may be wrong here; near Painlevé's paradox there may be none."
+                f"{beyond}, and no other modes were found: the motion may be wrong here; near Painlevé's "
+                "paradox there may be none."
             )
 
     def _arriving(self) -> int | None:

@@ -9,6 +9,7 @@ import numpy as np
 from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
+from ..contact_modes import CERTAIN
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
 from ..samples import along, clear_of_zero
@@ -21,9 +22,6 @@ CONSEQUENCE = MODE_CHANGE
 BEHIND = 1e-3
 """A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
 is larger."""
-
-UNCERTAIN = 0.1
-"""Part of the speed of certain slip that is the error of a step."""
 
 
 @inner
@@ -47,7 +45,7 @@ def has_turned(work, k, velocity):
 @inner
 def behind(work):
     """Return the speed up to which a reversal is none: no more than the error of a step."""
-    return min(BEHIND * work.stick_speed, UNCERTAIN * work.certain_speed)
+    return min(BEHIND * work.stick_speed, work.certain_speed / CERTAIN)
 
 
 @inner
