@@ -560,7 +560,7 @@ class Motion:
             self.forces_beyond = True
             beyond = f"Forces leave by {excess:.3g} N or N m what the modes of contact allow"
             if math.isinf(excess):
-                beyond = "A contact that slips drives its surface in by itself, though others hold it back"
+                beyond = "Slip as the modes of contact have it drives a surface in"
             self.state.note(
                 f"{beyond}, and no other modes were found: the motion may be wrong here; near Painlevé's "
                 "paradox there may be none."
