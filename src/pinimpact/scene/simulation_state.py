@@ -208,6 +208,8 @@ class SimulationState:
         """
         touching = self._closed(self._slow)
         slips = self._slipping(touching, v, modes)
+        if jammed >= 0:
+            slips[touching.index(jammed)] = True  # however slowly
         if jammed >= 0 and (stop or len(touching) == 1):
             self.note(
                 f"Slip at {self.names[jammed]} drives the surface in and no force holds it: "
