@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 
 from pinimpact import Contact, Plane, Scene, load_robot, simulate
 from pinimpact.robot.surfaces import contact_axes
@@ -252,6 +253,15 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         assert end.argmax() == grown.argmax() == alone[0]
         assert end.max() > 1e-8
         assert end.min() <= 0.0
+        # nor do eight more that feel nothing of it hide it
+        among = _growing(
+            block_diag(delassus, np.eye(24)),
+            np.vstack([velocity, np.zeros((8, 3))]),
+            np.append(friction, np.zeros(8)),
+            np.arange(10) < 2,
+            np.append(stiffness, np.ones(8)),
+        )
+        assert among == pytest.approx(np.append(grown, np.zeros(8)), abs=1e-9)
     assert found > 10
 
 

@@ -57,7 +57,7 @@ RANK = 1e-9
 PULLS = 1e-6
 """Part of the largest force up to which one that pulls is rounding."""
 
-MOST_CHOSEN = 8
+MOST_CHOSEN = 12
 """Contacts of which all choices of some are tried."""
 
 _NO_AXES = np.zeros((3, 3))
