@@ -167,7 +167,7 @@ class SimulationState:
         if self.shapes:
             self.shapes.refresh(self.q)
         resolved: list[dict[str, Any]] = []
-        jams = 0
+        jams, anew = 0, False
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             self._check_rims(where)
@@ -187,6 +187,9 @@ class SimulationState:
                     field="scene",
                 )
             struck = self._without_forces(before, modes, jammed, jams > MOST_JAMS)
+            if not struck and jammed >= 0 and not anew:
+                anew = True  # what has come to rest may have turned the slip that jams
+                continue
             if not struck:
                 self._refuse_locked(before, modes)
                 self.note("The forces of the closed contacts were not found to the usual accuracy.")
