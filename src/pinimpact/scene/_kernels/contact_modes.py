@@ -177,14 +177,15 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
     converged = sweeps >= 0 and jamming < 0
-    both, start = np.empty(size), np.empty(size)
+    both = np.empty(size)
     for a in range(size):
         both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
     if not converged:
-        forces_of_before(work, contacts, joints, start)
-        converged = go_on_from(delassus, free, slip, mu, held, lower, upper, start)
+        known = np.empty(size)
+        forces_of_before(work, contacts, joints, known)
+        converged = go_on_from(delassus, free, slip, mu, held, lower, upper, known)
         if converged:
-            assign(both, start)
+            assign(both, known)
         else:
             converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
@@ -242,7 +243,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             vain[work.contacts + limit] = PARTS
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, off = v.copy(), 0.0
+    before, start, off = v.copy(), np.empty(size), 0.0
     for a in range(size):
         if a < 3 * nc:
             mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
