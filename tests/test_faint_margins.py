@@ -128,6 +128,39 @@ def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
     assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)
 
 
+def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
+    """A carriage on rails runs along a rod whose tip rests on the floor, aside by one part in 10⁷ of its way.
+
+    Its rail aside has dry friction, which the tip has to overcome: to one side until the carriage turns back.
+    """
+    model, parent, lean, dry, speed = pin.Model(), 0, 1e-7, 2.0, 0.1
+    along = pin.JointModelPrismaticUnaligned(np.array([np.sin(lean), np.cos(lean), 0.0]))
+    for name, joint, mass in (
+        ("x", pin.JointModelPX(), 0.0),
+        ("y", pin.JointModelPY(), 0.0),
+        ("z", pin.JointModelPZ(), 1.0),
+        ("rod", along, 0.1),
+    ):
+        parent = model.addJoint(parent, joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(parent, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    unbounded(model)
+    model.friction = np.array([dry, 0.0, 0.0, 0.0])
+    scene = Scene(
+        model,
+        [Contact("tip", Plane(), friction=0.5)],
+        control=lambda t, q, v: np.array([0.0, 0.0, 0.0, 2.0 * speed]),
+    )
+    v = speed * np.array([np.sin(lean), np.cos(lean), 0.0, -1.0])
+    trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
+    times = np.array([0.0, 0.2, 0.45, 0.55, 0.8])
+    turns = speed / (2.0 * speed + dry * lean)
+    rate = 2.0 * speed - dry * lean * np.sign(times - turns)
+    assert trajectory.sample(times)[1][:, 3] == pytest.approx(rate * (times - turns), abs=1e-9)
+    aside = trajectory.forces_world("tip on plane", times)[:, 0]
+    assert aside == pytest.approx(-dry * np.sign(times - turns), abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("seed", "duration"),
     [

@@ -63,7 +63,8 @@ def set_modes(work, t, q, v, slow):
     for i in range(touching):
         candidates[i] = slow[i]
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    vain, before, slid = np.zeros(work.contacts + work.limits, dtype=np.int64), v.copy(), sliding.copy()
+    vain, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
+    carried = np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, work.atol + work.rtol * largest_change(v, np.zeros(n))
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
@@ -71,10 +72,13 @@ def set_modes(work, t, q, v, slow):
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * v[j] > dry[j] * certain
-                rests = slow_enough and not (moves and work.settling[work.contacts + work.limits + j] == 0)
+                goes = moves and work.settling[work.contacts + work.limits + j] == 0
+                rests = slow_enough and not goes and carried[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
-                sliding[j] = 0.0 if rests else math.copysign(dry[j], v[j])
+                # what rests has not been stopped yet
+                way = float(carried[j]) if tried == 0 and carried[j] != 0 else v[j]
+                sliding[j] = 0.0 if rests else math.copysign(dry[j], way)
         if len(nonzero(candidates)) == 0:
             break
         jamming, converged, gained, stopped, off = find_modes(
@@ -84,14 +88,20 @@ def set_modes(work, t, q, v, slow):
         if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
+        last = tried == ROUNDS or stopped <= NOTHING * work.stick_speed
         let_go = False
-        for i in range(len(vain)):
+        for i in range(touching):
             if vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
-        last = tried == ROUNDS or stopped <= NOTHING * work.stick_speed
         # rest that takes more than the error of a step from anything else is none (11.8)
         if last and not let_go and certain > error and largest_change(v, before) > CERTAIN * error:
             certain, let_go = error, True
+            for j in range(n):
+                carried[j] = 0  # by what may not rest
+        elif last and not let_go:
+            for j in range(n):
+                if vain[touching + j] != 0:
+                    carried[j], let_go = vain[touching + j], True
         if let_go:
             for i in range(len(vain)):
                 vain[i] = 0
@@ -134,8 +144,9 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
-        vain: (n + nl,) set for what is open and stopped nevertheless, in vain if it does not stay closed:
-            `PARTS` where it parts, `RUBS` where a contact loses a velocity along its surface.
+        vain: (n + nl + nv,) set for what is open and stopped nevertheless, in vain if it stays open:
+            `PARTS` where it parts, `RUBS` where a contact loses a velocity along its surface. Of a joint that
+            what rests carries along against its force it takes the sign of its velocity.
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
@@ -147,7 +158,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     for i in range(len(reference)):
         reference[i, 0] = reference[i, 1] = 0.0
     for j in range(len(v)):
-        breaking[j] = 0.0
+        breaking[j], vain[work.contacts + work.limits + j] = 0.0, 0
     contacts = nonzero(candidates[: work.contacts])
     scalar = candidates[work.contacts :]
     joints = scalar_rows(work, scalar)
@@ -265,6 +276,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
                 stopped[3 * nc + m] = turned = True
         if not turned:
             break
+    find_carried(work, rows, stopped, modes, contacts, start, before, scalars, breaking, vain)
     begins = False
     for k in range(nc):
         begins |= modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
@@ -304,6 +316,46 @@ def go_on_from(delassus, free, velocity, mu, held, lower, upper, x):
     if scale(delassus, free, len(mu), width, scale_a, scale_f) == 0.0:
         return False
     return newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= ACCURACY
+
+
+@inner
+def find_carried(work, rows, stopped, modes, contacts, start, before, scalars, breaking, vain):
+    """Find joints that yield, and that what rests carries along against their force. (11.9)
+
+    Args:
+        work: The workspace, with M⁻¹.
+        rows, stopped, start, before: As in `stop_chosen`; the last rows are those of the joints.
+        modes, contacts, breaking, vain: As in `find_modes`.
+        scalars: (ns,) the velocities of the joints.
+    """
+    n, first, some, resting = len(before), 3 * len(contacts), False, stopped.copy()
+    for k in range(len(contacts)):
+        if modes[contacts[k]] == SLIP:
+            resting[3 * k] = resting[3 * k + 1] = False
+    for m in range(len(scalars)):
+        i = scalars[m]
+        if stopped[first + m] and breaking[i] != 0.0:
+            resting[first + m] = False
+            some |= work.settling[work.contacts + work.limits + i] == 0
+    if not some:
+        return
+    nothing, way, speeds, v = np.zeros(n), np.empty(n), np.empty(len(rows)), before.copy()
+    error = CERTAIN * (work.atol + work.rtol * largest_change(before, nothing))
+    stop_chosen(work, rows, resting, start, before, 0.0, v)
+    for m in range(len(scalars)):
+        i = scalars[m]
+        yields = stopped[first + m] and work.settling[work.contacts + work.limits + i] == 0
+        if not (yields and breaking[i] * v[i] > 0.0 and abs(v[i]) <= error):
+            continue
+        for j in range(n):
+            way[j] = work.minverse[j, i]
+        for a in range(len(rows)):
+            speeds[a] = 0.0
+            for j in range(n):
+                speeds[a] += rows[a, j] * way[j]
+        stop_chosen(work, rows, resting, speeds, way.copy(), 0.0, way)
+        if largest_change(way, nothing) * abs(v[i]) > error * abs(way[i]):
+            vain[work.contacts + work.limits + i] = 1 if v[i] > 0.0 else -1
 
 
 @inner
