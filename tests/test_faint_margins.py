@@ -12,7 +12,7 @@ from pinimpact.scene.simulation import Motion
 
 from . import random_control, random_scenes
 from .lawful import lost, unlawful
-from .scene_models import free_body, run, unbounded
+from .scene_models import G, free_body, run, unbounded
 
 
 @pytest.mark.parametrize("speed", [3e-7, 1e-5])
@@ -128,12 +128,16 @@ def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
     assert trajectory.q[-1] == pytest.approx(finer.q[-1], abs=10 * drawn.rtol)
 
 
-def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
-    """A carriage on rails runs along a rod whose tip rests on the floor, aside by one part in 10⁷ of its way.
+SPEED = 0.1
+DRY = 2.0
 
-    Its rail aside has dry friction, which the tip has to overcome: to one side until the carriage turns back.
+
+def carriage_along_a_rod(lean, friction, aside=0.0):
+    """A carriage on rails x, y, z and a rod through it whose tip is on the floor, aside by `lean`; the start.
+
+    Its rail x has dry friction. A motor along the rod turns it back after half a second.
     """
-    model, parent, lean, dry, speed = pin.Model(), 0, 1e-7, 2.0, 0.1
+    model, parent = pin.Model(), 0
     along = pin.JointModelPrismaticUnaligned(np.array([np.sin(lean), np.cos(lean), 0.0]))
     for name, joint, mass in (
         ("x", pin.JointModelPX(), 0.0),
@@ -145,20 +149,43 @@ def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
         model.appendBodyToJoint(parent, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
     model.addFrame(pin.Frame("tip", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     unbounded(model)
-    model.friction = np.array([dry, 0.0, 0.0, 0.0])
-    scene = Scene(
-        model,
-        [Contact("tip", Plane(), friction=0.5)],
-        control=lambda t, q, v: np.array([0.0, 0.0, 0.0, 2.0 * speed]),
-    )
-    v = speed * np.array([np.sin(lean), np.cos(lean), 0.0, -1.0])
+    model.friction = np.array([DRY, 0.0, 0.0, 0.0])
+    motor = np.array([0.0, 0.0, 0.0, 2.0 * SPEED])
+    scene = Scene(model, [Contact("tip", Plane(), friction=friction)], control=lambda t, q, v: motor)
+    return scene, np.array([SPEED * np.sin(lean) + aside, SPEED * np.cos(lean), 0.0, -SPEED])
+
+
+def test_a_joint_that_a_tip_at_rest_carries_along_rubs_as_it_moves():
+    """The rod leans by one part in 10⁷, and its tip has to overcome the friction of rail x.
+
+    To one side until the carriage turns back.
+    """
+    lean = 1e-7
+    scene, v = carriage_along_a_rod(lean, 0.5)
     trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
     times = np.array([0.0, 0.2, 0.45, 0.55, 0.8])
-    turns = speed / (2.0 * speed + dry * lean)
-    rate = 2.0 * speed - dry * lean * np.sign(times - turns)
+    turns = SPEED / (2.0 * SPEED + DRY * lean)
+    rate = 2.0 * SPEED - DRY * lean * np.sign(times - turns)
     assert trajectory.sample(times)[1][:, 3] == pytest.approx(rate * (times - turns), abs=1e-9)
     aside = trajectory.forces_world("tip on plane", times)[:, 0]
-    assert aside == pytest.approx(-dry * np.sign(times - turns), abs=1e-6)
+    assert aside == pytest.approx(-DRY * np.sign(times - turns), abs=1e-6)
+
+
+@pytest.mark.parametrize("lean", [1e-4, 1e-5, 1e-6])
+def test_a_tip_that_a_joint_at_rest_carries_along_rubs_as_it_moves(lean):
+    """The tip cannot move rail x, and slips aside by `lean` of the rod's motion, until that turns back."""
+    scene, v = carriage_along_a_rod(lean, 0.15, aside=0.01)
+    trajectory = simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10)
+    times = np.array([0.1, 0.2, 0.45, 0.55, 0.8])
+    # what the motor asks of the tip leaves that much of its friction to x
+    left = np.sqrt((0.15 * 1.1 * G) ** 2 - (2.0 * SPEED) ** 2)
+    aside = trajectory.forces_world("tip on plane", times)[:, 0]
+    assert aside == pytest.approx(left * np.sign(0.5 - times), rel=1e-3 * lean / 1e-4)
+
+
+def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
+    scene, v = carriage_along_a_rod(1e-7, 0.15, aside=0.01)
+    assert simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10).complete
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,9 @@ from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
-from ._kernels.contact_modes import CERTAIN
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
+from ._kernels.slip import CERTAIN
 from .chatter import check_chatter
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep

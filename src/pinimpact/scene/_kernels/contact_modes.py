@@ -28,6 +28,7 @@ from .dynamics import (
 from .force_cones import SYSTEM, forces_by_cones, newton, residual, scale
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
+from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
 
 STANDARD_GRAVITY = 9.80665
@@ -48,9 +49,6 @@ PARTS, RUBS = 1, 2
 
 NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
-
-CERTAIN = 10.0
-"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
 
 
 @ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
@@ -283,7 +281,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     if ns > 0 and begins:
         # a joint whose row hardly differs from those of contacts rests but for its error; a contact that
         # begins to slip exactly, for what is left of its velocity would be slip
-        gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, NOTHING * work.stick_speed, v)[0]
+        gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, behind(work), v)[0]
     for m in range(ns):
         i = scalars[m]
         # not even a rounding error begins against the force, nor what rows that hardly differ leave of a stop

@@ -11,6 +11,7 @@ from . import lie_charts
 from .closed_set import NORMAL, closed_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
+from .slip import behind
 from .workspace import SceneWorkspace
 
 
@@ -108,5 +109,5 @@ def reverses_slip(work, before, v):
                 after += reference[k, d] * velocity[k, d]
                 for j in range(len(v)):
                     after += reference[k, d] * jacobian[k, d, j] * (v[j] - before[j])
-            reverses |= along >= 0.0 and after < -work.direction_speed
+            reverses |= along >= 0.0 and after < -behind(work)
     return reverses

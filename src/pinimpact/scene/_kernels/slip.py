@@ -10,6 +10,19 @@ from ..._numeric.loops import assign
 from .contact_forces import SLIP
 from .workspace import SceneWorkspace
 
+CERTAIN = 10.0
+"""Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
+
+BEHIND = 1e-3
+"""A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
+is larger."""
+
+
+@inner
+def behind(work):
+    """Return the speed up to which a reversal is none: no more than the error of a step."""
+    return min(BEHIND * work.stick_speed, work.certain_speed / CERTAIN)
+
 
 @ahead(SceneWorkspace, FLOAT_ROWS)
 @separate

@@ -9,19 +9,14 @@ import numpy as np
 from ...._numeric.ahead import ahead
 from ...._numeric.jit import inner, separate
 from ..contact_forces import SLIP
-from ..contact_modes import CERTAIN
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
 from ..samples import along, clear_of_zero
-from ..slip import set_directions_within
+from ..slip import behind, set_directions_within
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
 CONSEQUENCE = MODE_CHANGE
-
-BEHIND = 1e-3
-"""A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
-is larger."""
 
 
 @inner
@@ -40,12 +35,6 @@ def has_turned(work, k, velocity):
     reference = work.slip_reference
     across = abs(reference[k, 0] * velocity[k, 1] - reference[k, 1] * velocity[k, 0])
     return across > max(work.direction_speed, -along(work, k, velocity))
-
-
-@inner
-def behind(work):
-    """Return the speed up to which a reversal is none: no more than the error of a step."""
-    return min(BEHIND * work.stick_speed, work.certain_speed / CERTAIN)
 
 
 @inner
