@@ -218,6 +218,13 @@ def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duratio
     assert unlawful(drawn.scene, trajectory, drawn.rtol, 1) == ""
 
 
+def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
+    """Of shared loads the last that fits is at two bounds at once: a stop lets go as a contact begins to slip."""
+    _, scene, q, v, rtol = random_scenes.draw(201000584)
+    trajectory = simulate(scene, q, v, 0.8, rtol=rtol, atol=1e-2 * rtol)
+    assert unlawful(scene, trajectory, rtol, 1) == ""
+
+
 def test_a_contact_that_bears_nothing_holds_nothing():
     """The other joints bear the arm by dry friction; the first begins to turn, and its tip with it."""
     drawn = random_control.draw(176000622)

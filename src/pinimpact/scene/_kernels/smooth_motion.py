@@ -68,7 +68,7 @@ def begin(work, t, q, v):
     guess = math.inf
     for k in range(work.limits):
         gap, rate = limit_gap(work, k, q, v)
-        if modes[work.contacts + k] == FREE and gap <= work.touching_gap and rate > 0.0:
+        if modes[work.contacts + k] == FREE and gap <= work.touching_gap and rate > work.stick_speed:
             note_flat_bounce(work, rate, -work.limit_sign[k] * rates[0, n + work.limit_v[k]])
     if len(gaps) == 0:
         return guess
