@@ -485,7 +485,7 @@ class Motion:
                 continue
             directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)
-            if work.event_time >= t:
+            if work.event_time > t + trial or (work.event_time >= t and not self._forces_break_off()):
                 break
             self.rejected += 1
             h = 0.5 * trial  # the slip turns too fast for a step of this length
@@ -543,6 +543,15 @@ class Motion:
         longer = trial * work.growth
         self._cut_short = trial == left
         return max(longer, natural) if self._cut_short else longer
+
+    def _forces_break_off(self) -> bool:
+        """Whether forces cease to exist within the step, and something else is seen to happen before.
+
+        The step is a polynomial that goes on beyond that, and tells little of what comes before.
+        """
+        margins = self.work.sample_margins[: self.work.samples]
+        broken = margins[0] > -math.inf and bool((margins == -math.inf).any())
+        return broken and EVENTS[self.work.event_kind] is not force_bound
 
     def _note_driving(self, power: float) -> None:
         """Tell of friction that does positive work, once."""
