@@ -64,6 +64,9 @@ MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
 not help either it is taken, and told."""
 
+TOWARDS = 1.05
+"""Length of a step to where forces cease to exist, over the time until then that a longer one has shown."""
+
 FALSE_ALARM = 0.2
 """Part of a step to try next where forces have left their bounds only by its error."""
 
@@ -485,10 +488,10 @@ class Motion:
                 continue
             directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)
-            if work.event_time > t + trial or (work.event_time >= t and not self._forces_break_off()):
+            h = self._believed(t, trial)
+            if h == trial:
                 break
             self.rejected += 1
-            h = 0.5 * trial  # the slip turns too fast for a step of this length
             if work.friction_power > 0.0:
                 halved += 1
                 if halved == MOST_HALVED:
@@ -544,14 +547,22 @@ class Motion:
         self._cut_short = trial == left
         return max(longer, natural) if self._cut_short else longer
 
-    def _forces_break_off(self) -> bool:
-        """Whether forces cease to exist within the step, and something else is seen to happen before.
+    def _believed(self, t: float, trial: float) -> float:
+        """Return the length of the step if what it shows is to be believed, else a shorter one.
 
-        The step is a polynomial that goes on beyond that, and tells little of what comes before.
+        Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
+        goes on beyond a pole, and tells little of what comes before: that has to be in its last tenth.
         """
-        margins = self.work.sample_margins[: self.work.samples]
-        broken = margins[0] > -math.inf and bool((margins == -math.inf).any())
-        return broken and EVENTS[self.work.event_kind] is not force_bound
+        work = self.work
+        if work.event_time < t:
+            return 0.5 * trial
+        margins = work.sample_margins[: work.samples]
+        if work.event_time > t + trial or margins[0] == -math.inf or not (margins == -math.inf).any():
+            return trial
+        if EVENTS[work.event_kind] is not force_bound:
+            return 0.5 * trial
+        until = work.event_time - t
+        return TOWARDS * until if 0.0 < until < trial / TOWARDS**2 else trial
 
     def _note_driving(self, power: float) -> None:
         """Tell of friction that does positive work, once."""
