@@ -556,8 +556,10 @@ class Motion:
         work = self.work
         if work.event_time < t:
             return 0.5 * trial
+        if work.event_time > t + trial or not self.dynamics.constrained:
+            return trial
         margins = work.sample_margins[: work.samples]
-        if work.event_time > t + trial or margins[0] == -math.inf or not (margins == -math.inf).any():
+        if margins[0] == -math.inf or not (margins == -math.inf).any():
             return trial
         if EVENTS[work.event_kind] is not force_bound:
             return 0.5 * trial
