@@ -67,6 +67,9 @@ not help either it is taken, and told."""
 TOWARDS = 1.05
 """Length of a step to where forces cease to exist, over the time until then that a longer one has shown."""
 
+BRIEF = 1000.0
+"""Steps of fewer units in the last place of time are not asked for."""
+
 FALSE_ALARM = 0.2
 """Part of a step to try next where forces have left their bounds only by its error."""
 
@@ -561,10 +564,11 @@ class Motion:
         margins = work.sample_margins[: work.samples]
         if margins[0] == -math.inf or not (margins == -math.inf).any():
             return trial
-        if EVENTS[work.event_kind] is not force_bound:
-            return 0.5 * trial
-        until = work.event_time - t
-        return TOWARDS * until if 0.0 < until < trial / TOWARDS**2 else trial
+        shorter = 0.5 * trial
+        if EVENTS[work.event_kind] is force_bound:
+            shorter = TOWARDS * (work.event_time - t)
+        seen = work.event_time > t and shorter > BRIEF * math.ulp(t)
+        return shorter if seen and shorter < trial / TOWARDS else trial
 
     def _note_driving(self, power: float) -> None:
         """Tell of friction that does positive work, once."""
