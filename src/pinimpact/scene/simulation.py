@@ -64,9 +64,6 @@ MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
 not help either it is taken, and told."""
 
-TOWARDS = 1.05
-"""Length of a step to where forces cease to exist, over the time until then that a longer one has shown."""
-
 BRIEF = 1000.0
 """Steps of fewer units in the last place of time are not asked for."""
 
@@ -554,7 +551,7 @@ class Motion:
         """Return the length of the step if what it shows is to be believed, else a shorter one.
 
         Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
-        goes on beyond a pole, and tells little of what comes before: that has to be in its last tenth.
+        goes on beyond a pole, and tells little of what else is seen in it, or of forces that exist at its end.
         """
         work = self.work
         if work.event_time < t:
@@ -564,11 +561,9 @@ class Motion:
         margins = work.sample_margins[: work.samples]
         if margins[0] == -math.inf or not (margins == -math.inf).any():
             return trial
-        shorter = 0.5 * trial
-        if EVENTS[work.event_kind] is force_bound:
-            shorter = TOWARDS * (work.event_time - t)
-        seen = work.event_time > t and shorter > BRIEF * math.ulp(t)
-        return shorter if seen and shorter < trial / TOWARDS else trial
+        ends = EVENTS[work.event_kind] is force_bound and margins[-1] == -math.inf
+        seen = work.event_time > t and 0.5 * trial > BRIEF * math.ulp(t)
+        return 0.5 * trial if seen and not ends else trial
 
     def _note_driving(self, power: float) -> None:
         """Tell of friction that does positive work, once."""

@@ -14,6 +14,7 @@ from .gap import SAFETY
 
 CONSEQUENCE = MODE_CHANGE
 
+
 @inner
 def value(work, j, t):
     """Return the joint's velocity against its dry friction at the state that is set."""
