@@ -551,7 +551,7 @@ class Motion:
         """Return the length of the step if what it shows is to be believed, else a shorter one.
 
         Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
-        goes on beyond a pole, and tells little of what else is seen in it, or of forces that exist at its end.
+        goes on beyond a pole, and tells little of what else is seen in it, or of forces at its end.
         """
         work = self.work
         if work.event_time < t:
