@@ -64,6 +64,9 @@ MOST_HALVED = 6
 """How often a step in which friction does positive work is halved before modes are set anew; where that does
 not help either it is taken, and told."""
 
+RUBBING = 2
+"""Which of the works is that of sliding friction."""
+
 BRIEF = 1000.0
 """Steps of fewer units in the last place of time are not asked for."""
 
@@ -551,7 +554,8 @@ class Motion:
         """Return the length of the step if what it shows is to be believed, else a shorter one.
 
         Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
-        goes on beyond a pole, and tells little of what else is seen in it, or of forces at its end.
+        goes on beyond a pole, and tells little of what else is seen in it, or of forces at its end; nothing
+        where friction has done positive work until then.
         """
         work = self.work
         if work.event_time < t:
@@ -562,6 +566,9 @@ class Motion:
         if margins[0] == -math.inf or not (margins == -math.inf).any():
             return trial
         ends = EVENTS[work.event_kind] is force_bound and margins[-1] == -math.inf
+        if ends:
+            step = self.dynamics.dense_step(t, trial, self.state.q, self.state.v, self.w)
+            ends = step.works(work.event_time)[RUBBING] <= self.w[RUBBING]
         seen = work.event_time > t and 0.5 * trial > BRIEF * math.ulp(t)
         return 0.5 * trial if seen and not ends else trial
 
