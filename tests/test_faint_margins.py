@@ -232,7 +232,7 @@ def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
 
 @pytest.mark.parametrize("seed", [205000540, 227000657])
 def test_a_step_across_a_pole_of_the_forces_is_not_believed(seed):
-    """A foot's slip turns fast beside one that slides: in a longer step both seem to jam, or friction drives."""
+    """A foot slips beside one that turns its slip: in a longer step both seem to jam, or friction drives."""
     _, scene, q, v, rtol = random_scenes.draw(seed)
     trajectory = simulate(scene, q, v, 1.0, rtol=rtol, atol=1e-2 * rtol)
     assert random_control.wrong_in(trajectory, rtol) == ""
