@@ -201,8 +201,6 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         pytest.param(192000238, 0.892, marks=pytest.mark.slow),
         # a corner that is about to jam, and a joint that seems to turn back in steps that go beyond it
         pytest.param(204000405, 0.9187, marks=pytest.mark.slow),
-        # joints that yield beside a sole, whose drift is corrected by as much as they move
-        pytest.param(216000018, 0.502, marks=pytest.mark.slow),
         # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
         (188000342, 0.56),
     ],
