@@ -11,6 +11,7 @@ from . import lie_charts
 from .closed_set import NORMAL, closed_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
+from .samples import along
 from .slip import behind
 from .workspace import SceneWorkspace
 
@@ -94,20 +95,14 @@ def correct_drift(work, t, q, v):
 @inner
 def reverses_slip(work, before, v):
     """Whether slip along its direction at `before` (nv,), that of the workspace, is against it at v."""
-    mode, velocity, jacobian, reference = (
-        work.closed_mode,
-        work.contact_velocity,
-        work.contact_jacobian,
-        work.slip_reference,
-    )
+    mode, jacobian, reference = work.closed_mode, work.contact_jacobian, work.slip_reference
     reverses = False
     for k in range(len(mode)):
         if mode[k] == SLIP:
-            along = after = 0.0
+            forward = along(work, k, work.contact_velocity)
+            after = forward
             for d in range(2):
-                along += reference[k, d] * velocity[k, d]
-                after += reference[k, d] * velocity[k, d]
                 for j in range(len(v)):
                     after += reference[k, d] * jacobian[k, d, j] * (v[j] - before[j])
-            reverses |= along >= 0.0 and after < -behind(work)
+            reverses |= forward >= 0.0 and after < -behind(work)
     return reverses
