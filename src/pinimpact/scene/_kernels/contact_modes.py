@@ -17,6 +17,7 @@ from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
 from .approach import PRESSED, SLIDES, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
+from .coming_to_rest import come_to_rest, largest_change
 from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
@@ -44,8 +45,8 @@ slip may then go another way."""
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
-PARTS, RUBS = 1, 2
-"""How what is open moves that is stopped, see `find_modes`."""
+PARTS, RUBS, GOES = 1, 2, 3
+"""How what is stopped in vain moves, see `find_modes`."""
 
 NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
@@ -64,7 +65,7 @@ def set_modes(work, t, q, v, slow):
     vain, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
     carried = np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, work.atol + work.rtol * largest_change(v, np.zeros(n))
-    jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
+    jamming, converged, energy, stopped, tried, asked = -1, True, 0.0, math.inf, 0, False
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
         for j in range(n):  # what has been stopped may have set other joints in motion
             if dry[j] > 0.0:
@@ -83,23 +84,32 @@ def set_modes(work, t, q, v, slow):
             work, t, q, v, candidates, certain, modes, reference, breaking, vain
         )
         energy, tried, error = energy + gained, tried + 1, max(error, off)
-        if jamming >= 0 or work.callback_failed:
+        let_go, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
+        if certain < work.certain_speed and (jamming >= 0 or not converged):
+            certain, let_go = work.certain_speed, True  # what no forces let slip on rests nevertheless
+        if work.callback_failed or (jamming >= 0 and not let_go):
             assign(sliding, slid)
             return jamming, converged, energy
-        last = tried == ROUNDS or stopped <= NOTHING * work.stick_speed
-        let_go = False
-        for i in range(touching):
-            if vain[i] != 0 and modes[i] == FREE:
+        carries = False
+        for i in range(len(vain)):
+            if i >= touching or vain[i] == GOES:
+                carries |= vain[i] != 0
+            elif vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
-        # rest that takes more than the error of a step from anything else is none (11.8)
-        if last and not let_go and certain > error and largest_change(v, before) > CERTAIN * error:
-            certain, let_go = error, True
+        much = carries or (last and largest_change(v, before) > CERTAIN * error)
+        if not let_go and much and certain > error and not asked:
+            # rest that takes more than the error of a step from anything else is none (11.8)
+            certain, let_go, asked = error, True, True
             for j in range(n):
                 carried[j] = 0  # by what may not rest
-        elif last and not let_go:
+        elif not let_go and carries:
+            let_go = True
+            for i in range(touching):
+                if vain[i] == GOES:
+                    candidates[i] = SLIDES
             for j in range(n):
                 if vain[touching + j] != 0:
-                    carried[j], let_go = vain[touching + j], True
+                    carried[j] = vain[touching + j]
         if let_go:
             for i in range(len(vain)):
                 vain[i] = 0
@@ -115,15 +125,6 @@ def set_modes(work, t, q, v, slow):
     assign(work.modes, modes)
     close(work, reference)
     return jamming, converged, energy
-
-
-@inner
-def largest_change(v, before):
-    """Return the largest change of a velocity (nv,)."""
-    largest = 0.0
-    for j in range(len(v)):
-        largest = max(largest, abs(v[j] - before[j]))
-    return largest
 
 
 @ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
@@ -157,6 +158,8 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         reference[i, 0] = reference[i, 1] = 0.0
     for j in range(len(v)):
         breaking[j], vain[work.contacts + work.limits + j] = 0.0, 0
+    for i in range(work.contacts):
+        vain[i] = 0 if vain[i] == GOES else vain[i]
     contacts = nonzero(candidates[: work.contacts])
     scalar = candidates[work.contacts :]
     joints = scalar_rows(work, scalar)
@@ -221,7 +224,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         assign(found[contacts[k]], force[k])
     for m in range(ns):
         found[work.contacts + joints[m], 0] = strength[m]
-    stopped = flags(size, False)  # rows whose velocity becomes zero
+    stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
     pace, unique = resulting_accelerations(delassus, free, force, strength)
     modes_of_contacts(
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
@@ -244,7 +247,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         stopped[a] = closed
         if rubs and not closed:
             breaking[i] = strength[m]
-            stopped[a] = v[i] * strength[m] > 0.0 and not idles(work, i, v[i], certain)
+            against[a] = 0.0 if idles(work, i, v[i], certain) else math.copysign(1.0, strength[m])
         limit = joints[m]
         modes[work.contacts + limit] = 1 if closed else 0
         parts = limit < work.limits and work.limit_sign[limit] * v[i] > certain
@@ -252,7 +255,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             vain[work.contacts + limit] = PARTS
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    before, start, off = v.copy(), np.empty(size), 0.0
+    start, off = np.empty(size), 0.0
     for a in range(size):
         if a < 3 * nc:
             mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
@@ -262,32 +265,25 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             was_closed = work.modes[work.contacts + joints[a - 3 * nc]] != 0
         if was_closed:
             off = max(off, abs(start[a]))
-    gained = fastest = 0.0
-    for _ in range(2):
-        more, speed = stop_chosen(work, rows, stopped, start, before, 0.0, v)
-        gained, fastest = gained + more, max(fastest, speed)
-        turned = False
-        for m in range(ns):  # what is let go may have been thrown against its force, though not to move
-            i = scalars[m]
-            slow = abs(v[i]) <= work.stick_speed and not idles(work, i, v[i], certain)
-            if breaking[i] * v[i] > 0.0 and slow and not stopped[3 * nc + m]:
-                stopped[3 * nc + m] = turned = True
-        if not turned:
-            break
-    find_carried(work, rows, stopped, modes, contacts, start, before, scalars, breaking, vain)
-    begins = False
+    carried = np.zeros(size, dtype=np.int64)
     for k in range(nc):
-        begins |= modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0
-    if ns > 0 and begins:
-        # a joint whose row hardly differs from those of contacts rests but for its error; a contact that
-        # begins to slip exactly, for what is left of its velocity would be slip
-        gained += stop_chosen(work, rows[: 3 * nc], stopped, start, before, behind(work), v)[0]
+        if modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
+            turn_rows(reference[contacts[k]], rows[3 * k : 3 * k + 2], start[3 * k : 3 * k + 2])
+            stopped[3 * k], against[3 * k] = False, -1.0
+    gained, fastest = come_to_rest(work, rows, start, stopped, against, 3 * nc, carried, v)
+    thrown = going = False
     for m in range(ns):
-        i = scalars[m]
-        # not even a rounding error begins against the force, nor what rows that hardly differ leave of a stop
-        least = max(NOTHING * work.stick_speed, certain if stopped[3 * nc + m] else 0.0)
-        if breaking[i] * v[i] > 0.0 and abs(v[i]) <= least:
-            v[i] = 0.0
+        thrown |= carried[3 * nc + m] * start[3 * nc + m] < 0.0
+    for k in range(nc):
+        i = contacts[k]
+        rests = stopped[3 * k + 1] and not held[k]
+        if thrown and rests and goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], behind(work)):
+            vain[i], going = GOES, True
+    for m in range(ns):
+        if carried[3 * nc + m] * start[3 * nc + m] > 0.0 or not going:
+            vain[work.contacts + work.limits + scalars[m]] = carried[3 * nc + m]
+        if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
+            v[scalars[m]] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest, off
 
 
@@ -317,43 +313,14 @@ def go_on_from(delassus, free, velocity, mu, held, lower, upper, x):
 
 
 @inner
-def find_carried(work, rows, stopped, modes, contacts, start, before, scalars, breaking, vain):
-    """Find joints that yield, and that what rests carries along against their force. (11.9)
-
-    Args:
-        work: The workspace, with M⁻¹.
-        rows, stopped, start, before: As in `stop_chosen`; the last rows are those of the joints.
-        modes, contacts, breaking, vain: As in `find_modes`.
-        scalars: (ns,) the velocities of the joints.
-    """
-    n, first, some, resting = len(before), 3 * len(contacts), False, stopped.copy()
-    for k in range(len(contacts)):
-        if modes[contacts[k]] == SLIP:
-            resting[3 * k] = resting[3 * k + 1] = False
-    for m in range(len(scalars)):
-        i = scalars[m]
-        if stopped[first + m] and breaking[i] != 0.0:
-            resting[first + m] = False
-            some |= work.settling[work.contacts + work.limits + i] == 0
-    if not some:
-        return
-    nothing, way, speeds, v = np.zeros(n), np.empty(n), np.empty(len(rows)), before.copy()
-    error = CERTAIN * (work.atol + work.rtol * largest_change(before, nothing))
-    stop_chosen(work, rows, resting, start, before, 0.0, v)
-    for m in range(len(scalars)):
-        i = scalars[m]
-        yields = stopped[first + m] and work.settling[work.contacts + work.limits + i] == 0
-        if not (yields and breaking[i] * v[i] > 0.0 and abs(v[i]) <= error):
-            continue
-        for j in range(n):
-            way[j] = work.minverse[j, i]
-        for a in range(len(rows)):
-            speeds[a] = 0.0
-            for j in range(n):
-                speeds[a] += rows[a, j] * way[j]
-        stop_chosen(work, rows, resting, speeds, way.copy(), 0.0, way)
-        if largest_change(way, nothing) * abs(v[i]) > error * abs(way[i]):
-            vain[work.contacts + work.limits + i] = 1 if v[i] > 0.0 else -1
+def turn_rows(direction, rows, velocity):
+    """Turn two rows (2, nv) of a contact and their velocities: along a direction (2,), and across it."""
+    x, y = direction
+    for j in range(rows.shape[1]):
+        first, second = rows[0, j], rows[1, j]
+        rows[0, j], rows[1, j] = x * first + y * second, x * second - y * first
+    first, second = velocity
+    velocity[0], velocity[1] = x * first + y * second, x * second - y * first
 
 
 @inner
@@ -361,38 +328,6 @@ def idles(work, j, speed, certain):
     """Whether a joint that yields is too fast for rest, now that less is taken for it. (11.8)"""
     settles = work.settling[work.contacts + work.limits + j] != 0
     return certain < abs(speed) <= work.certain_speed and not settles
-
-
-@ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
-@separate
-def stop_chosen(work, rows, stopped, start, before, least, v):
-    """Stop what is to stop, if any of it is faster than the least speed that counts.
-
-    Args:
-        work: The workspace, with M⁻¹.
-        rows: (k, nv) rows of velocities, the first of all.
-        stopped: (m,) which of all are to vanish.
-        start: (m,) what they were at the velocity `before` (nv,).
-        before: See above.
-        least: That speed.
-        v: (nv,) the velocity, which is changed.
-
-    Returns:
-        The kinetic energy gained, and the fastest speed that was taken away.
-    """
-    taken, speeds = np.empty(rows.shape), np.empty(len(rows))
-    fastest, total = 0.0, 0
-    for a in range(len(rows)):
-        if stopped[a]:
-            speed = start[a]
-            for j in range(len(v)):
-                speed += rows[a, j] * (v[j] - before[j])
-            assign(taken[total], rows[a])
-            speeds[total], fastest = speed, max(fastest, abs(speed))
-            total += 1
-    if fastest < least:
-        return 0.0, 0.0
-    return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
 
 
 @ahead(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)

@@ -1,0 +1,127 @@
+"""How the velocity changes where modes are set: what rests stops, and nothing begins against its friction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.jit import inner, separate
+from ..._numeric.loops import assign
+from .closed_set import stop_along
+from .slip import CERTAIN, behind
+from .workspace import SceneWorkspace
+
+
+@ahead(SceneWorkspace, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, int, INTEGERS, FLOATS)
+@separate
+def come_to_rest(work, rows, start, rests, against, first, carried, v):
+    """Change the velocity as little as may be so that what rests stops. (11.9)
+
+    Args:
+        work: The workspace, with M⁻¹.
+        rows: (m, nv) rows of velocities.
+        start: (m,) these velocities.
+        rests: (m,) which of them vanish; those that would begin against their friction are added.
+        against: (m,) the sign of a velocity against its force where slip or sliding begins, else zero.
+        first: The row from which on they are those of joints.
+        carried: (m,) takes that sign where what rests carries a joint along against its force.
+        v: (nv,) the velocity, which is changed.
+
+    Returns:
+        The kinetic energy gained, and the fastest speed that was taken away.
+    """
+    n, size = len(v), len(rows)
+    nothing, before, way, speeds = np.zeros(n), v.copy(), np.empty(n), np.empty(size)
+    error = CERTAIN * (work.atol + work.rtol * largest_change(before, nothing))
+    resting, energy, fastest, again = rests, 0.0, 0.0, True
+    while again:
+        assign(v, before)
+        resting = rests.copy()
+        energy, fastest = stop_chosen(work, rows, resting, start, before, 0.0, v)
+        if first < size:
+            # a joint whose row hardly differs from those of contacts rests but for its error
+            energy += stop_chosen(work, rows[:first], resting, start, before, behind(work), v)[0]
+        for a in range(size):
+            carried[a] = 0
+        while True:
+            slowest, a = math.inf, -1
+            for b in range(first, size):
+                speed = against[b] * velocity_of(rows, start, before, v, b)
+                if speed > 0.0 and not resting[b] and carried[b] == 0 and speed < slowest:
+                    slowest, a = speed, b
+            if a < 0:
+                break
+            for j in range(n):
+                way[j] = 0.0
+                for i in range(n):
+                    way[j] += work.minverse[j, i] * rows[a, i]
+            for b in range(size):
+                speeds[b] = velocity_of(rows, nothing, nothing, way, b)
+            stop_chosen(work, rows, resting, speeds, way.copy(), 0.0, way)
+            rate = velocity_of(rows, nothing, nothing, way, a)
+            much = largest_change(way, nothing) * slowest > error * rate
+            if not rate > 0.0 or (slowest <= error and much):
+                carried[a] = 1 if against[a] > 0.0 else -1
+                continue
+            for j in range(n):
+                v[j] -= way[j] * against[a] * slowest / rate
+            resting[a] = True
+            energy, fastest = energy - 0.5 * slowest**2 / rate, max(fastest, slowest)
+        again = False
+        for a in range(first):
+            back = against[a] * velocity_of(rows, start, before, v, a)
+            if back > behind(work) and not rests[a]:
+                rests[a] = again = True
+    for a in range(size):
+        rests[a] = resting[a]
+    return energy, fastest
+
+
+@inner
+def velocity_of(rows, start, before, v, a):
+    """Return the velocity of row a at v, from what it was `before`."""
+    velocity = start[a]
+    for j in range(len(v)):
+        velocity += rows[a, j] * (v[j] - before[j])
+    return velocity
+
+
+@inner
+def largest_change(v, before):
+    """Return the largest change of a velocity (nv,)."""
+    largest = 0.0
+    for j in range(len(v)):
+        largest = max(largest, abs(v[j] - before[j]))
+    return largest
+
+
+@ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
+@separate
+def stop_chosen(work, rows, stopped, start, before, least, v):
+    """Stop what is to stop, if any of it is faster than the least speed that counts.
+
+    Args:
+        work: The workspace, with M⁻¹.
+        rows: (k, nv) rows of velocities, the first of all.
+        stopped: (m,) which of all are to vanish.
+        start: (m,) what they were at the velocity `before` (nv,).
+        before: See above.
+        least: That speed.
+        v: (nv,) the velocity, which is changed.
+
+    Returns:
+        The kinetic energy gained, and the fastest speed that was taken away.
+    """
+    taken, speeds = np.empty(rows.shape), np.empty(len(rows))
+    fastest, total = 0.0, 0
+    for a in range(len(rows)):
+        if stopped[a]:
+            speed = velocity_of(rows, start, before, v, a)
+            assign(taken[total], rows[a])
+            speeds[total], fastest = speed, max(fastest, abs(speed))
+            total += 1
+    if fastest < least:
+        return 0.0, 0.0
+    return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
