@@ -14,9 +14,9 @@ from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, int, INTEGERS, FLOATS)
+@ahead(SceneWorkspace, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, INTEGERS, FLOATS)
 @separate
-def come_to_rest(work, rows, start, rests, against, first, carried, v):
+def come_to_rest(work, rows, start, rests, against, moves, first, on, v):
     """Change the velocity as little as may be so that what rests stops. (11.9)
 
     Args:
@@ -25,45 +25,48 @@ def come_to_rest(work, rows, start, rests, against, first, carried, v):
         start: (m,) these velocities.
         rests: (m,) which of them vanish; those that would begin against their friction are added.
         against: (m,) the sign of a velocity against its force where slip or sliding begins, else zero.
+        moves: (m,) which rows of what rests belong to slip or sliding that has not ended, both tangential
+            ones of a contact.
         first: The row from which on they are those of joints.
-        carried: (m,) takes that sign where what rests carries a joint along against its force.
+        on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
         v: (nv,) the velocity, which is changed.
 
     Returns:
         The kinetic energy gained, and the fastest speed that was taken away.
     """
     n, size = len(v), len(rows)
-    nothing, before, way, speeds = np.zeros(n), v.copy(), np.empty(n), np.empty(size)
-    error = CERTAIN * (work.atol + work.rtol * largest_change(before, nothing))
+    before, way, speeds = v.copy(), np.empty(n), np.empty(size)
+    error = CERTAIN * (work.atol + work.rtol * largest_change(before, np.zeros(n)))
     resting, energy, fastest, again = rests, 0.0, 0.0, True
     while again:
         assign(v, before)
-        resting = rests.copy()
+        resting, asked = rests.copy(), rests.copy()
         energy, fastest = stop_chosen(work, rows, resting, start, before, 0.0, v)
         if first < size:
             # a joint whose row hardly differs from those of contacts rests but for its error
             energy += stop_chosen(work, rows[:first], resting, start, before, behind(work), v)[0]
         for a in range(size):
-            carried[a] = 0
+            on[a] = 0
         while True:
             slowest, a = math.inf, -1
             for b in range(first, size):
                 speed = against[b] * velocity_of(rows, start, before, v, b)
-                if speed > 0.0 and not resting[b] and carried[b] == 0 and speed < slowest:
+                if speed > 0.0 and not asked[b] and speed < slowest:
                     slowest, a = speed, b
             if a < 0:
                 break
+            asked[a] = True
             for j in range(n):
-                way[j] = 0.0
-                for i in range(n):
-                    way[j] += work.minverse[j, i] * rows[a, i]
+                way[j] = product(work.minverse[j], rows[a])
             for b in range(size):
-                speeds[b] = velocity_of(rows, nothing, nothing, way, b)
+                speeds[b] = product(rows[b], way)
             stop_chosen(work, rows, resting, speeds, way.copy(), 0.0, way)
-            rate = velocity_of(rows, nothing, nothing, way, a)
-            much = largest_change(way, nothing) * slowest > error * rate
+            rate = product(rows[a], way)
+            much = largest_change(way, np.zeros(n)) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
-                carried[a] = 1 if against[a] > 0.0 else -1
+                thrown = slowest > 2.0 * against[a] * start[a]
+                if not (thrown and throws(work, rows, start, rests, against[a], moves, first, before, a, on)):
+                    on[a] = 1 if against[a] > 0.0 else -1
                 continue
             for j in range(n):
                 v[j] -= way[j] * against[a] * slowest / rate
@@ -77,6 +80,38 @@ def come_to_rest(work, rows, start, rests, against, first, carried, v):
     for a in range(size):
         rests[a] = resting[a]
     return energy, fastest
+
+
+@inner
+def throws(work, rows, start, rests, against, moves, first, before, a, on):
+    """Let go on what throws a joint, row a, against its force by its rest; return whether anything does.
+
+    Without that the joint has less than half of that velocity.
+    """
+    u, some = before.copy(), False
+    stop_chosen(work, rows, rests, start, before, 0.0, u)
+    half = 0.5 * against * velocity_of(rows, start, before, u, a)
+    for b in range(len(rows)):
+        if moves[b] and start[b] != 0.0 and not (b < first and b % 3 > 0):
+            others = rests.copy()
+            others[b] = False
+            if b < first:
+                others[b + 1] = False
+            assign(u, before)
+            stop_chosen(work, rows, others, start, before, 0.0, u)
+            if against * velocity_of(rows, start, before, u, a) < half:
+                on[b] = 1 if b < first or start[b] > 0.0 else -1
+                some = True
+    return some
+
+
+@inner
+def product(a, b):
+    """Return the scalar product of two vectors."""
+    total = 0.0
+    for j in range(len(a)):
+        total += a[j] * b[j]
+    return total
 
 
 @inner

@@ -29,7 +29,7 @@ from .dynamics import (
 from .force_cones import SYSTEM, forces_by_cones, newton, residual, scale
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
-from .slip import CERTAIN, behind
+from .slip import CERTAIN
 from .workspace import SceneWorkspace
 
 STANDARD_GRAVITY = 9.80665
@@ -143,9 +143,10 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
-        vain: (n + nl + nv,) set for what is open and stopped nevertheless, in vain if it stays open:
-            `PARTS` where it parts, `RUBS` where a contact loses a velocity along its surface. Of a joint that
-            what rests carries along against its force it takes the sign of its velocity.
+        vain: (n + nl + nv,) set for what is stopped in vain: `PARTS` where what has been open parts, `RUBS`
+            where such a contact loses a velocity along its surface, both if it stays open; `GOES` where the
+            rest of what has slipped throws a joint against its force. Of a joint that what rests carries
+            along against its force, or whose rest throws another, it takes the sign of its velocity. (11.9)
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
@@ -265,23 +266,23 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             was_closed = work.modes[work.contacts + joints[a - 3 * nc]] != 0
         if was_closed:
             off = max(off, abs(start[a]))
-    carried = np.zeros(size, dtype=np.int64)
+    on, moves = np.zeros(size, dtype=np.int64), flags(size, False)
     for k in range(nc):
-        if modes[contacts[k]] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
-            turn_rows(reference[contacts[k]], rows[3 * k : 3 * k + 2], start[3 * k : 3 * k + 2])
-            stopped[3 * k], against[3 * k] = False, -1.0
-    gained, fastest = come_to_rest(work, rows, start, stopped, against, 3 * nc, carried, v)
-    thrown = going = False
+        b, i = 3 * k, contacts[k]
+        if stopped[b] and not held[k]:
+            moves[b] = moves[b + 1] = goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], 0.0)
+        if modes[i] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
+            turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
+            stopped[b], against[b] = False, -1.0
     for m in range(ns):
-        thrown |= carried[3 * nc + m] * start[3 * nc + m] < 0.0
+        rubs = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
+        moves[3 * nc + m] = rubs and work.settling[work.contacts + joints[m]] == 0
+    gained, fastest = come_to_rest(work, rows, start, stopped, against, moves, 3 * nc, on, v)
     for k in range(nc):
-        i = contacts[k]
-        rests = stopped[3 * k + 1] and not held[k]
-        if thrown and rests and goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], behind(work)):
-            vain[i], going = GOES, True
+        if on[3 * k] != 0:
+            vain[contacts[k]] = GOES
     for m in range(ns):
-        if carried[3 * nc + m] * start[3 * nc + m] > 0.0 or not going:
-            vain[work.contacts + work.limits + scalars[m]] = carried[3 * nc + m]
+        vain[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
         if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest, off
