@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
-from pinimpact import Contact, Plane, Scene, load_robot, simulate
+from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.robot.surfaces import contact_axes
 from pinimpact.scene.scene_impacts import _growing
 from pinimpact.scene.simulation import Motion
@@ -130,6 +130,39 @@ def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(res
         one[0].impulse_world, rel=1e-6, abs=1e-6
     )
     assert both[0].v_after == pytest.approx(one[0].v_after, abs=1e-6)
+
+
+def test_slip_hardly_faster_than_the_error_of_a_step_that_no_forces_hold_is_an_impact_too():
+    """It may not rest, for that takes more than the error from the rod's turn: no forces, but an impulse."""
+    length, angle, rate, slow, rtol = 0.1, 1.0, 0.5, 3e-6, 1e-6
+    inertia = pin.Inertia(1.0, np.zeros(3), INERTIA * length**2 * np.eye(3))
+    rod = free_body(inertia, [(length, 0.3 * length, 0), (length, -0.3 * length, 0)])
+
+    def state(speed, angle, rate):
+        s, c = np.sin(angle), np.cos(angle)
+        return in_space([0.0, length * s, angle], [speed + length * rate * s, length * rate * c, rate])
+
+    def blow(t, q, v):
+        return state(slow, 2.0 * np.arctan2(q[4], q[6]), v[4])[1]
+
+    contacts = [Contact(f"tip{k}", Plane(), friction=MU) for k in range(2)]
+    scene = Scene(rod, contacts, events=[Event(lambda t, q, v: t - 1e-3, blow)])
+    q, v = state(-1.0, angle, rate)  # backwards it slides on
+    trajectory = run(scene, q, v, 1.2e-3, rtol=rtol, atol=1e-2 * rtol)
+    jam, other = trajectory.impacts
+    assert jam.time == other.time == pytest.approx(1e-3)
+    assert not any("not found" in note.text for note in trajectory.notes)
+    error = rtol * (0.01 + np.abs(jam.v_before).max())
+    assert error < slow < 10.0 * error
+    assert slow < 0.1 * scene.rest
+    data = rod.createData()
+    pin.computeJointJacobians(rod, data, jam.q)
+    frames = [rod.getFrameId(contact.frame) for contact in contacts]
+    rows = np.vstack([pin.getFrameJacobian(rod, data, f, pin.LOCAL_WORLD_ALIGNED)[:3] for f in frames])
+    response = np.linalg.solve(pin.crba(rod, data, jam.q), rows.T)
+    stopping = response @ np.linalg.pinv(rows @ response, rcond=1e-10) @ rows @ jam.v_before
+    assert np.abs(stopping).max() > 10.0 * error
+    assert jam.v_after == pytest.approx(jam.v_before - stopping, abs=1e-10)
 
 
 def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
