@@ -9,12 +9,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
-from pinimpact import Contact, Plane, Scene, load_robot, simulate
+from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.robot.surfaces import contact_axes
 from pinimpact.scene.scene_impacts import _growing
+from pinimpact.scene.simulation import Motion
 
 from .random_scenes import draw, unaccounted
-from .scene_models import G, free_body, run, unbounded
+from .scene_models import UP, G, free_body, run, unbounded
 
 MU = 2.0
 INERTIA = 1.0 / 3.0
@@ -131,6 +132,39 @@ def test_slip_of_two_tips_that_no_forces_hold_is_an_impact_without_collision(res
     assert both[0].v_after == pytest.approx(one[0].v_after, abs=1e-6)
 
 
+def test_slip_hardly_faster_than_the_error_of_a_step_that_no_forces_hold_is_an_impact_too():
+    """It may not rest, for that takes more than the error from the rod's turn: no forces, but an impulse."""
+    length, angle, rate, slow, rtol = 0.1, 1.0, 0.5, 3e-6, 1e-6
+    inertia = pin.Inertia(1.0, np.zeros(3), INERTIA * length**2 * np.eye(3))
+    rod = free_body(inertia, [(length, 0.3 * length, 0), (length, -0.3 * length, 0)])
+
+    def state(speed, angle, rate):
+        s, c = np.sin(angle), np.cos(angle)
+        return in_space([0.0, length * s, angle], [speed + length * rate * s, length * rate * c, rate])
+
+    def blow(t, q, v):
+        return state(slow, 2.0 * np.arctan2(q[4], q[6]), v[4])[1]
+
+    contacts = [Contact(f"tip{k}", Plane(), friction=MU) for k in range(2)]
+    scene = Scene(rod, contacts, events=[Event(lambda t, q, v: t - 1e-3, blow)])
+    q, v = state(-1.0, angle, rate)  # backwards it slides on
+    trajectory = run(scene, q, v, 1.2e-3, rtol=rtol, atol=1e-2 * rtol)
+    jam, other = trajectory.impacts
+    assert jam.time == other.time == pytest.approx(1e-3)
+    assert not any("not found" in note.text for note in trajectory.notes)
+    error = rtol * (0.01 + np.abs(jam.v_before).max())
+    assert error < slow < 10.0 * error
+    assert slow < 0.1 * scene.rest
+    data = rod.createData()
+    pin.computeJointJacobians(rod, data, jam.q)
+    frames = [rod.getFrameId(contact.frame) for contact in contacts]
+    rows = np.vstack([pin.getFrameJacobian(rod, data, f, pin.LOCAL_WORLD_ALIGNED)[:3] for f in frames])
+    response = np.linalg.solve(pin.crba(rod, data, jam.q), rows.T)
+    stopping = response @ np.linalg.pinv(rows @ response, rcond=1e-10) @ rows @ jam.v_before
+    assert np.abs(stopping).max() > 10.0 * error
+    assert jam.v_after == pytest.approx(jam.v_before - stopping, abs=1e-10)
+
+
 def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
     """With dry friction in its hinge it slides as a point does, though its tip would drive the floor in."""
     angle, speed, time = 1.0, 6.0, 0.2
@@ -146,6 +180,49 @@ def test_a_rod_that_its_joint_keeps_from_turning_slides_on_where_it_would_jam():
     assert trajectory.q[-1] - trajectory.q[0] == pytest.approx(
         [speed * time - 0.5 * MU * G * time**2, 0.0, 0.0], abs=1e-12
     )
+
+
+def test_what_rests_on_more_feet_than_it_needs_keeps_slip_from_no_singularity():
+    """The rod of above beside a table: the forces keep from their bounds as far as those of each alone."""
+    angle, held, mass = 1.0, 20.0, 2.0
+    model = planar_rod()
+    table = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "table")
+    model.appendBodyToJoint(table, pin.Inertia.FromBox(mass, 0.4, 0.4, 0.2), pin.SE3.Identity())
+    contacts = [Contact("tip", Plane(), friction=MU)]
+    for k, (x, y) in enumerate([(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)]):
+        corner = pin.SE3(np.eye(3), np.array([x, y, -0.1]))
+        model.addFrame(pin.Frame(f"foot{k}", table, 0, corner, pin.FrameType.OP_FRAME))
+        contacts.append(Contact(f"foot{k}", Plane(), friction=MU))
+    unbounded(model)
+    model.friction = np.array([0.0, 0.0, held, *[0.0] * 6])
+    q, v = [0.0, np.sin(angle), angle, 0.0, 5.0, 0.1, *UP], [6.0, *[0.0] * 8]
+    motion = Motion(Scene(model, contacts), q, v, 1e-8, 1e-10, None, 100)
+    motion.begin()
+    assert not motion.work.forces_unique
+    spare = held - G * abs(np.cos(angle) - MU * np.sin(angle))
+    assert motion.work.force_margin == pytest.approx(min(G, 0.25 * mass * G, spare), rel=1e-6)
+
+
+def test_a_belt_that_rubs_against_what_others_hold_drives_nothing_in():
+    """Whichever way it runs, the forces of least norm act; free, the body would be drawn into it one way."""
+    feet = [(-0.2, -0.2, -1.0), (-0.2, 0.2, -1.0), (0.2, 0.0, -1.0)]
+    about, place, mu = 0.05, 0.5, 1.0
+    assert 1.0 + place * (place - mu) / about < 0.0 < 1.0 + place * (place + mu) / about
+    points = np.array([*feet, (place, 0.0, -1.0)])
+    model = free_body(pin.Inertia(1.0, np.zeros(3), about * np.eye(3)), points)
+    for speed in (3.0, -3.0):
+        belt = Plane(velocity=(speed, 0.0, 0.0))
+        contacts = [Contact(f"tip{k}", Plane(), friction=2.0 * mu) for k in range(3)]
+        contacts.append(Contact("tip3", belt, friction=mu))
+        trajectory = run(Scene(model, contacts), [0.0, 0.0, 1.0, *UP], np.zeros(6), 0.1)
+        # wrenches about the centre of each force of the feet, and of the belt for a unit along its normal
+        forces = [*np.tile(np.eye(3), (3, 1)), np.array([np.sign(speed) * mu, 0.0, 1.0])]
+        arms = [*np.repeat(points[:3], 3, axis=0), points[3]]
+        wrenches = np.array([[*f, *np.cross(arm, f)] for f, arm in zip(forces, arms, strict=True)]).T
+        least = np.linalg.pinv(wrenches) @ [0.0, 0.0, G, 0.0, 0.0, 0.0]
+        for k, contact in enumerate(contacts):
+            expected = least[3 * k : 3 * k + 3] if k < 3 else least[9] * forces[9]
+            assert trajectory.forces_world(contact.label, [0.05])[0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_planar_robot_that_sticks_is_not_told_that_its_forces_are_not_unique():

@@ -175,7 +175,7 @@ class SimulationState:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
-            before, modes = self.v, self.dynamics.work.modes.copy()
+            before = self.v
             jammed = self._set_modes(slow)
             if jammed < 0 and self._forces_found:
                 break
@@ -186,23 +186,22 @@ class SimulationState:
                     f"the last at {_last(resolved)}; less friction would end them",
                     field="scene",
                 )
-            struck = self._without_forces(before, modes, jammed, jams > MOST_JAMS)
+            struck = self._without_forces(before, jammed, jams > MOST_JAMS)
             if not struck and jammed >= 0 and not anew:
                 anew = True  # what has come to rest may have turned the slip that jams
                 continue
             if not struck:
-                self._refuse_locked(before, modes)
+                self._refuse_locked(before)
                 self.note("The forces of the closed contacts were not found to the usual accuracy.")
                 break
             resolved += struck
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
-    def _without_forces(self, v: Array, modes: Array, jammed: int, stop: bool) -> list[dict[str, Any]]:
+    def _without_forces(self, v: Array, jammed: int, stop: bool) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.
 
         Args:
             v: (nv,) velocity before modes were looked for.
-            modes: Those that held.
             jammed: The contact that drives the surface in by itself, or −1.
             stop: Whether to stop the slip of that one outright, since such impacts do not settle.
 
@@ -210,9 +209,7 @@ class SimulationState:
             Fields of records; none if nothing comes of it.
         """
         touching = self._closed(self._slow)
-        slips = self._slipping(touching, v, modes)
-        if jammed >= 0:
-            slips[touching.index(jammed)] = True  # however slowly
+        slips = self._slipping(touching)
         if jammed >= 0 and (stop or len(touching) == 1):
             self.note(
                 f"Slip at {self.names[jammed]} drives the surface in and no force holds it: "
@@ -232,14 +229,13 @@ class SimulationState:
         )
         return self._take_over_group(group)
 
-    def _refuse_locked(self, v: Array, modes: Array) -> None:
+    def _refuse_locked(self, v: Array) -> None:
         """Stop where friction locks a contact at rest, if nothing is held and no joint rests by dry friction.
 
         No forces have been found for all that touches.
 
         Args:
             v: (nv,) velocity before modes were looked for.
-            modes: Those that held.
 
         Raises:
             LockedPostureError: See above.
@@ -247,7 +243,7 @@ class SimulationState:
         work, touching = self.dynamics.work, self._closed(self._slow)
         if work.bilateral.any() or work.dry_friction.any():
             return
-        for i, slips in zip(touching, self._slipping(touching, v, modes).tolist(), strict=True):
+        for i, slips in zip(touching, self._slipping(touching).tolist(), strict=True):
             if i >= work.contacts or slips:
                 continue
             contact = self.dynamics.contacts[i]
@@ -276,16 +272,11 @@ class SimulationState:
     def _names(self, touching: list[int], chosen: NDArray[np.bool_]) -> str:
         return ", ".join(self.names[i] for i, is_chosen in zip(touching, chosen, strict=True) if is_chosen)
 
-    def _slipping(self, touching: list[int], v: Array, modes: Array) -> NDArray[np.bool_]:
-        """Return which of what touches slips, at a velocity (nv,), where modes are known."""
-        work = self.dynamics.work
-        contacts = [i for i in touching if i < work.contacts]
+    def _slipping(self, touching: list[int]) -> NDArray[np.bool_]:
+        """Return which of what touches slips, as modes were last looked for."""
         slips = np.zeros(len(touching), dtype=bool)
-        if contacts:
-            velocity = self.dynamics.free_motion_at(self.t, self.q, v, contacts).velocity
-            speeds = np.hypot(velocity[:, 0], velocity[:, 1])
-            least = np.where(modes[contacts] == SLIP, work.certain_speed, work.stick_speed)
-            slips[: len(contacts)] = speeds > least
+        contacts = [i for i in touching if i < self.dynamics.work.contacts]
+        slips[: len(contacts)] = self.dynamics.work.slips[contacts] != 0
         return slips
 
     def rims_jump(self, q: Array, later: Array) -> bool:

@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import ahead
-from ..._numeric.elimination import solve
 from ..._numeric.jit import inner, separate
-from ..._numeric.least_norm import least_norm
+from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, products
 from ..._numeric.semidefinite import factor
@@ -160,7 +159,7 @@ def rows_independent(work):
 def drives_in(work):
     """Return whether a contact drives the surface in as it slips, were no other slipping contact closed.
 
-    What sticks, stops and joints at rest hold against that. (13.5)
+    What sticks, stops and joints at rest hold against that; their rows may depend on each other. (13.5)
     """
     mode, system, rows, size = work.closed_mode, work.system, work.equation_rows, len(work.target)
     held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
@@ -176,21 +175,26 @@ def drives_in(work):
     for a in range(row, size):
         held[holding] = a
         holding += 1
-    count = holding + 1
-    part, unit, forces = np.empty((count, count)), np.zeros(count), np.empty(count)
-    alone = np.empty(rows.shape[1])
-    unit[holding] = 1.0
+    part, given = np.empty((holding, holding)), np.empty((slipping, holding))
+    for a in range(holding):
+        for b in range(holding):
+            part[a, b] = system[held[a], held[b]]
+        for k in range(slipping):
+            given[k, a] = system[slips[k], held[a]]
+    answer, alone = np.zeros((slipping, holding)), np.empty(rows.shape[1])
+    if holding > 0:
+        least_norms(part, given, FINEST, answer, np.empty((0, holding)))
     for k in range(slipping):
-        held[holding] = slips[k]
-        for a in range(count):
-            for b in range(count):
-                part[a, b] = system[held[a], held[b]]
         apply_symmetric(work.minverse, rows[slips[k]], alone)
-        plain = 0.0
+        whole = 0.0
         for j in range(len(alone)):
-            plain += rows[slips[k], j] * alone[j]
-        # one over the force is what is left of its effective inverse inertia
-        if solve(part, unit, forces, SLIPPING) <= 0 or LEAST_EFFECTIVE * plain * forces[holding] >= 1.0:
+            whole += rows[slips[k], j] * alone[j]
+        plain, effective = whole, system[slips[k], slips[k]]
+        for a in range(holding):
+            plain -= answer[k, a] * given[k, a]
+            effective -= answer[k, a] * system[held[a], slips[k]]
+        # a contact that others hold by themselves drives nothing in, however it slips
+        if plain > FINEST * whole and effective <= LEAST_EFFECTIVE * plain:
             return True
     return False
 

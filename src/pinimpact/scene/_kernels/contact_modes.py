@@ -174,6 +174,8 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     velocity, free = np.empty((nc, 3)), np.empty(size)
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
     slip = np.zeros((nc, 2))  # left zero where a contact may stick
+    for i in range(work.contacts):
+        work.slips[i] = 1  # also what is let go
     for k in range(nc):
         b, i = 3 * k, contacts[k]
         follow_surface(work, i)
@@ -181,6 +183,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
         if goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
             slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
+        work.slips[i] = 0 if slip[k, 0] == 0.0 and slip[k, 1] == 0.0 else 1
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
     for m in range(ns):
         scalars[m], lower[m], upper[m] = scalar_row(work, joints[m], scalar)

@@ -124,6 +124,7 @@ class SceneWorkspace(Workspace):
     found_forces = reals(
         "sources", 3, meaning="of what closed, where modes were set last; a scalar's comes first"
     )
+    slips = integers("contacts", meaning="1 where modes were last looked for with its slip going on")
     stage_reactions = reals(13, "nv", meaning="v̇ due to what is closed, at the stages of an explicit step")
     samples = integer("how many samples of the step under way there are, see `samples`")
     sample_times = reals(7, meaning="where in the step, from 0 to 1")
