@@ -65,7 +65,7 @@ def set_modes(work, t, q, v, slow):
     vain, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
     carried = np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, work.atol + work.rtol * largest_change(v, np.zeros(n))
-    jamming, converged, energy, stopped, tried, asked = -1, True, 0.0, math.inf, 0, False
+    jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
         for j in range(n):  # what has been stopped may have set other joints in motion
             if dry[j] > 0.0:
@@ -85,9 +85,7 @@ def set_modes(work, t, q, v, slow):
         )
         energy, tried, error = energy + gained, tried + 1, max(error, off)
         let_go, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
-        if certain < work.certain_speed and (jamming >= 0 or not converged):
-            certain, let_go = work.certain_speed, True  # what no forces let slip on rests nevertheless
-        if work.callback_failed or (jamming >= 0 and not let_go):
+        if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
         carries = False
@@ -97,9 +95,9 @@ def set_modes(work, t, q, v, slow):
             elif vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
         much = carries or (last and largest_change(v, before) > CERTAIN * error)
-        if not let_go and much and certain > error and not asked:
+        if not let_go and much and certain > error:
             # rest that takes more than the error of a step from anything else is none (11.8)
-            certain, let_go, asked = error, True, True
+            certain, let_go = error, True
             for j in range(n):
                 carried[j] = 0  # by what may not rest
         elif not let_go and carries:
