@@ -17,7 +17,7 @@ from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
 from .approach import PRESSED, SLIDES, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
-from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
+from .contact_forces import FREE, HELD, LEAST_SIZE, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
     follow_surface,
@@ -30,8 +30,6 @@ from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
 from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
-
-STANDARD_GRAVITY = 9.80665
 
 ACCURACY = 1e-10
 """How far forces may be from Coulomb's law, in parts of the largest acceleration."""
@@ -553,7 +551,7 @@ def resulting_accelerations(delassus, free, force, scalar_force, pace):
     for a in range(size):
         if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
             pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
-        pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + 1e-3 * STANDARD_GRAVITY)
+        pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
         if unit > 0.0:  # forces are no more accurate
             pace[a] += ACCURACY / scale_a[a]
     return unique
