@@ -88,6 +88,29 @@ def test_a_box_on_corners_slips_when_its_cone_is_used_up(corners, rtol):
     assert trajectory.q[-1, 0] == pytest.approx(2.5 * late**3 / 3.0, rel=1e3 * rtol)
 
 
+@pytest.mark.parametrize("corners", [3, 4])
+@pytest.mark.parametrize("inertia", [1e-6, 1e-8])
+def test_a_box_slips_at_its_cone_whatever_else_is_pressed_against_its_stop(corners, inertia):
+    """A light finger elsewhere would be off at 5·10⁷ rad/s² without its stop, which is nothing to the box."""
+    model, contacts = box_on(corners)
+    finger = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
+    body = pin.Inertia(1e-3, np.zeros(3), inertia * np.eye(3))
+    model.appendBodyToJoint(finger, body, pin.SE3.Identity())
+    unbounded(model)
+    model.upperPositionLimit[7] = 0.0
+    scene = Scene(model, contacts, control=lambda t, q, v: np.array([5.0 * t, 0, 0, 0, 0.5 * t, 0, 50.0]))
+    trajectory = simulate(scene, [0, 0, 0.1, 0, 0, 0, 1.0, 0.0], np.zeros(7), 2.0)
+    late = 2.0 - 0.5 * G / 5.0
+    assert [m.end for m in trajectory.modes if m.mode == "stick"] == pytest.approx(
+        [0.5 * G / 5.0] * corners, abs=2e-5
+    )
+    assert trajectory.v[-1, 0] == pytest.approx(2.5 * late**2, rel=1e-5)
+    assert trajectory.q[-1, 0] == pytest.approx(2.5 * late**3 / 3.0, rel=1e-5)
+    times = 2.0 - late + np.array([1e-4, 1e-3, 1e-2])
+    friction = sum(trajectory.forces(contact.label, times)[:, :2] for contact in contacts)
+    assert np.linalg.norm(friction, axis=1) == pytest.approx(0.5 * G, rel=1e-5)
+
+
 @pytest.mark.parametrize("numbering", [(0, 1, 2, 3), (1, 3, 0, 2)])
 def test_a_box_that_turns_about_a_corner_is_not_driven_by_its_friction(numbering):
     """Its motion depends on how four corners share its weight; not in every way does the corner move."""

@@ -25,8 +25,11 @@ SINGULAR_STILL = 1e-7
 """Like `RANK` where singular values have been below that, lest a motion along the edge goes to and fro."""
 
 MISSING = 1e-9
-"""Accelerations by which the equations may be missed, in parts of the largest; where more is missed, the rank
-that was taken is too low."""
+"""Accelerations by which the equations may be missed, in parts of what makes them up, row by row; where more
+is missed, the rank that was taken is too low."""
+
+LEAST_SIZE = 1e-3 * 9.80665
+"""What makes up an acceleration counts as this at the least."""
 
 FINEST = 1e-13
 """Part of the largest pivot at which the rank is decided then: a leg of 1 kg, stretched but for 10⁻⁵ rad,
@@ -215,24 +218,24 @@ def solve_least_norm(work):
     size = len(target)
     no_basis = np.empty((0, size))
     trial, columns, part, right = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
-    largest = 0.0
     for a in range(size):
-        largest = max(largest, abs(target[a]))
         right[a] = target[a]
         for b in range(size):
             right[a] -= system[a, b] * known[b]
     work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
-    off = missed_by(system, right, solution)
-    if off > MISSING * largest:
-        # what little moves along a closed row is not to be moved at all, however large its force
-        least_norm(system, right, FINEST, trial, no_basis)
-        if missed_by(system, right, trial) < 0.1 * off:
-            work.rank_tolerance = FINEST
-            assign(solution, trial)
     for a in range(size):
         solution[a] += known[a]
-        trial[a] = solution[a]
+    off = missed_by(work, solution)
+    if off > MISSING:
+        # what little moves along a closed row is not to be moved at all, however large its force
+        least_norm(system, right, FINEST, trial, no_basis)
+        for a in range(size):
+            trial[a] += known[a]
+        if missed_by(work, trial) < 0.1 * off:
+            work.rank_tolerance = FINEST
+            assign(solution, trial)
+    assign(trial, solution)
     pushes = flags(size, True)
     while True:
         pull, pulling, width = 0.0, size, 0
@@ -253,10 +256,10 @@ def solve_least_norm(work):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
                 right[a] -= columns[a, b] * known[b]
         least_norm(columns, right, work.rank_tolerance, part, no_basis)
-        if not missed_by(columns, right, part) <= MISSING * largest:
-            return unique
         for a in range(size):
             trial[a] = part[a] + known[a] if pushes[a] else 0.0
+        if not missed_by(work, trial) <= MISSING:
+            return unique
 
 
 @inner
@@ -270,14 +273,22 @@ def rubs(work):
 
 
 @inner
-def missed_by(system, target, solution):
-    """Return the largest error of equations."""
-    worst = 0.0
-    for a in range(len(target)):
-        missing = -target[a]
-        for b in range(len(solution)):
-            missing += system[a, b] * solution[b]
-        worst = max(worst, abs(missing)) if missing == missing else math.inf
+def missed_by(work, x):
+    """Return by how much forces miss the equations, in parts of what makes up each contact's or joint's."""
+    system, target, modes = work.system, work.target, work.closed_mode
+    worst, a = 0.0, 0
+    for k in range(len(modes) + len(work.scalar_velocity)):
+        missed, most = 0.0, LEAST_SIZE
+        for _ in range(3 if k < len(modes) and modes[k] != SLIP else 1):
+            missing, parts = -target[a], abs(target[a])
+            for b in range(len(x)):
+                part = system[a, b] * x[b]
+                missing += part
+                parts += abs(part)
+            missed = max(missed, abs(missing)) if missing == missing else math.inf
+            most = max(most, parts)
+            a += 1
+        worst = max(worst, missed / most)
     return worst
 
 

@@ -18,7 +18,7 @@ from ..._numeric.semidefinite import factor
 from .approach import PRESSED, SLIDES, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .coming_to_rest import come_to_rest, largest_change
-from .contact_forces import FREE, HELD, RIGID, SLIP, STICK, delassus_of_rows
+from .contact_forces import FREE, HELD, LEAST_SIZE, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
     follow_surface,
@@ -32,8 +32,6 @@ from .lasting_forces import orientation, take_lasting
 from .slip import CERTAIN
 from .workspace import SceneWorkspace
 
-STANDARD_GRAVITY = 9.80665
-
 ACCURACY = 1e-10
 """How far forces may be from Coulomb's law, in parts of the largest acceleration."""
 
@@ -44,6 +42,9 @@ slip may then go another way."""
 
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
+
+ROUNDED, ROUNDED_SHARED = 1e-11, 1e-9
+"""Part of what makes up an acceleration below which it is none, where forces are unique and else. (11.10)"""
 
 PARTS, RUBS, GOES = 1, 2, 3
 """How what is stopped in vain moves, see `find_modes`."""
@@ -226,7 +227,8 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     for m in range(ns):
         found[work.contacts + joints[m], 0] = strength[m]
     stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
-    pace, unique = resulting_accelerations(delassus, free, force, strength)
+    pace = np.empty(size)
+    unique = resulting_accelerations(delassus, free, force, strength, pace)
     modes_of_contacts(
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
     )
@@ -242,8 +244,8 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         rubs = scalar[work.limits + i] != 0
         # a force at its bound holds what it does not let move; what it lets move begins or goes on
         closed = not (
-            (free[a] > pace and strength[m] <= INSIDE * lower[m] + work.force_tolerance)
-            or (free[a] < -pace and strength[m] >= INSIDE * upper[m] - work.force_tolerance)
+            (free[a] > pace[a] and strength[m] <= INSIDE * lower[m] + work.force_tolerance)
+            or (free[a] < -pace[a] and strength[m] >= INSIDE * upper[m] - work.force_tolerance)
         )
         stopped[a] = closed
         if rubs and not closed:
@@ -454,7 +456,7 @@ def stop_rows(delassus, free, slip, mu, fixed, x):
 
 
 @inner
-def resulting_accelerations(delassus, free, force, scalar_force):
+def resulting_accelerations(delassus, free, force, scalar_force, pace):
     """Add to the accelerations of the rows what the forces cause.
 
     Args:
@@ -462,16 +464,20 @@ def resulting_accelerations(delassus, free, force, scalar_force):
         free: (m,) accelerations without forces, updated.
         force: (nc, 3) forces of the contacts.
         scalar_force: (ns,) those of the scalar rows.
+        pace: (m,) takes the accelerations that count as none. (11.10)
 
     Returns:
-        An acceleration that counts as none, and whether no other forces have the same effects.
+        Whether no other forces have the same effects.
     """
     size, closed = len(free), 3 * len(force)
-    largest = 0.0
+    width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
+    unit = scale(delassus, free, len(force), width, scale_a, scale_f)
     for a in range(size):
-        largest = max(largest, abs(free[a]))
+        pace[a] = abs(free[a])
         for b in range(size):
-            free[a] += delassus[a, b] * (force[b // 3, b % 3] if b < closed else scalar_force[b - closed])
+            part = delassus[a, b] * (force[b // 3, b % 3] if b < closed else scalar_force[b - closed])
+            free[a] += part
+            pace[a] += abs(part)
     rank = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size)))
     stiffest = 0.0
     for a in range(size):
@@ -479,7 +485,13 @@ def resulting_accelerations(delassus, free, force, scalar_force):
     for a in range(size):
         rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
     unique = rank == size
-    return (1e-11 if unique else 1e-9) * (largest + 1e-3 * STANDARD_GRAVITY), unique
+    for a in range(size):
+        if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
+            pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
+        pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
+        if unit > 0.0:  # forces are no more accurate
+            pace[a] += ACCURACY / scale_a[a]
+    return unique
 
 
 @inner
@@ -498,7 +510,7 @@ def modes_of_contacts(
         force: (nc, 3) forces.
         unique: Whether no other forces have the same effects.
         acceleration: (m,) of the rows, with the forces.
-        pace: An acceleration that counts as none.
+        pace: (m,) accelerations that count as none.
         stopped: (m,) takes whether the velocity of a row becomes zero.
         modes, reference: As in `find_modes`.
     """
@@ -512,7 +524,7 @@ def modes_of_contacts(
             for a in range(b, b + 3):
                 stopped[a] = True
             continue
-        if normal <= work.force_tolerance and acceleration[b + 2] > pace:
+        if normal <= work.force_tolerance and acceleration[b + 2] > pace[b]:
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
@@ -522,7 +534,7 @@ def modes_of_contacts(
         pushes = normal > work.force_tolerance  # what bears nothing may be moved by others
         begins = math.hypot(acceleration[b], acceleration[b + 1])
         inside = pushes and tangent <= INSIDE * mu[k] * normal
-        inside |= (not unique or before[i] != SLIP) and begins <= pace
+        inside |= (not unique or before[i] != SLIP) and begins <= pace[b]
         if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK
             stopped[b] = stopped[b + 1] = True
