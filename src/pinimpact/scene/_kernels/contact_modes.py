@@ -81,7 +81,7 @@ def set_modes(work, t, q, v, slow):
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], way)
         if len(nonzero(candidates)) == 0:
             break
-        jamming, converged, lasts, gained, stopped, off = find_modes(
+        jamming, converged, gained, stopped, off = find_modes(
             work, t, q, v, candidates, certain, modes, reference, breaking, vain
         )
         energy, tried, error = energy + gained, tried + 1, max(error, off)
@@ -95,9 +95,9 @@ def set_modes(work, t, q, v, slow):
                 carries |= vain[i] != 0
             elif vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
-        much = last and largest_change(v, before) > CERTAIN * error
-        if not let_go and (much or carries or (converged and not lasts)) and certain > error:
-            # rest that does not last, or takes more than the error of a step from anything else, is none (11.8)
+        much = carries or (last and largest_change(v, before) > CERTAIN * error)
+        if not let_go and much and certain > error:
+            # rest that takes more than the error of a step from anything else is none (11.8)
             certain, let_go = error, True
             for j in range(n):
                 carried[j] = 0  # by what may not rest
@@ -149,7 +149,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
 
     Returns:
         The contact where slip drives the surface in and no force exists, or −1; whether the forces were
-        found to the usual accuracy, and last; the kinetic energy gained; the fastest speed that was taken away; the
+        found to the usual accuracy; the kinetic energy gained; the fastest speed that was taken away; the
         fastest of what was closed until now.
     """
     for i in range(len(modes)):
@@ -168,7 +168,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
     if work.callback_failed or not invert_mass_matrix(work):
-        return -1, True, True, 0.0, 0.0, 0.0
+        return -1, True, 0.0, 0.0, 0.0
     rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
     velocity, free = np.empty((nc, 3)), np.empty(size)
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
@@ -205,7 +205,8 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
-    lasts = converged and take_lasting(delassus, free, slip, mu, held, lower, upper, both)
+    if converged:
+        take_lasting(delassus, free, slip, mu, held, lower, upper, both)
     for a in range(size):  # if not found, then the nearest to it
         if a < 3 * nc:
             force[a // 3, a % 3] = both[a]
@@ -217,11 +218,11 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
             pressed[k] = candidates[contacts[k]] == PRESSED
         for m in range(ns):
             pressed[nc + m] = scalar[joints[m]] == PRESSED
-        lasts |= hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
+        hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
-        return contacts[jamming], True, True, gained, 0.0, 0.0
+        return contacts[jamming], True, gained, 0.0, 0.0
     for k in range(nc):
         assign(found[contacts[k]], force[k])
     for m in range(ns):
@@ -287,7 +288,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         vain[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
         if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
-    return -1, converged, lasts, gained, fastest, off
+    return -1, converged, gained, fastest, off
 
 
 @inner
@@ -338,7 +339,7 @@ def idles(work, j, speed, certain):
 def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
     """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too, and lasts.
 
-    Returns whether anything does that would not have. See theory.md, section 11.
+    See theory.md, section 11.
 
     Args:
         pressed: (nc + ns,) what of contacts and scalar rows has been pressed, or held, until now.
@@ -362,7 +363,7 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
     for k in range(nc + ns):
         most += stays[k]
     if before == most:
-        return False
+        return
     beyond = True
     while beyond:
         # what would leave its bounds is at them, and then what would pull is let go, until nothing does
@@ -385,28 +386,27 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
         else:
             other_strength[a - 3 * nc] = x[a]
     if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
-        return False
+        return
     width, a_now = np.empty(size), np.empty(size)
     scale_a, scale_f = np.empty(size), np.empty(size)
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
-        return False
+        return
     off = residual(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f)
     if not off <= ACCURACY:
         sweeps, jamming = forces_by_sweeps(
             delassus, free, slip, mu, held, lower, upper, others, other_strength
         )
         if sweeps < 0 or jamming >= 0:
-            return False
+            return
         for a in range(size):
             x[a] = others[a // 3, a % 3] if a < 3 * nc else other_strength[a - 3 * nc]
         if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
-            return False
+            return
     if orientation(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f) < 0:
-        return False
+        return
     for k in range(nc):
         assign(force[k], others[k])
     assign(strength, other_strength)
-    return True
 
 
 @inner

@@ -61,7 +61,7 @@ def orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scal
 @ahead(*SYSTEM)
 @separate
 def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
-    """Replace forces x of a negative determinant by others that last; return whether there are such.
+    """Replace forces x of a negative determinant by others that last, if such are found.
 
     Lemke's path leads to a solution of a positive determinant. (M. J. Todd, Mathematics of Operations
     Research 1, 1976) Else one thing after the other lets go, and Newton's method goes on from there.
@@ -69,9 +69,9 @@ def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
     nc, ns, size = len(mu), len(lower), len(x)
     d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     if scale(delassus, free, nc, d, scale_a, scale_f) == 0.0:
-        return True
+        return
     if orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) >= 0:
-        return True
+        return
     trial = x.copy()
     for k in range(-1, nc + 2 * ns):
         if k < 0:
@@ -93,5 +93,4 @@ def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
             continue
         if orientation(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f) > 0:
             assign(x, trial)
-            return True
-    return False
+            return
