@@ -192,7 +192,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
     ("seed", "duration"),
     [
         # a joint that is held beside a foot that slips could be held on, or move with a force that grows
-        (162000955, 0.45),
+        (162000955, 0.47),
         # slip could begin, but would not go on in the direction in which it begins
         (184000256, 0.5),
         # two corners slip near where forces cease to exist, a thousand times the loads
@@ -203,6 +203,16 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         pytest.param(204000405, 0.9187, marks=pytest.mark.slow),
         # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
         (188000342, 0.56),
+        # beside a tip that begins to slip, joints that yield, whose rows hardly differ from its: one, two, three
+        (228000205, 0.38),
+        (224000380, 0.47),
+        (217000296, 0.44),
+        # a joint that is held until another turns, by which it moves the other way if that one rests
+        (232000015, 0.485),
+        # joints that nothing moves but rounding
+        (235000084, 0.955),
+        # a foot's corner that jams slower than errors
+        pytest.param(216000018, 0.503, marks=pytest.mark.slow),
     ],
 )
 def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duration):

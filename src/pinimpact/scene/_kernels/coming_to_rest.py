@@ -7,20 +7,22 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._numeric.elimination import largest_of
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from .closed_set import stop_along
-from .slip import CERTAIN, behind
-from .workspace import SceneWorkspace
+
+ROUNDING = 1e-12
+"""Part of the fastest velocity that may be left by rounding of one that vanishes."""
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, INTEGERS, FLOATS)
+@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, INTEGERS, FLOATS)
 @separate
-def come_to_rest(work, rows, start, rests, against, moves, first, on, v):
+def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, on, v):
     """Change the velocity as little as may be so that what rests stops. (11.9)
 
     Args:
-        work: The workspace, with M⁻¹.
+        minverse: (nv, nv) M⁻¹.
         rows: (m, nv) rows of velocities.
         start: (m,) these velocities.
         rests: (m,) which of them vanish; those that would begin against their friction are added.
@@ -28,6 +30,8 @@ def come_to_rest(work, rows, start, rests, against, moves, first, on, v):
         moves: (m,) which rows of what rests belong to slip or sliding that has not ended, both tangential
             ones of a contact.
         first: The row from which on they are those of joints.
+        error: How much of any velocity it may take to stop a joint that hardly moves.
+        least: The speed up to which slip does not turn back.
         on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
         v: (nv,) the velocity, which is changed.
 
@@ -36,37 +40,37 @@ def come_to_rest(work, rows, start, rests, against, moves, first, on, v):
     """
     n, size = len(v), len(rows)
     before, way, speeds = v.copy(), np.empty(n), np.empty(size)
-    error = CERTAIN * (work.atol + work.rtol * largest_change(before, np.zeros(n)))
     resting, energy, fastest, again = rests, 0.0, 0.0, True
+    rounding = ROUNDING * largest_of(v, 0)
     while again:
         assign(v, before)
         resting, asked = rests.copy(), rests.copy()
-        energy, fastest = stop_chosen(work, rows, resting, start, before, 0.0, v)
+        energy, fastest = stop_chosen(minverse, rows, resting, start, before, 0.0, v)
         if first < size:
             # a joint whose row hardly differs from those of contacts rests but for its error
-            energy += stop_chosen(work, rows[:first], resting, start, before, behind(work), v)[0]
+            energy += stop_chosen(minverse, rows[:first], resting, start, before, least, v)[0]
         for a in range(size):
             on[a] = 0
         while True:
             slowest, a = math.inf, -1
             for b in range(first, size):
                 speed = against[b] * velocity_of(rows, start, before, v, b)
-                if speed > 0.0 and not asked[b] and speed < slowest:
+                if speed > rounding and not asked[b] and speed < slowest:
                     slowest, a = speed, b
             if a < 0:
                 break
             asked[a] = True
             for j in range(n):
-                way[j] = product(work.minverse[j], rows[a])
+                way[j] = product(minverse[j], rows[a])
             for b in range(size):
                 speeds[b] = product(rows[b], way)
-            stop_chosen(work, rows, resting, speeds, way.copy(), 0.0, way)
+            stop_chosen(minverse, rows, resting, speeds, way.copy(), 0.0, way)
             rate = product(rows[a], way)
-            much = largest_change(way, np.zeros(n)) * slowest > error * rate
+            much = largest_of(way, 0) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
-                thrown = slowest > 2.0 * against[a] * start[a]
-                if not (thrown and throws(work, rows, start, rests, against[a], moves, first, before, a, on)):
-                    on[a] = 1 if against[a] > 0.0 else -1
+                on[a] = 1 if against[a] > 0.0 else -1
+                if slowest > 2.0 * against[a] * start[a]:
+                    let_go(minverse, rows, start, rests, moves, first, before, a, on)
                 continue
             for j in range(n):
                 v[j] -= way[j] * against[a] * slowest / rate
@@ -75,22 +79,23 @@ def come_to_rest(work, rows, start, rests, against, moves, first, on, v):
         again = False
         for a in range(first):
             back = against[a] * velocity_of(rows, start, before, v, a)
-            if back > behind(work) and not rests[a]:
+            if back > least and not rests[a]:
                 rests[a] = again = True
     for a in range(size):
-        rests[a] = resting[a]
+        speed = against[a] * velocity_of(rows, start, before, v, a)
+        rests[a] = resting[a] or (a >= first and 0.0 < speed <= rounding)
     return energy, fastest
 
 
 @inner
-def throws(work, rows, start, rests, against, moves, first, before, a, on):
-    """Let go on what throws a joint, row a, against its force by its rest; return whether anything does.
+def let_go(minverse, rows, start, rests, moves, first, before, a, on):
+    """Let go on what throws a joint, row a, against its force by coming to rest, instead of that joint.
 
-    Without that the joint has less than half of that velocity.
+    Without its rest the joint has less than half of that velocity.
     """
-    u, some = before.copy(), False
-    stop_chosen(work, rows, rests, start, before, 0.0, u)
-    half = 0.5 * against * velocity_of(rows, start, before, u, a)
+    u, sign = before.copy(), on[a]
+    stop_chosen(minverse, rows, rests, start, before, 0.0, u)
+    half = 0.5 * sign * velocity_of(rows, start, before, u, a)
     for b in range(len(rows)):
         if moves[b] and start[b] != 0.0 and not (b < first and b % 3 > 0):
             others = rests.copy()
@@ -98,11 +103,10 @@ def throws(work, rows, start, rests, against, moves, first, before, a, on):
             if b < first:
                 others[b + 1] = False
             assign(u, before)
-            stop_chosen(work, rows, others, start, before, 0.0, u)
-            if against * velocity_of(rows, start, before, u, a) < half:
+            stop_chosen(minverse, rows, others, start, before, 0.0, u)
+            if sign * velocity_of(rows, start, before, u, a) < half:
                 on[b] = 1 if b < first or start[b] > 0.0 else -1
-                some = True
-    return some
+                on[a] = 0
 
 
 @inner
@@ -123,22 +127,13 @@ def velocity_of(rows, start, before, v, a):
     return velocity
 
 
-@inner
-def largest_change(v, before):
-    """Return the largest change of a velocity (nv,)."""
-    largest = 0.0
-    for j in range(len(v)):
-        largest = max(largest, abs(v[j] - before[j]))
-    return largest
-
-
-@ahead(SceneWorkspace, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
+@ahead(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
 @separate
-def stop_chosen(work, rows, stopped, start, before, least, v):
+def stop_chosen(minverse, rows, stopped, start, before, least, v):
     """Stop what is to stop, if any of it is faster than the least speed that counts.
 
     Args:
-        work: The workspace, with M⁻¹.
+        minverse: (nv, nv) M⁻¹.
         rows: (k, nv) rows of velocities, the first of all.
         stopped: (m,) which of all are to vanish.
         start: (m,) what they were at the velocity `before` (nv,).
@@ -159,4 +154,4 @@ def stop_chosen(work, rows, stopped, start, before, least, v):
             total += 1
     if fastest < least:
         return 0.0, 0.0
-    return stop_along(taken[:total], speeds[:total], work.minverse, v), fastest
+    return stop_along(taken[:total], speeds[:total], minverse, v), fastest

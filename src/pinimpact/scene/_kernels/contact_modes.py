@@ -10,14 +10,14 @@ import math
 import numpy as np
 
 from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._numeric.elimination import RANK
+from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
 from .approach import PRESSED, SLIDES, TOUCHES
 from .closed_set import close, scalar_row, scalar_rows, stop_along
-from .coming_to_rest import come_to_rest, largest_change
+from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, LEAST_SIZE, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
@@ -29,7 +29,7 @@ from .dynamics import (
 from .force_cones import SYSTEM, forces_by_cones, newton, residual, scale
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
-from .slip import CERTAIN
+from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
 
 ACCURACY = 1e-10
@@ -65,7 +65,7 @@ def set_modes(work, t, q, v, slow):
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
     vain, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
     carried = np.zeros(n, dtype=np.int64)
-    certain, error = work.certain_speed, work.atol + work.rtol * largest_change(v, np.zeros(n))
+    certain, error = work.certain_speed, error_of_step(work, v)
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
         for j in range(n):  # what has been stopped may have set other joints in motion
@@ -95,7 +95,7 @@ def set_modes(work, t, q, v, slow):
                 carries |= vain[i] != 0
             elif vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
-        much = carries or (last and largest_change(v, before) > CERTAIN * error)
+        much = carries or (last and largest_of(v - before, 0) > CERTAIN * error)
         if not let_go and much and certain > error:
             # rest that takes more than the error of a step from anything else is none (11.8)
             certain, let_go = error, True
@@ -280,7 +280,10 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     for m in range(ns):
         rubs = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
         moves[3 * nc + m] = rubs and work.settling[work.contacts + joints[m]] == 0
-    gained, fastest = come_to_rest(work, rows, start, stopped, against, moves, 3 * nc, on, v)
+    error, least = CERTAIN * error_of_step(work, v), behind(work)
+    gained, fastest = come_to_rest(
+        work.minverse, rows, start, stopped, against, moves, 3 * nc, error, least, on, v
+    )
     for k in range(nc):
         if on[3 * k] != 0:
             vain[contacts[k]] = GOES
@@ -289,6 +292,12 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest, off
+
+
+@inner
+def error_of_step(work, v):
+    """Return the error of a step, in a velocity (nv,)."""
+    return work.atol + work.rtol * largest_of(v, 0)
 
 
 @inner

@@ -1,0 +1,86 @@
+"""What rests at a change of modes: the least change of the velocity, against linear algebra by NumPy."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinimpact.scene._kernels import coming_to_rest
+
+CONTACT = 3
+
+
+@numba.njit
+def come_to_rest(minverse, rows, start, rests, against, moves, first, error, on, v):
+    """`come_to_rest`, which is called from kernels only; slip turns back however slowly."""
+    return coming_to_rest.come_to_rest(minverse, rows, start, rests, against, moves, first, error, 0.0, on, v)
+
+
+def projected(inertia, rows, v):
+    """Return the velocity that is nearest to v, as the inertia measures it, and for which rows vanish."""
+    response = np.linalg.solve(inertia, rows.T)
+    return v - response @ np.linalg.lstsq(rows @ response, rows @ v, rcond=1e-13)[0]
+
+
+def settled(inertia, rows, v, rests, against, moves, first, error):
+    """Return the velocity after `come_to_rest`, what rests then, what goes on, and the energy gained."""
+    after, rests, on = v.copy(), rests.copy(), np.zeros(len(rows), dtype=np.int64)
+    inverse = np.linalg.inv(inertia)
+    arguments = against, moves, first, error, on, after
+    energy, _ = come_to_rest((inverse + inverse.T) / 2.0, rows, rows @ v, rests, *arguments)
+    return after, rests, on, energy
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 2), st.integers(0, 4), st.booleans())
+def test_it_is_the_least_change_after_which_nothing_begins_against_its_friction(seed, nc, joints, begins):
+    rng = np.random.default_rng(seed)
+    n, first = 11, CONTACT * nc
+    inertia = np.eye(n) + (a := rng.normal(size=(n, n))) @ a.T
+    rows = np.vstack([rng.normal(size=(first, n)), np.eye(n)[rng.permutation(n)[:joints]]])
+    rests, against = np.ones(len(rows), dtype=bool), np.zeros(len(rows))
+    yields = first + np.flatnonzero(rng.random(joints) < 0.7)
+    rests[yields], against[yields] = False, rng.choice([-1.0, 1.0], len(yields))
+    if begins:
+        rests[0], against[0] = False, -1.0
+    v = rng.normal(size=n)
+    after, resting, on, energy = settled(
+        inertia, rows, v, rests, against, np.zeros(len(rows), dtype=bool), first, math.inf
+    )
+    assert (resting >= rests).all()
+    assert not on.any()
+    assert after == pytest.approx(projected(inertia, rows[resting], v), abs=1e-9)
+    assert (against * (rows @ after) <= 1e-9).all()
+    assert energy == pytest.approx((after @ inertia @ after - v @ inertia @ v) / 2.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("lean", [1e-5, 1e-7])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_whose_row_hardly_differs_from_those_at_rest_goes_as_they_have_it(lean, way):
+    """A rod leans against rail 0: its tip at rest moves the rail by `lean` of how fast the rod moves.
+
+    To stop that rail, whose force is against it, would take all of the motion along the rod.
+    """
+    rows = np.array([[1.0, lean, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
+    v = np.array([-lean, 1.0, 0.0, 0.0]) * -way
+    rests, against = np.array([True, True, True, False]), np.array([0.0, 0.0, 0.0, way])
+    after, resting, on, _ = settled(np.eye(4), rows, v, rests, against, ~rests, CONTACT, 1e-3)
+    assert on.tolist() == [0, 0, 0, way]
+    assert not resting[3]
+    assert after == pytest.approx(v, abs=1e-15)
+
+
+def test_what_throws_a_joint_by_its_rest_goes_on_instead():
+    """The same rail at rest while the tip still slips by as little as `lean` of that."""
+    lean = 1e-6
+    rows = np.array([[1.0, lean, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
+    v = np.array([0.0, 1.0, 0.0, 0.0])
+    rests, against = np.array([True, True, True, False]), np.array([0.0, 0.0, 0.0, -1.0])
+    moves = np.array([True, True, False, False])
+    _, _, on, _ = settled(np.eye(4), rows, v, rests, against, moves, CONTACT, 1e-3)
+    assert on.tolist() == [1, 0, 0, 0]
