@@ -203,7 +203,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         pytest.param(204000405, 0.9187, marks=pytest.mark.slow),
         # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
         (188000342, 0.56),
-        # joints that yield beside a tip that begins to slip, by rows that hardly differ from its: one, two, three
+        # joints that yield beside a tip that begins to slip, whose rows hardly differ from its: one to three
         (228000205, 0.38),
         (224000380, 0.47),
         (217000296, 0.44),
