@@ -93,7 +93,7 @@ def set_modes(work, t, q, v, slow):
         for i in range(len(vain)):
             if i >= touching or vain[i] == GOES:
                 carries |= vain[i] != 0
-            elif vain[i] != 0 and modes[i] == FREE:
+            elif vain[i] != 0 and (modes[i] == FREE or not converged):
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
         much = carries or (last and largest_of(v - before, 0) > CERTAIN * error)
         if not let_go and much and certain > error:
