@@ -209,6 +209,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         (217000296, 0.44),
         # a joint that is held until another turns, by which it moves the other way if that one rests
         (232000015, 0.485),
+        (235000952, 0.765),
         # joints that nothing moves but rounding
         (235000084, 0.955),
         # a foot's corner that jams slower than errors

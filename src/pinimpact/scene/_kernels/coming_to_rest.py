@@ -91,22 +91,26 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
 def let_go(minverse, rows, start, rests, moves, first, before, a, on):
     """Let go on what throws a joint, row a, against its force by coming to rest, instead of that joint.
 
-    Without its rest the joint has less than half of that velocity.
+    Without the rest of one, or else of all of them, the joint has less than half of that velocity.
     """
-    u, sign = before.copy(), on[a]
+    size, u, sign = len(rows), before.copy(), on[a]
     stop_chosen(minverse, rows, rests, start, before, 0.0, u)
     half = 0.5 * sign * velocity_of(rows, start, before, u, a)
-    for b in range(len(rows)):
-        if moves[b] and start[b] != 0.0 and not (b < first and b % 3 > 0):
-            others = rests.copy()
-            others[b] = False
-            if b < first:
-                others[b + 1] = False
-            assign(u, before)
-            stop_chosen(minverse, rows, others, start, before, 0.0, u)
-            if sign * velocity_of(rows, start, before, u, a) < half:
-                on[b] = 1 if b < first or start[b] > 0.0 else -1
-                on[a] = 0
+    for b in range(size + 1):
+        others, some = rests.copy(), False
+        for c in range(size):
+            of = c - c % 3 if c < first else c
+            if (of == b or b == size) and moves[c] and start[c] != 0.0:
+                others[c], some = False, True
+        if not some or (b == size and on[a] == 0):
+            continue
+        assign(u, before)
+        stop_chosen(minverse, rows, others, start, before, 0.0, u)
+        if sign * velocity_of(rows, start, before, u, a) < half:
+            on[a] = 0
+            for c in range(size):
+                if rests[c] and not others[c]:
+                    on[c] = 1 if c < first or start[c] > 0.0 else -1
 
 
 @inner
