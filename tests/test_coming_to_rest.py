@@ -18,7 +18,8 @@ CONTACT = 3
 @numba.njit
 def come_to_rest(minverse, rows, start, rests, against, moves, first, error, on, v):
     """`come_to_rest`, which is called from kernels only; slip turns back however slowly."""
-    return coming_to_rest.come_to_rest(minverse, rows, start, rests, against, moves, first, error, 0.0, on, v)
+    limits = error, 0.0, np.inf
+    return coming_to_rest.come_to_rest(minverse, rows, start, rests, against, moves, first, *limits, on, v)
 
 
 def projected(inertia, rows, v):

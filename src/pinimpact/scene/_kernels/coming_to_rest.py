@@ -16,9 +16,9 @@ ROUNDING = 1e-12
 """Part of the fastest velocity that may be left by rounding of one that vanishes."""
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, INTEGERS, FLOATS)
+@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)
 @separate
-def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, on, v):
+def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, on, v):
     """Change the velocity as little as may be so that what rests stops. (11.9)
 
     Args:
@@ -32,6 +32,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
         first: The row from which on they are those of joints.
         error: How much of any velocity it may take to stop a joint that hardly moves.
         least: The speed up to which slip does not turn back.
+        most: The speed up to which a joint may rest; faster, it has been thrown by impulses.
         on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
         v: (nv,) the velocity, which is changed.
 
@@ -59,7 +60,10 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
                     slowest, a = speed, b
             if a < 0:
                 break
-            asked[a] = True
+            asked[a], sign = True, 1 if against[a] > 0.0 else -1
+            if slowest > most:
+                let_go(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                continue
             for j in range(n):
                 way[j] = product(minverse[j], rows[a])
             for b in range(size):
@@ -68,9 +72,9 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
             rate = product(rows[a], way)
             much = largest_of(way, 0) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
-                on[a] = 1 if against[a] > 0.0 else -1
-                if slowest > 2.0 * against[a] * start[a]:
-                    let_go(minverse, rows, start, rests, moves, first, before, a, on)
+                thrown = slowest > 2.0 * against[a] * start[a]
+                if not (thrown and let_go(minverse, rows, start, rests, moves, first, before, a, sign, on)):
+                    on[a] = sign
                 continue
             for j in range(n):
                 v[j] -= way[j] * against[a] * slowest / rate
@@ -88,12 +92,12 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
 
 
 @inner
-def let_go(minverse, rows, start, rests, moves, first, before, a, on):
-    """Let go on what throws a joint, row a, against its force by coming to rest, instead of that joint.
+def let_go(minverse, rows, start, rests, moves, first, before, a, sign, on):
+    """Let go on what throws a joint, row a, against its force as it rests; return whether there is such.
 
     Without the rest of one, or else of all of them, the joint has less than half of that velocity.
     """
-    size, u, sign = len(rows), before.copy(), on[a]
+    size, u, found = len(rows), before.copy(), False
     stop_chosen(minverse, rows, rests, start, before, 0.0, u)
     half = 0.5 * sign * velocity_of(rows, start, before, u, a)
     for b in range(size + 1):
@@ -102,15 +106,16 @@ def let_go(minverse, rows, start, rests, moves, first, before, a, on):
             of = c - c % 3 if c < first else c
             if (of == b or b == size) and moves[c] and start[c] != 0.0:
                 others[c], some = False, True
-        if not some or (b == size and on[a] == 0):
+        if not some or (b == size and found):
             continue
         assign(u, before)
         stop_chosen(minverse, rows, others, start, before, 0.0, u)
         if sign * velocity_of(rows, start, before, u, a) < half:
-            on[a] = 0
+            found = True
             for c in range(size):
                 if rests[c] and not others[c]:
                     on[c] = 1 if c < first or start[c] > 0.0 else -1
+    return found
 
 
 @inner

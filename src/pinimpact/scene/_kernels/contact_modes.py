@@ -89,12 +89,14 @@ def set_modes(work, t, q, v, slow):
         if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
-        carries = False
+        carries, nowhere = False, certain > 0.0 and not converged
         for i in range(len(vain)):
             if i >= touching or vain[i] == GOES:
                 carries |= vain[i] != 0
-            elif vain[i] != 0 and (modes[i] == FREE or not converged):
+            elif vain[i] != 0 and modes[i] == FREE:
                 candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
+            elif vain[i] == PARTS and nowhere:
+                candidates[i], let_go = 0, True
         much = carries or (last and largest_of(v - before, 0) > CERTAIN * error)
         if not let_go and much and certain > error:
             # rest that takes more than the error of a step from anything else is none (11.8)
@@ -280,9 +282,9 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     for m in range(ns):
         rubs = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
         moves[3 * nc + m] = rubs and work.settling[work.contacts + joints[m]] == 0
-    error, least = CERTAIN * error_of_step(work, v), behind(work)
+    limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
     gained, fastest = come_to_rest(
-        work.minverse, rows, start, stopped, against, moves, 3 * nc, error, least, on, v
+        work.minverse, rows, start, stopped, against, moves, 3 * nc, *limits, on, v
     )
     for k in range(nc):
         if on[3 * k] != 0:
