@@ -287,7 +287,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         work.minverse, rows, start, stopped, against, moves, 3 * nc, *limits, on, v
     )
     for k in range(nc):
-        if on[3 * k] != 0:
+        if on[3 * k] != 0 or on[3 * k + 1] != 0:
             vain[contacts[k]] = GOES
     for m in range(ns):
         vain[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
