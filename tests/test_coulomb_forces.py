@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from pinimpact.scene._kernels import contact_forces
 from pinimpact.scene._kernels.contact_modes import hold_on
 from pinimpact.scene._kernels.force_cones import forces_by_cones
 from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
@@ -584,3 +585,35 @@ def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move(hel
         if held:
             assert force[0] == pytest.approx(force_held, rel=1e-8)
             assert strength[0] == pytest.approx(strength_held, rel=1e-8)
+
+
+@numba.njit
+def may_grow(effective):
+    """Call the kernel, which only kernels can."""
+    return contact_forces.may_grow(effective)
+
+
+@pytest.mark.parametrize("rank", [1, 2, 3, 4])
+def test_slip_drives_in_where_a_sum_of_principal_minors_is_negative(rank):
+    """Against the characteristic polynomial by NumPy; also of four corners of a sole, whose rank is three."""
+    rng, found = np.random.default_rng(rank), set()
+    for _ in range(400):
+        size = max(rank, 2)
+        left, right = rng.normal(size=(2, size + (rank == 3), rank))
+        effective = left @ (left + rng.uniform(0.0, 3.0) * right).T
+        effective /= np.abs(effective).max()
+        sums = np.array([sum_of_minors(effective, k) for k in range(1, rank + 1)])
+        if np.abs(sums).min() < 1e-6:
+            continue
+        assert may_grow(effective) == (sums < 0.0).any()
+        eigenvalues = np.linalg.eigvals(effective)
+        real = eigenvalues.real[np.abs(eigenvalues.imag) < 1e-12]
+        assert may_grow(effective) or real.min(initial=0.0) > -1e-9
+        found.add(may_grow(effective))
+    assert found == {True, False}
+
+
+def sum_of_minors(matrix, order):
+    """Return the sum of all principal minors of an order."""
+    chosen = itertools.combinations(range(len(matrix)), order)
+    return sum(np.linalg.det(matrix[np.ix_(rows, rows)]) for rows in chosen)

@@ -160,7 +160,7 @@ def rows_independent(work):
 @ahead(SceneWorkspace)
 @separate
 def drives_in(work):
-    """Return whether a contact drives the surface in as it slips, were no other slipping contact closed.
+    """Return whether contacts drive the surface in as they slip.
 
     What sticks, stops and joints at rest hold against that; their rows may depend on each other. (13.5)
     """
@@ -187,18 +187,58 @@ def drives_in(work):
     answer, alone = np.zeros((slipping, holding)), np.empty(rows.shape[1])
     if holding > 0:
         least_norms(part, given, FINEST, answer, np.empty((0, holding)))
+    free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
         apply_symmetric(work.minverse, rows[slips[k]], alone)
         whole = 0.0
         for j in range(len(alone)):
             whole += rows[slips[k], j] * alone[j]
-        plain, effective = whole, system[slips[k], slips[k]]
+        left = whole
         for a in range(holding):
-            plain -= answer[k, a] * given[k, a]
-            effective -= answer[k, a] * system[held[a], slips[k]]
-        # a contact that others hold by themselves drives nothing in, however it slips
-        if plain > FINEST * whole and effective <= LEAST_EFFECTIVE * plain:
+            left -= answer[k, a] * given[k, a]
+        if left > FINEST * whole:  # what others hold by themselves drives nothing in, however it slips
+            free[count], plain[count] = k, left
+            count += 1
+    effective = np.empty((count, count))
+    for k in range(count):
+        for m in range(count):
+            effective[k, m] = system[slips[free[k]], slips[free[m]]]
+            for a in range(holding):
+                effective[k, m] -= answer[free[k], a] * system[held[a], slips[free[m]]]
+            effective[k, m] /= math.sqrt(plain[k] * plain[m])
+    return may_grow(effective)
+
+
+@inner
+def may_grow(effective):
+    """Return whether a sum of principal minors of a matrix (n, n) is negative, or a single one not positive.
+
+    These are the elementary symmetric functions of the eigenvalues, by Faddeev and Le Verrier's recursion: no
+    real eigenvalue is negative where none of them is.
+    """
+    n, size, scale = len(effective), 1.0, 1.0
+    if n == 1:
+        return effective[0, 0] <= LEAST_EFFECTIVE
+    product, power = np.empty((n, n)), np.zeros((n, n))
+    for k in range(n):
+        power[k, k] = 1.0
+        for m in range(n):
+            size = max(size, abs(effective[k, m]))
+    for order in range(1, n + 1):
+        trace = 0.0
+        for k in range(n):
+            for m in range(n):
+                product[k, m] = 0.0
+                for a in range(n):
+                    product[k, m] += effective[k, a] * power[a, m]
+            trace += product[k, k]
+        minors, scale = trace / order, scale * size
+        if minors < -LEAST_EFFECTIVE * scale:
             return True
+        for k in range(n):
+            for m in range(n):
+                power[k, m] = -product[k, m]
+            power[k, k] += minors
     return False
 
 
