@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -34,25 +35,70 @@ def locked_direction(
         delassus: (3, 3) W of the contact.
         acceleration: (3,) a⁰, without contact forces, of a contact at rest.
         friction: Coefficient of friction.
-        alone: Whether it is the only thing that touches.
+        alone: Whether it is the only thing that touches, and no joint can rest by dry friction.
 
     Returns:
         (3,) u in contact axes, u₃ > 0; None wherever a force may exist.
     """
-    weights, basis = np.linalg.eigh(delassus)
-    u = basis[:, 0] * math.copysign(1.0, basis[2, 0])
+    u, part = _held_direction(delassus, acceleration, friction)
+    if u is None or part > SINGULAR:
+        return None
     tangent = math.hypot(u[0], u[1])
-    if weights[0] > SINGULAR * weights[2] or weights[1] <= SINGULAR * weights[2]:
-        return None
-    if not tangent < friction * u[2] or acceleration[2] >= 0.0:
-        return None
-    carried = float(u @ acceleration)
-    if not carried < -CARRIED * float(np.abs(acceleration).max()):
-        return None
     if not alone or tangent <= CARRIED:
         return u
-    slides = _may_slide(delassus, acceleration, friction, u[:2] / tangent, -carried / tangent)
+    slides = _may_slide(delassus, acceleration, friction, u[:2] / tangent, -float(u @ acceleration) / tangent)
     return None if slides else u
+
+
+def full_reach(
+    q: Array,
+    friction: float,
+    error: float,
+    seen: Callable[[Array], tuple[Array, Array, Array, Array, Array]],
+    moved: Callable[[Array, float], Array],
+) -> Array | None:
+    """Return the configuration in which nothing moves a contact along u, if it counts as there. (13.8)
+
+    What has been taken for rest has uᵀv = 0 only there, or when it has been stopped along u. It counts as
+    there if the stop is more than an error, and takes more than the motion does until it gets there.
+
+    Args:
+        q: (nq,) configuration.
+        friction: Coefficient of friction.
+        error: The largest change of a velocity that is an error.
+        seen: Gives of a configuration W (3, 3), M⁻¹Jᵀ (nv, 3), v and a⁰ (3,) of the contact, and v̇ (nv,)
+            without contact forces.
+        moved: Gives the configuration after so much time from another.
+    """
+    left = math.inf
+    while True:
+        delassus, response, velocity, acceleration, joints = seen(q)
+        u, part = _held_direction(delassus, acceleration, friction)
+        if u is None:
+            return None
+        speed = float(u @ velocity)
+        time = -speed / float(u @ acceleration)
+        if math.isinf(left) and part > SINGULAR:
+            changed = max(error, abs(time) * float(np.abs(joints).max()))
+            if not abs(speed) * float(np.abs(response @ u).max()) > changed * float(u @ delassus @ u):
+                return None
+        elif not 0.0 < abs(speed) < 0.5 * left:  # as near as rounding tells, or never
+            return q if part <= SINGULAR else None
+        left = abs(speed)
+        q = moved(q, time)
+
+
+def _held_direction(delassus: Array, acceleration: Array, friction: float) -> tuple[Array | None, float]:
+    """Return the direction u in which a contact moves the least, if friction holds it and a⁰ carries it on.
+
+    Also its eigenvalue of W, in parts of the largest. None where the two least are both zero.
+    """
+    weights, basis = np.linalg.eigh(delassus)
+    u = basis[:, 0] * math.copysign(1.0, basis[2, 0])
+    held = math.hypot(u[0], u[1]) < friction * u[2] and acceleration[2] < 0.0
+    carried = float(u @ acceleration) < -CARRIED * float(np.abs(acceleration).max())
+    good = held and carried and weights[1] > SINGULAR * weights[2]
+    return (u if good else None), float(weights[0] / weights[2])
 
 
 def _may_slide(delassus: Array, acceleration: Array, friction: float, along: Array, k: float) -> bool:
