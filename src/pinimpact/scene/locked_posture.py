@@ -40,8 +40,8 @@ def locked_direction(
     Returns:
         (3,) u in contact axes, u₃ > 0; None wherever a force may exist.
     """
-    u, part = _held_direction(delassus, acceleration, friction)
-    if u is None or part > SINGULAR:
+    u, still = _held_direction(delassus, acceleration, friction)
+    if u is None or not still:
         return None
     tangent = math.hypot(u[0], u[1])
     if not alone or tangent <= CARRIED:
@@ -73,32 +73,36 @@ def full_reach(
     left = math.inf
     while True:
         delassus, response, velocity, acceleration, joints = seen(q)
-        u, part = _held_direction(delassus, acceleration, friction)
+        u, still = _held_direction(delassus, acceleration, friction)
         if u is None:
             return None
         speed = float(u @ velocity)
         time = -speed / float(u @ acceleration)
-        if math.isinf(left) and part > SINGULAR:
+        if math.isinf(left) and not still:
             changed = max(error, abs(time) * float(np.abs(joints).max()))
             if not abs(speed) * float(np.abs(response @ u).max()) > changed * float(u @ delassus @ u):
                 return None
         elif not 0.0 < abs(speed) < 0.5 * left:  # as near as rounding tells, or never
-            return q if part <= SINGULAR else None
+            return q if still else None
         left = abs(speed)
         q = moved(q, time)
 
 
-def _held_direction(delassus: Array, acceleration: Array, friction: float) -> tuple[Array | None, float]:
+def _held_direction(delassus: Array, acceleration: Array, friction: float) -> tuple[Array | None, bool]:
     """Return the direction u in which a contact moves the least, if friction holds it and a⁰ carries it on.
 
-    Also its eigenvalue of W, in parts of the largest. None where the two least are both zero.
+    Also whether nothing moves it so. Across a planar mechanism nothing moves it, and nothing carries it.
     """
     weights, basis = np.linalg.eigh(delassus)
-    u = basis[:, 0] * math.copysign(1.0, basis[2, 0])
-    held = math.hypot(u[0], u[1]) < friction * u[2] and acceleration[2] < 0.0
-    carried = float(u @ acceleration) < -CARRIED * float(np.abs(acceleration).max())
-    good = held and carried and weights[1] > SINGULAR * weights[2]
-    return (u if good else None), float(weights[0] / weights[2])
+    along, size = basis.T @ acceleration, float(np.abs(acceleration).max())
+    rounding = SINGULAR * weights[2]
+    u, least = basis[:, 0], weights[0]
+    if weights[0] <= rounding and abs(along[0]) * weights[1] <= size * max(CARRIED * weights[1], rounding):
+        u, least = basis[:, :2] @ along[:2], weights[1]  # rounding may have mixed the two
+    u = u * math.copysign(1.0, u[2]) / max(float(np.linalg.norm(u)), np.finfo(float).tiny)
+    held = math.hypot(u[0], u[1]) < friction * u[2] and acceleration[2] < 0.0 < weights[2]
+    carried = float(u @ acceleration) < -CARRIED * size
+    return (u if held and carried else None), bool(least <= rounding)
 
 
 def _may_slide(delassus: Array, acceleration: Array, friction: float, along: Array, k: float) -> bool:
