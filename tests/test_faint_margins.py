@@ -100,8 +100,8 @@ def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration)
 
     And what slips beside a foot that parts, which forces seem to stop until slip has turned; beside an elbow
     that creeps as contacts have it, a joint stop that parts, joints whose modes do not settle, corners of the
-    same sole that are slower or hold each other back, a corner that touches and does not stay, and one that jams
-    however slow it is.
+    same sole that are slower or hold each other back, a corner that touches and does not stay, and one that
+    jams however slow it is.
     """
     drawn = random_control.draw(seed)
     tolerances = {"rtol": drawn.rtol, "atol": 1e-2 * drawn.rtol}

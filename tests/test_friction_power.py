@@ -14,11 +14,11 @@ from pinimpact.scene.simulation import Motion
 from .scene_models import G, slider, unbounded
 
 
-def sliding():
+def sliding(speed=1.0, pull=0.0):
     """A point that slides at 1 m/s, μ = 0.3."""
     scene = Scene(slider(), [Contact("point", Plane(), friction=0.3)])
-    motion = Motion(scene, np.zeros(3), [1.0, 0.0, 0.0], 1e-8, 1e-10, math.inf, 100)
-    motion.begin()
+    motion = Motion(scene, np.zeros(3), [speed, 0.0, 0.0], 1e-8, 1e-10, math.inf, 100)
+    motion.begin(np.array([pull, 0.0, 0.0]))
     return motion
 
 
@@ -37,6 +37,17 @@ def test_a_contact_that_drives_is_mended():
     motion.advance(0.2)
     assert motion.rejected >= 6
     assert motion.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
+
+
+def test_a_contact_that_is_dragged_on_as_it_sticks_is_mended():
+    """Pulled with 2 N one way, it moves the other way; it slips until it is at rest."""
+    motion = sliding(speed=0.0, pull=2.0)
+    motion.state.v = np.array([-1e-3, 0.0, 0.0])  # as something that no stop takes away would
+    motion._begin_motion()
+    motion.advance(0.2)
+    assert motion.rejected >= 6
+    assert motion.state.v[0] == pytest.approx(0.0, abs=1e-12)
+    assert motion.state.q[0] == pytest.approx(-0.5e-6 / (2.0 + 0.3 * G))
 
 
 def test_what_cannot_be_mended_is_told():

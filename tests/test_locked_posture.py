@@ -51,12 +51,12 @@ def test_a_contact_is_locked_where_no_force_lets_it_slide():
     assert sum(found) > 5
 
 
-def arm():
-    """Two links of 1 m that turn about a vertical axis, then both upwards; its tip."""
+def arm(turns=True):
+    """Two links of 1 m that turn about a vertical axis, or do not, then both upwards; its tip."""
     model = pin.Model()
     link = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.diag([0.01, 0.1, 0.1]))
     ahead = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    turn = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
+    turn = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "turn") if turns else 0
     lift = model.addJoint(turn, pin.JointModelRY(), pin.SE3.Identity(), "lift")
     model.appendBodyToJoint(lift, link, pin.SE3.Identity())
     elbow = model.addJoint(lift, pin.JointModelRY(), ahead, "elbow")
@@ -77,9 +77,9 @@ def with_weight(scene, q, v):
     return Scene(model, contacts), np.append(q, 0.0), np.append(v, 0.0)
 
 
-def stretching(mu):
+def stretching(mu, bend=0.02):
     """An arm that rises at 45° from below a floor, its tip on it and sliding out, the elbow at 3 rad/s."""
-    bend, angle = 0.02, np.radians(45.0)
+    angle = np.radians(45.0)
     reach = 2.0 * np.cos(0.5 * bend)
     # about y a positive angle lowers what points along x
     q = np.array([0.0, -angle - 0.5 * bend, bend])
@@ -113,3 +113,53 @@ def test_a_tip_with_less_friction_slides_back_from_the_arms_full_reach(beside):
     trajectory = simulate(scene, q, v, 0.1)
     assert trajectory.complete
     assert trajectory.q[-1, 2] < -0.01
+
+
+def rough(scene, q, v):
+    """Add dry friction of 1 N m in all joints."""
+    model = scene.model.copy()
+    model.friction = np.ones(model.nv)
+    return Scene(model, scene.contacts), q, v
+
+
+def planar(scene, q, v):
+    """Take out the joint that turns the arm, so that nothing moves its tip across."""
+    return Scene(arm(turns=False), scene.contacts), q[1:], v[1:]
+
+
+@pytest.mark.parametrize("kind", [lambda *arm: arm, rough, planar])
+@pytest.mark.parametrize("bend", [1e-4, 1e-5, -1e-6])
+@pytest.mark.parametrize("rtol", [4e-4, 1e-6])
+def test_a_tip_that_rests_next_to_the_full_reach_is_locked_there(rtol, bend, kind):
+    """Its elbow is straight after bend / (3 rad/s); slip counts as rest a little earlier.
+
+    Were it to stick without having been stopped, friction would throw it with a thousand times its energy.
+    """
+    scene, q, v = kind(*stretching(1.2, bend))
+    with pytest.raises(pinimpact.LockedPostureError) as caught:
+        simulate(scene, q, v, 0.1, rtol=rtol, atol=1e-2 * rtol)
+    partial = caught.value.partial
+    time = float(re.search(r"t = (\S+) s", str(caught.value))[1])
+    early = 0.1 * scene.rest / (4.5 * np.sqrt(2.0))  # the tip slides at 1.5 √2 rad/s · bend
+    assert abs(time - bend / 3.0) <= early
+    assert partial.energy.kinetic.max() <= partial.energy.kinetic[0] * (1.0 + rtol)
+    assert partial.energy.friction.max() <= 0.0
+
+
+@pytest.mark.parametrize("kind", [lambda *arm: arm, planar])
+@pytest.mark.parametrize("bend", [1e-4, 1e-5, -1e-6])
+@pytest.mark.parametrize("rtol", [4e-4, 1e-6])
+def test_a_tip_with_less_friction_is_not_locked_next_to_the_full_reach(rtol, bend, kind):
+    scene, q, v = kind(*stretching(0.9, bend))
+    trajectory = simulate(scene, q, v, 0.1, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.complete
+    assert trajectory.q[-1, -1] < -0.01
+    assert not trajectory.notes
+
+
+@pytest.mark.parametrize("joint", ["lift", "elbow"])
+def test_a_joint_whose_velocity_no_impact_changes_locks_no_posture(joint):
+    """A bent arm that leans on its tip rests as it would with all joints free."""
+    scene, q, _ = stretching(1.2, -0.5)
+    trajectory = simulate(Scene(scene.model, scene.contacts, locked=[joint]), q, np.zeros(3), 0.05)
+    assert [mode.mode for mode in trajectory.modes] == ["stick"]

@@ -203,6 +203,11 @@ class SceneDynamics:
         self.check()
         return jammed, converged, energy
 
+    def slipping(self) -> tuple[Integers, Integers, Array]:
+        """Return what `slip_as` takes: what slips now."""
+        work = self.work
+        return work.closed_index.copy(), work.closed_mode.copy(), work.sliding_friction.copy()
+
     def slip_as(self, closed: Integers, modes: Integers, sliding: Array) -> None:
         """Let modes that are set next take for slipping what has been, whatever was found in between.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -34,25 +35,74 @@ def locked_direction(
         delassus: (3, 3) W of the contact.
         acceleration: (3,) a⁰, without contact forces, of a contact at rest.
         friction: Coefficient of friction.
-        alone: Whether it is the only thing that touches.
+        alone: Whether it is the only thing that touches, and no joint can rest by dry friction.
 
     Returns:
         (3,) u in contact axes, u₃ > 0; None wherever a force may exist.
     """
-    weights, basis = np.linalg.eigh(delassus)
-    u = basis[:, 0] * math.copysign(1.0, basis[2, 0])
+    u, still = _held_direction(delassus, acceleration, friction)
+    if u is None or not still:
+        return None
     tangent = math.hypot(u[0], u[1])
-    if weights[0] > SINGULAR * weights[2] or weights[1] <= SINGULAR * weights[2]:
-        return None
-    if not tangent < friction * u[2] or acceleration[2] >= 0.0:
-        return None
-    carried = float(u @ acceleration)
-    if not carried < -CARRIED * float(np.abs(acceleration).max()):
-        return None
     if not alone or tangent <= CARRIED:
         return u
-    slides = _may_slide(delassus, acceleration, friction, u[:2] / tangent, -carried / tangent)
+    slides = _may_slide(delassus, acceleration, friction, u[:2] / tangent, -float(u @ acceleration) / tangent)
     return None if slides else u
+
+
+def full_reach(
+    q: Array,
+    friction: float,
+    error: float,
+    seen: Callable[[Array], tuple[Array, Array, Array, Array, Array]],
+    moved: Callable[[Array, float], Array],
+) -> Array | None:
+    """Return the configuration in which nothing moves a contact along u, if it counts as there. (13.8)
+
+    What has been taken for rest has uᵀv = 0 only there, or when it has been stopped along u. It counts as
+    there if the stop is more than an error, and takes more than the motion does until it gets there.
+
+    Args:
+        q: (nq,) configuration.
+        friction: Coefficient of friction.
+        error: The largest change of a velocity that is an error.
+        seen: Gives of a configuration W (3, 3), M⁻¹Jᵀ (nv, 3), v and a⁰ (3,) of the contact, and v̇ (nv,)
+            without contact forces.
+        moved: Gives the configuration after so much time from another.
+    """
+    left = math.inf
+    while True:
+        delassus, response, velocity, acceleration, joints = seen(q)
+        u, still = _held_direction(delassus, acceleration, friction)
+        if u is None:
+            return None
+        speed = float(u @ velocity)
+        time = -speed / float(u @ acceleration)
+        if math.isinf(left) and not still:
+            changed = max(error, abs(time) * float(np.abs(joints).max()))
+            if not abs(speed) * float(np.abs(response @ u).max()) > changed * float(u @ delassus @ u):
+                return None
+        elif not 0.0 < abs(speed) < 0.5 * left:  # as near as rounding tells, or never
+            return q if still else None
+        left = abs(speed)
+        q = moved(q, time)
+
+
+def _held_direction(delassus: Array, acceleration: Array, friction: float) -> tuple[Array | None, bool]:
+    """Return the direction u in which a contact moves the least, if friction holds it and a⁰ carries it on.
+
+    Also whether nothing moves it so. Across a planar mechanism nothing moves it, and nothing carries it.
+    """
+    weights, basis = np.linalg.eigh(delassus)
+    along, size = basis.T @ acceleration, float(np.abs(acceleration).max())
+    rounding = SINGULAR * weights[2]
+    u, least = basis[:, 0], weights[0]
+    if weights[0] <= rounding and abs(along[0]) * weights[1] <= size * max(CARRIED * weights[1], rounding):
+        u, least = basis[:, :2] @ along[:2], weights[1]  # rounding may have mixed the two
+    u = u * math.copysign(1.0, u[2]) / max(float(np.linalg.norm(u)), np.finfo(float).tiny)
+    held = math.hypot(u[0], u[1]) < friction * u[2] and acceleration[2] < 0.0 < weights[2]
+    carried = float(u @ acceleration) < -CARRIED * size
+    return (u if held and carried else None), bool(least <= rounding)
 
 
 def _may_slide(delassus: Array, acceleration: Array, friction: float, along: Array, k: float) -> bool:

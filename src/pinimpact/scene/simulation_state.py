@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,15 @@ from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import InputError, LockedPostureError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
+from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.pinocchio_bridge import check_inertia
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, STRUCK
-from ._kernels.contact_forces import FREE, SLIP
+from ._kernels.contact_forces import FREE, SLIP, STICK
+from ._kernels.slip import CERTAIN
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
-from .locked_posture import locked_direction
+from .locked_posture import full_reach, locked_direction
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
 from .scene import STANDARD_GRAVITY, Scene
@@ -175,10 +178,21 @@ class SimulationState:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
-            before = self.v
+            before, modes, energy = self.v, self.dynamics.work.modes.copy(), self.impact_energy
+            present = self.dynamics.slipping()
             jammed = self._set_modes(slow)
             if jammed < 0 and self._forces_found:
-                break
+                reached = self._full_reach(before, modes)
+                if reached is None:
+                    break
+                locked, self.q = reached
+                self.v, self.impact_energy = before, energy
+                self.dynamics.work.modes[:] = modes
+                self.dynamics.slip_as(*present)
+                jammed = self._set_modes(slow)
+                # what forces hold it there are those of rounding
+                if jammed < 0 and self._forces_found and self.dynamics.work.modes[locked] != STICK:
+                    break
             jams += 1
             if jams > MOST_IMPACTS:
                 raise SimulationError(
@@ -229,8 +243,41 @@ class SimulationState:
         )
         return self._take_over_group(group)
 
+    def _full_reach(self, v: Array, modes: Array) -> tuple[int, Array] | None:
+        """Return a contact that has come to rest and counts as at full reach, and the configuration there.
+
+        Args:
+            v: (nv,) velocity before modes were looked for.
+            modes: Those that held.
+        """
+        work = self.dynamics.work
+        rests = np.flatnonzero((work.modes == STICK) & (modes != STICK))
+        if not rests.size or work.bilateral.any():
+            return None
+        error = CERTAIN * (work.atol + work.rtol * float(np.abs(v).max()))
+
+        def seen(i: int, q: Array) -> tuple[Array, Array, Array, Array, Array]:
+            matrices = self._free_matrices(q, i)
+            free = self.dynamics.free_motion_at(self.t, q, v, [i])
+            return matrices.delassus, matrices.response, free.velocity[0], free.acceleration[0], free.joints
+
+        def moved(q: Array, time: float) -> Array:
+            there: Array = pin.integrate(self._model, q, v * time)
+            return there
+
+        for i in rests.tolist():
+            friction = self.dynamics.contacts[i].sustained_friction
+            reached = full_reach(self.q, friction, error, partial(seen, i), moved)
+            if reached is not None:
+                return i, reached
+        return None
+
+    def _free_matrices(self, q: Array, i: int) -> ContactMatrices:
+        """Return the matrices of a contact; joints whose velocity no impact changes are as free as others."""
+        return contact_matrices(self._model, self._data, q, self.dynamics.contacts[i])
+
     def _refuse_locked(self, v: Array) -> None:
-        """Stop where friction locks a contact at rest, if nothing is held and no joint rests by dry friction.
+        """Stop where friction locks a contact at rest, if nothing is held.
 
         No forces have been found for all that touches.
 
@@ -241,16 +288,17 @@ class SimulationState:
             LockedPostureError: See above.
         """
         work, touching = self.dynamics.work, self._closed(self._slow)
-        if work.bilateral.any() or work.dry_friction.any():
+        if work.bilateral.any():
             return
+        alone = len(touching) == 1 and not work.dry_friction.any()
         for i, slips in zip(touching, self._slipping(touching).tolist(), strict=True):
             if i >= work.contacts or slips:
                 continue
             contact = self.dynamics.contacts[i]
-            matrices = self._impacts.matrices_of(self.q, contact)
+            matrices = self._free_matrices(self.q, i)
             acceleration = self.dynamics.free_motion_at(self.t, self.q, v, [i]).acceleration[0]
             friction = contact.sustained_friction
-            u = locked_direction(matrices.delassus, acceleration, friction, len(touching) == 1)
+            u = locked_direction(matrices.delassus, acceleration, friction, alone)
             if u is None:
                 continue
             x, y, z = (u @ matrices.axes).tolist()
@@ -495,7 +543,7 @@ class SimulationState:
         """
         work = self.dynamics.work
         before = found = work.modes.copy()
-        present = work.closed_index.copy(), work.closed_mode.copy(), work.sliding_friction.copy()
+        present = self.dynamics.slipping()
         ahead, certain = LEAST_AHEAD * step.h, False
         while ahead <= beyond:
             ahead *= 4.0
