@@ -8,6 +8,15 @@ from .jit import inner
 
 
 @inner
+def dot(x, y):
+    """Return xᵀy."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+@inner
 def apply(matrix, x, out):
     """Fill out (m,) with matrix (m, n) times x (n,)."""
     for i in range(len(out)):

@@ -436,7 +436,7 @@ class SceneImpacts:
             stop: Whether to stop its slip outright, since such an impact has not.
         """
         contact = self._dynamics.contacts[i]
-        matrices = self.matrices_of(q, contact)
+        matrices = self._matrices_of(q, contact)
         velocity = matrices.velocity(v)
         velocity[2] = 0.0
         e = contact.restitution_at(0.0)
@@ -453,7 +453,7 @@ class SceneImpacts:
             p = solve_impact(problem).impulse
         return Impact(v + matrices.response @ p, False, partial(_given, problem, p @ matrices.axes))
 
-    def matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
+    def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
         """Return the matrices of a contact, with what the scene holds and locks."""
         return contact_matrices(self._model, self._data, q, contact, self._held, self._locked)
 

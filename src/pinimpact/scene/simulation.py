@@ -410,7 +410,7 @@ class Motion:
         """Begin a smooth motion at the present state."""
         state, work = self.state, self.work
         state.review_shapes()
-        error = self._error()
+        error = state.error(state.v)
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
         work.friction_may_drive = False
@@ -426,11 +426,6 @@ class Motion:
             state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
         self.forces_were_unique = unique
         self._closed = ClosedSet.of(work, state.shapes.swapped())
-
-    def _error(self) -> float:
-        """Return the error of a step in a velocity at the present state."""
-        v = self.state.v.tolist()
-        return self.atol + self.rtol * max(max(v), -min(v))
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one accepted step, or a part of it up to an event; return the length to try next.
@@ -544,7 +539,7 @@ class Motion:
             self._begin_motion()
         else:
             self.bounce = math.inf
-            work.certain_speed = min(CERTAIN * self._error(), work.stick_speed)
+            work.certain_speed = min(CERTAIN * state.error(state.v), work.stick_speed)
         self._sample()
         longer = trial * work.growth
         self._cut_short = trial == left

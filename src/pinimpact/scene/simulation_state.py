@@ -254,7 +254,7 @@ class SimulationState:
         rests = np.flatnonzero((work.modes == STICK) & (modes != STICK))
         if not rests.size or work.bilateral.any():
             return None
-        error = CERTAIN * (work.atol + work.rtol * float(np.abs(v).max()))
+        error = CERTAIN * self.error(v)
 
         def seen(i: int, q: Array) -> tuple[Array, Array, Array, Array, Array]:
             matrices = self._free_matrices(q, i)
@@ -271,6 +271,11 @@ class SimulationState:
             if reached is not None:
                 return i, reached
         return None
+
+    def error(self, v: Array) -> float:
+        """Return the error of a step in a velocity (nv,)."""
+        work, speeds = self.dynamics.work, v.tolist()
+        return float(work.atol + work.rtol * max(max(speeds), -min(speeds)))
 
     def _free_matrices(self, q: Array, i: int) -> ContactMatrices:
         """Return the matrices of a contact; joints whose velocity no impact changes are as free as others."""

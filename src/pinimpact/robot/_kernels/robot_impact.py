@@ -10,6 +10,7 @@ import numpy as np
 
 from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
 from ..._numeric.jit import inner, jit, released
+from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
 from ...contact_space._kernels.path import SCRATCH, solve_into
@@ -43,15 +44,6 @@ def all_finite(x):
     for i in range(len(x)):
         total += 0.0 * x[i]
     return total == 0.0
-
-
-@inner
-def dot(x, y):
-    """Return xᵀy."""
-    total = 0.0
-    for i in range(len(x)):
-        total += x[i] * y[i]
-    return total
 
 
 def room_to_resolve(nv: int) -> int:

@@ -10,6 +10,7 @@ from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._numeric.elimination import largest_of
 from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
+from ..._numeric.products import apply, dot
 from .closed_set import stop_along
 
 ROUNDING = 1e-12
@@ -64,12 +65,10 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
             if slowest > most:
                 let_go(minverse, rows, start, rests, moves, first, before, a, sign, on)
                 continue
-            for j in range(n):
-                way[j] = product(minverse[j], rows[a])
-            for b in range(size):
-                speeds[b] = product(rows[b], way)
+            apply(minverse, rows[a], way)
+            apply(rows, way, speeds)
             stop_chosen(minverse, rows, resting, speeds, way.copy(), 0.0, way)
-            rate = product(rows[a], way)
+            rate = dot(rows[a], way)
             much = largest_of(way, 0) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
                 thrown = slowest > 2.0 * against[a] * start[a]
@@ -116,15 +115,6 @@ def let_go(minverse, rows, start, rests, moves, first, before, a, sign, on):
                 if rests[c] and not others[c]:
                     on[c] = 1 if c < first or start[c] > 0.0 else -1
     return found
-
-
-@inner
-def product(a, b):
-    """Return the scalar product of two vectors."""
-    total = 0.0
-    for j in range(len(a)):
-        total += a[j] * b[j]
-    return total
 
 
 @inner

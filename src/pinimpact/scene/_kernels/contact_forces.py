@@ -14,7 +14,7 @@ from ..._numeric.ahead import ahead
 from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
-from ..._numeric.products import apply_symmetric, products
+from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.semidefinite import factor
 from .workspace import SceneWorkspace
 
@@ -190,10 +190,7 @@ def drives_in(work):
     free, plain, count = np.empty(slipping, dtype=np.int64), np.empty(slipping), 0
     for k in range(slipping):
         apply_symmetric(work.minverse, rows[slips[k]], alone)
-        whole = 0.0
-        for j in range(len(alone)):
-            whole += rows[slips[k], j] * alone[j]
-        left = whole
+        whole = left = dot(rows[slips[k]], alone)
         for a in range(holding):
             left -= answer[k, a] * given[k, a]
         if left > FINEST * whole:  # what others hold by themselves drives nothing in, however it slips
