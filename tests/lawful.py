@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinimpact import Scene, Trajectory
-from pinimpact.robot.surfaces import contact_axes
+from pinimpact.geometry.surfaces import contact_axes
 
 TIMES = 60
 

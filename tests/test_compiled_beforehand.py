@@ -113,7 +113,7 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from pinimpact import Contact, Plane, Scene, Sphere, simulate
-from pinimpact._numeric.ahead import types_ahead
+from pinimpact._compile.ahead import types_ahead
 from tests.scene_models import UP, ball
 
 floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import pinimpact
-from pinimpact.robot.surfaces import contact_axes
+from pinimpact.geometry.surfaces import contact_axes
 
 
 def rotated_axes(normal):

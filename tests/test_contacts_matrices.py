@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
+from pinimpact.geometry.surfaces import contact_axes
 from pinimpact.robot.matrices import contact_geometry
-from pinimpact.robot.surfaces import contact_axes
 
 from . import robot_cases as cases
 

@@ -11,10 +11,10 @@ import pinocchio as pin
 import pytest
 
 from pinimpact.errors import InputError
-from pinimpact.robot import touch_time as touch_time_module
-from pinimpact.robot.convex_pair import Touch, gap, touches
-from pinimpact.robot.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
-from pinimpact.robot.touch_time import PairState, first_touch
+from pinimpact.geometry import touch_time as touch_time_module
+from pinimpact.geometry.convex_pair import Touch, gap, touches
+from pinimpact.geometry.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
+from pinimpact.geometry.touch_time import PairState, first_touch
 from pinimpact.scene.shape_watch import bend_of_heights
 
 FALL = np.array([0.0, 0.0, -9.81])

@@ -10,7 +10,7 @@ import pytest
 
 import pinimpact
 from pinimpact import Contact, Plane, Scene, simulate
-from pinimpact.robot.surfaces import contact_axes
+from pinimpact.geometry.surfaces import contact_axes
 
 from .random_scenes import MODELS, draw
 from .scene_models import UP, G, ball, free_body, pendulum, slider

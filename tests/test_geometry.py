@@ -12,7 +12,7 @@ import pytest
 
 import pinimpact
 from pinimpact import Contact, InputError, ModelError, Plane, Scene, SimulationError, Sphere, UnknownNameError
-from pinimpact.robot.collision_shapes import extreme_points
+from pinimpact.geometry.collision_shapes import extreme_points
 from pinimpact.scene import dynamics
 
 from .scene_models import G, free_body, hull_mesh, mesh, run, shaped_body

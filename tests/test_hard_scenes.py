@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
-from pinimpact.robot.surfaces import contact_axes
+from pinimpact.geometry.surfaces import contact_axes
 from pinimpact.scene.scene_impacts import _growing
 from pinimpact.scene.simulation import Motion
 

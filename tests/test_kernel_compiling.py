@@ -21,17 +21,17 @@ from numba.core.runtime import _nrt_python, rtsys
 from rich.console import Console
 
 import pinimpact
-from pinimpact._numeric import company
+from pinimpact._compile import company
+from pinimpact._compile.jit import inner, jit, separate
+from pinimpact._compile.shortcuts import shortcuts
+from pinimpact._compile.waiting import reached
 from pinimpact._numeric import jit as decorators
-from pinimpact._numeric.jit import inner, jit, separate
-from pinimpact._numeric.shortcuts import shortcuts
-from pinimpact._numeric.waiting import reached
 from pinimpact.app.cli import compiling_shown
 
 SOURCE = Path(pinimpact.__file__).parent / "_numeric"
 
 LEAF = '''"""A leaf."""
-from ..._numeric.jit import inner, separate
+from ..._compile.jit import inner, separate
 FACTOR = 2.0
 
 
@@ -46,7 +46,7 @@ def shifted(x):
     return scaled(x) + 1.0
 '''
 ENTRY = '''"""Two entries."""
-from ..._numeric.jit import jit
+from ..._compile.jit import jit
 from . import leaf
 
 
@@ -60,7 +60,7 @@ def first(x):
 def second(x):
     return 10.0 * leaf.shifted(leaf.scaled(x))
 '''
-OTHER = """from ..._numeric.jit import jit
+OTHER = """from ..._compile.jit import jit
 
 
 @jit
@@ -175,7 +175,7 @@ def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) 
 
 TEAM = """
 import os, sys, time
-from pinimpact._numeric import company, jit
+from pinimpact._compile import company, jit
 jit.WORTH_HELP = -1.0
 company.possible_helpers = lambda: 1
 share = company.Company.share
@@ -215,7 +215,7 @@ except ChildProcessError:
 @pytest.fixture
 def team(package: Path) -> Path:
     """The package, with types of arguments told ahead, and a folder for what is temporary."""
-    told = "from ..._numeric.ahead import ahead\n\n\n@ahead(float)\n"
+    told = "from ..._compile.ahead import ahead\n\n\n@ahead(float)\n"
     edit(package / "scene" / "_kernels" / "entry.py", "@jit\ndef first", f"{told}@jit\ndef first")
     edit(package / "scene" / "_kernels" / "leaf.py", "@separate", f"{told}@separate")
     (package.parent / "temporary").mkdir()
@@ -315,7 +315,7 @@ import tempfile
 from pathlib import Path
 from numba.core import event
 from numba.core.compiler import run_frontend
-from pinimpact._numeric import ahead, company
+from pinimpact._compile import ahead, company
 from pinimpact.scene._kernels import entry
 jobs = ahead.jobs([(entry.first, ahead.types_ahead(entry.first))])
 [shifted] = [job for job in jobs if job.name == "shifted"]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
-from pinimpact._numeric.linking import KernelCompiler
+from pinimpact._compile.linking import KernelCompiler
 
 compiled = numba.njit(pipeline_class=KernelCompiler, error_model="numpy")
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import pinimpact
 from pinimpact import Flag, ImpactProblem, InputError, LawError, Status, solve_impact
-from pinimpact._numeric import jit
+from pinimpact._compile import jit
 from pinimpact.contact_space import simultaneous
 from pinimpact.robot._kernels.responses import half_solve
 

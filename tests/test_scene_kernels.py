@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
-from pinimpact.robot._kernels import contact_motion, surfaces
-from pinimpact.robot._kernels.constants import RADIUS
+from pinimpact.geometry._kernels import surfaces
+from pinimpact.geometry._kernels.constants import RADIUS
+from pinimpact.robot._kernels import contact_motion
 from pinimpact.scene._kernels import closed_set, gap_bounds, lie_charts
 from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics

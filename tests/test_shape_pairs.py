@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 
 import pinimpact
 from pinimpact import Box, Contact, InputError, Plane, Scene, Shape, SimulationError, Sphere, UnknownNameError
-from pinimpact.robot.convex_pair import gap
-from pinimpact.robot.convex_shape import hull
+from pinimpact.geometry.convex_pair import gap
+from pinimpact.geometry.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene.pairs_apart import PairsApart
 from pinimpact.scene.simulation import Motion

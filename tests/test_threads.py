@@ -9,7 +9,7 @@ import warnings
 
 import pytest
 
-from pinimpact._numeric.threads import in_threads
+from pinimpact._compile.threads import in_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 200])

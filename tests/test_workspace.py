@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from pinimpact._numeric.workspace import Workspace, count, flag, integer, integers, real, reals, size
+from pinimpact._compile.workspace import Workspace, count, flag, integer, integers, real, reals, size
 
 
 class Sample(Workspace):

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
         UnknownNameError,
         UnstoppableApproachError,
     )
+    from .geometry.plane import Plane
+    from .geometry.sphere import Sphere
     from .robot.batch import Hits, impacts
     from .robot.contact import Contact
     from .robot.held import HeldContactWarning
@@ -37,10 +39,8 @@ if TYPE_CHECKING:
     from .robot.many_impact import ManyHit
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
-    from .robot.plane import Plane
     from .robot.robot_impact import Hit, impact
     from .robot.solids import Box, Shape
-    from .robot.sphere import Sphere
     from .scene.controls import JointPD
     from .scene.events import Event
     from .scene.scene import Scene
@@ -131,9 +131,9 @@ _HOMES = {
     "robot.robot_impact": ("Hit", "impact"),
     "robot.inverse_kinematics": ("place_in_contact",),
     "robot.loading": ("load_robot",),
-    "robot.plane": ("Plane",),
+    "geometry.plane": ("Plane",),
     "robot.solids": ("Box", "Shape"),
-    "robot.sphere": ("Sphere",),
+    "geometry.sphere": ("Sphere",),
     "scene.controls": ("JointPD",),
     "scene.events": ("Event",),
     "scene.scene": ("Scene",),

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from .ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from .jit import inner, separate
+from .._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from .._compile.jit import inner, separate
 from .loops import assign, ones
 
 CONE = np.int64(3)

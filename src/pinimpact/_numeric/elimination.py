@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .ahead import FLOAT_ROWS, FLOATS, ahead
-from .jit import inner, separate
+from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from .._compile.jit import inner, separate
 
 RANK = 1e-10
 """Pivots and singular values below this part of the largest count as zero."""

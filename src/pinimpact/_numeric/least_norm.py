@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from .ahead import FLOAT_ROWS, FLOATS, ahead
-from .jit import inner, separate
+from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from .._compile.jit import inner, separate
 from .loops import assign
 
 

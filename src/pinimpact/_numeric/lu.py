@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from .jit import separate
+from .._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from .._compile.jit import separate
 
 
 @ahead(FLOAT_ROWS, INTEGERS)

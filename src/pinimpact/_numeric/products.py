@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import inner
+from .._compile.jit import inner
 
 
 @inner

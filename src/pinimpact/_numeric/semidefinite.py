@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from .ahead import FLOAT_ROWS, FLOATS, ahead
+from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from .._compile.jit import inner, separate
 from .elimination import RANK
-from .jit import inner, separate
 
 
 @inner

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ..checks import above_zero
 from ..errors import InputError, ModelError, SimulationError
+from ..geometry.plane import Plane
+from ..geometry.surfaces import contact_axes, unit_vector
 from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
-from ..robot.plane import Plane
-from ..robot.surfaces import contact_axes, unit_vector
 from ..scene.records import ImpactRecord
 from ..scene.scene import Scene
 from ..scene.simulation import simulate

@@ -11,8 +11,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ..checks import counted
 from ..robot.contact import Contact
-from ..robot.names import counted
 from ..scene.records import ImpactRecord, Note, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag

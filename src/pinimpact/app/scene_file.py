@@ -11,12 +11,12 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from ..checks import near_matches
 from ..errors import InputError, PinimpactError, UnknownNameError
-from ..robot.names import near_matches
-from ..robot.plane import Plane
+from ..geometry.plane import Plane
+from ..geometry.sphere import Sphere
+from ..geometry.surfaces import Surface
 from ..robot.solids import Box, Shape
-from ..robot.sphere import Sphere
-from ..robot.surfaces import Surface
 from .units import quantity
 
 if sys.version_info >= (3, 11):

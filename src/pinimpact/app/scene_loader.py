@@ -12,12 +12,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..checks import near_matches
 from ..errors import InputError, UnknownNameError
+from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
-from ..robot.names import near_matches
-from ..robot.surfaces import Surface
 from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
 from ..scene.simulation import simulate

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._numeric.threads import in_threads, thread_count
+from .._compile.threads import in_threads, thread_count
 from ..errors import InputError
 from ..status import Status
 from .inputs import FACTOR, Array

@@ -147,7 +147,7 @@ def compile_policy(name: str, *others: Any) -> None:
     """
     kernels = (*others, *find_policy(name).kernels())
     if not _compiled.issuperset(kernels):
-        from .._numeric.jit import compile_all
+        from .._compile.jit import compile_all
 
         compile_all(*((kernel,) for kernel in kernels))
         _compiled.update(kernels)

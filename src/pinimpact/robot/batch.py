@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .._numeric.threads import in_threads, thread_count
-from ..checks import float_array
+from .._compile.threads import in_threads, thread_count
+from ..checks import counted, float_array
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
 from ..contact_space.solution import Work
@@ -25,7 +25,7 @@ from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
 from .held import HELD_TOLERANCE, HeldContactWarning
 from .matrices import contact_matrices
-from .names import counted, free_velocities, model_of, singular_mass
+from .names import free_velocities, model_of, singular_mass
 from .pinocchio_bridge import call_addresses
 from .robot_impact import Hit, impact, restitution_of_approach
 from .struck import strike

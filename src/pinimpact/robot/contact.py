@@ -14,13 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.laws import law_code
 from ..errors import InputError
+from ..geometry._kernels.constants import (
+    AXES,
+    CONSTANTS,
+    KIND,
+    LINE_AXIS,
+    POINT,
+    RADIUS,
+    RIM_AXIS,
+    SOLID,
+    TIP,
+)
+from ..geometry.collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
+from ..geometry.plane import Plane
+from ..geometry.surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 from ._kernels import contact_kinematics
-from ._kernels.constants import AXES, CONSTANTS, KIND, LINE_AXIS, POINT, RADIUS, RIM_AXIS, SOLID, TIP
-from .collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
 from .data_cache import checked_configuration, data_cache
 from .names import frame_id, model_of, motion_signs
-from .plane import Plane
-from .surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 
 Array = NDArray[np.float64]
 _placement = pin.updateFramePlacement
@@ -109,7 +119,7 @@ class Contact:
 
     @cached_property
     def constants(self) -> Array:
-        """The numbers that kernels know the contact by, see `pinimpact.robot._kernels.constants`."""
+        """The numbers that kernels know the contact by, see `pinimpact.geometry._kernels.constants`."""
         constants = np.array(
             [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.direction]
         )

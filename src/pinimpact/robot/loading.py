@@ -12,9 +12,9 @@ import numpy as np
 import pinocchio as pin
 from example_robot_data.robots_loader import ROBOTS
 
+from ..checks import near_matches
 from ..errors import ModelError, UnknownNameError
 from .mjcf import load_mjcf
-from .names import near_matches
 
 
 def bundled_models() -> dict[str, Path]:

@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from ..checks import near_matches
 from ..errors import InputError, ModelError, UnknownNameError
-
-
-def counted(number: int, what: str) -> str:
-    """Return a number of things in words: "1 impact", "2 impacts", "2 velocities"."""
-    if number == 1:
-        return f"{number} {what}"
-    return f"{number} {what[:-1]}ies" if what.endswith("y") else f"{number} {what}s"
-
-
-def near_matches(name: str, names: Iterable[str]) -> str:
-    """Return a clause that offers the names closest to `name`, or how many there are if none is close."""
-    names = sorted(set(names))
-    lowered = {known.lower(): known for known in names}
-    close = [lowered[match] for match in difflib.get_close_matches(name.lower(), lowered, n=5, cutoff=0.5)]
-    close += [known for known in names if name and name.lower() in known.lower() and known not in close][:5]
-    if close:
-        return "did you mean " + ", ".join(map(repr, close[:5])) + "?"
-    shown = ", ".join(map(repr, names[:8])) + (", …" if len(names) > 8 else "")
-    return f"the names are {shown}"
 
 
 def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:

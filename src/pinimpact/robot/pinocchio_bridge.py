@@ -30,10 +30,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.jit import compile_all
+from .._compile.jit import compile_all
 from ..errors import ModelError
+from ..geometry._kernels.contact_axes import contact_axes
 from ._kernels import tree
-from ._kernels.contact_kinematics import contact_axes
 from ._kernels.robot_impact import robot_impact, room_for
 from ._kernels.robot_workspace import (
     FREE_FLYER,

@@ -11,17 +11,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .collision_shapes import collision_model, find_shape
+from ..geometry.collision_shapes import collision_model, find_shape
+from ..geometry.convex_pair import Touch, gap, touches
+from ..geometry.convex_shape import PlacedShape, cross
+from ..geometry.lines import Edge, Line
+from ..geometry.plane import Plane
+from ..geometry.sphere import Sphere
+from ..geometry.surfaces import Surface, Vector
 from .contact import Contact
-from .convex_pair import Touch, gap, touches
-from .convex_shape import PlacedShape, cross
 from .data_cache import checked_configuration, data_cache
-from .lines import Edge, Line
 from .names import model_of, motion_signs
-from .plane import Plane
 from .solids import CarriedShape, Solid, collision_shape, solid_sphere
-from .sphere import Sphere
-from .surfaces import Surface, Vector
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero
 from ..errors import InputError
-from ._kernels.constants import SOLID
-from .collision_shapes import (
+from ..geometry._kernels.constants import SOLID
+from ..geometry.collision_shapes import (
     Remembered,
     check_rim_points,
     collision_model,
@@ -23,10 +23,10 @@ from .collision_shapes import (
     shape_tips,
     swept_radius,
 )
-from .convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
+from ..geometry.convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
+from ..geometry.sphere import Sphere
+from ..geometry.surfaces import Surface, Vector, check_frame_key, vector
 from .names import frame_id, model_of
-from .sphere import Sphere
-from .surfaces import Surface, Vector, check_frame_key, vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.jit import compile_all
+from .._compile.jit import compile_all
 from ..contact_space.simultaneous import find_policy
 from ..robot._kernels import contact_kinematics, responses, robot_impact, tree_matrices
 from ..robot._kernels.python_calls import raise_kept_error

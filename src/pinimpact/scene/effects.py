@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from ..checks import counted, near_matches
 from ..errors import InputError, UnknownNameError
 from ..html_tables import html_table
 from ..robot.contact import Contact
-from ..robot.names import counted, near_matches
 
 SWITCHABLE = (
     "gravity",

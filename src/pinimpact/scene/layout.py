@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..robot._kernels.constants import CONSTANTS
+from ..geometry._kernels.constants import CONSTANTS
 from ..robot.contact import Contact, contact_constants
 from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import frame_id, motion_signs

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.jit import compile_all
+from .._compile.jit import compile_all
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import call_addresses

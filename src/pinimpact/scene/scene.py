@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
-from ..robot.collision_shapes import collision_model, shapes_of_links
+from ..geometry.collision_shapes import collision_model, shapes_of_links
+from ..geometry.surfaces import Surface
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
 from ..robot.names import frame_id, free_velocities, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
 from ..robot.solids import Solid
-from ..robot.surfaces import Surface
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events

@@ -18,11 +18,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
+from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
+from ..geometry.convex_shape import PlacedShape, cross
+from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.contact import Contact, contact_constants
-from ..robot.convex_pair import Touch, corners_of, follow, gap, touches
-from ..robot.convex_shape import PlacedShape, cross
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
-from ..robot.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ._kernels.contact_forces import FREE
 from ._kernels.events.gap import SAFETY
 from .crossing import crossing

@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import counted, near_matches
 from ..errors import InputError, UnknownNameError
+from ..geometry.surfaces import contact_axes
 from ..html_tables import html_lines, html_table
 from ..robot.contact import Contact
-from ..robot.names import counted, near_matches
-from ..robot.surfaces import contact_axes
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes

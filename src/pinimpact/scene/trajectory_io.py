@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
+from ..geometry.plane import Plane
+from ..geometry.sphere import Sphere
+from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
-from ..robot.plane import Plane
 from ..robot.solids import Box, Shape
-from ..robot.sphere import Sphere
-from ..robot.surfaces import Surface
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
 from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note

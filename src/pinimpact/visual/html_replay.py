@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, finite_array
 from ..errors import InputError
+from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
 from ..robot.many_impact import ManyHit
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id, model_of
 from ..robot.robot_impact import Hit
 from ..robot.solids import Shape
-from ..robot.surfaces import Surface
 from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..geometry.plane import Plane
+from ..geometry.sphere import Sphere
+from ..geometry.surfaces import Surface, contact_axes
 from ..robot.names import frame_id
-from ..robot.plane import Plane
 from ..robot.solids import Box
-from ..robot.sphere import Sphere
-from ..robot.surfaces import Surface, contact_axes
 from .impact_marks import short
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, released
+from ..._compile.jit import inner, released
 from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
 from .ending import Result, no_result

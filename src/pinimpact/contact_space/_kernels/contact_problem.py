@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import inlined_part, inner
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import inlined_part, inner
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
     IMPULSE,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS

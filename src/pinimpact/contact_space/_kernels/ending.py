@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, THREE, ahead
-from ..._numeric.jit import inner, part
+from ..._compile.ahead import FLOAT_ROWS, THREE, ahead
+from ..._compile.jit import inner, part
 from .codes import (
     ENDED_AT_REST,
     ENERGY_CREATED,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import inner, separate
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, separate
 
 NEVER = math.inf
 

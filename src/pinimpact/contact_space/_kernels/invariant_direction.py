@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
 

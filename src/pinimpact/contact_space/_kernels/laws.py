@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from ..laws import COUNTED, LAWS
 from .codes import (
     COMPRESSION,

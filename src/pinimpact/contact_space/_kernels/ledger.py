@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .codes import (
     COMPRESSION,
     COMPRESSION_ENDS,

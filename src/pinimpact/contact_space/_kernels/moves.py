@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
-from ..._numeric.jit import inlined, inlined_part, inner, part
+from ..._compile.ahead import ahead
+from ..._compile.jit import inlined, inlined_part, inner, part
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead, plain_tuple
-from ..._numeric.jit import jit
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead, plain_tuple
+from ..._compile.jit import jit
 from .codes import (
     LAW_MET,
     LAW_UNREACHABLE,

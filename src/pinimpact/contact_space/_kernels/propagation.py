@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, jit
 from ..._numeric.loops import power, repeated
 from .codes import (
     COMPRESSION,

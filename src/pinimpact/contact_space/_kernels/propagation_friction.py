@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from ..._compile.jit import inner
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.elimination import solve
-from ..._numeric.jit import inner
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._compile.jit import inner
 from ..._numeric.elimination import solve
-from ..._numeric.jit import inner
 from ..._numeric.least_norm import least_norm, least_norms
 from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .slip_series import SETTLED, point
 
 TRACE_ROWS = 32

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .delassus import EPS
 
 TERMS = 32

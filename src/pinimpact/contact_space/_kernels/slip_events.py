@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inlined, inner
+from ..._compile.jit import inlined, inner
 from .codes import IMPULSE, VELOCITY, WORK
 from .slip_series import beginning, first_root, flow, halley, leap, point, settled
 from .slip_works import works_around, works_so_far

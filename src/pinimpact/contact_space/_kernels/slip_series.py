@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._numeric.jit import inlined, inner
+from ..._compile.jit import inlined, inner
 from ..._numeric.loops import power
 from .delassus import EPS
 from .slip_equations import Shape, moments

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._numeric.jit import inlined, inner
+from ..._compile.jit import inlined, inner
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING
 from .slip_series import SETTLED, fill, passed, point

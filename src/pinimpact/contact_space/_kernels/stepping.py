@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner, jit
+from ..._compile.jit import inner, jit
 from .codes import (
     COMPRESSION,
     COMPRESSION_ENDS,

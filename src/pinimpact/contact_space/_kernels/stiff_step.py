@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 
 STAGES = 6
 GAMMA = 0.25

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._compile.jit import jit
 from .path import SCRATCH, solve_into
 from .stepping import solve_stepping
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import inlined_part
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inlined_part
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,

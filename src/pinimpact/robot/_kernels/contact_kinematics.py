@@ -12,31 +12,25 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
-from ..._numeric.jit import inner, jit
-from . import surfaces
-from .constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, SIZE, SPIN, TIP, VELOCITY
+from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
+from ..._compile.jit import inner, jit
+from ...geometry._kernels import surfaces
+from ...geometry._kernels.constants import (
+    AXES,
+    EDGE,
+    KIND,
+    LINE_AXIS,
+    POINT,
+    RADIUS,
+    RIM,
+    RIM_AXIS,
+    SIZE,
+    SPIN,
+    TIP,
+    VELOCITY,
+)
+from ...geometry._kernels.contact_axes import contact_axes
 from .placement import cross, direction, place, pose, rotate, rotate_back
-
-
-@ahead(float, float, float)
-@jit
-def contact_axes(nx, ny, nz):
-    """Return t₁ and t₂ (3 + 3 scalars) of the unit normal n: where the smallest rotation z → n takes x and y.
-
-    With n = (s u, nz), |u| = 1: t₁ = x − (1 − nz) u₁ (u, 0) − nx z, and t₂ alike. For nz > 0 the factor
-    is s²/(1 + nz), so nothing cancels near n = ±z. For n = −z: half a turn about x.
-    """
-    s = math.hypot(nx, ny)
-    if s == 0.0:
-        return (1.0, 0.0, 0.0, 0.0, 1.0 if nz > 0.0 else -1.0, 0.0)
-    up = 2.0**600 if s < 1e-290 else 1.0  # numbers that small have few digits, and so has their hypot
-    u1, u2 = nx * up, ny * up
-    r = math.hypot(u1, u2)
-    u1, u2 = u1 / r, u2 / r
-    f = s * (s / (1.0 + nz)) if nz > 0.0 else 1.0 - nz
-    return 1.0 - f * u1 * u1, -f * u1 * u2, -nx, -f * u1 * u2, 1.0 - f * u2 * u2, -ny
-
 
 LEAST_RISE = 1e-12
 """Of 1 + a₃·n: next to n = −a₃ the carried axes mean nothing, but are numbers."""

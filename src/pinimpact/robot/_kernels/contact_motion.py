@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import inner, separate
-from . import surfaces
-from .constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, TIP
+from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, separate
+from ...geometry._kernels import surfaces
+from ...geometry._kernels.constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, TIP
 from .contact_kinematics import (
     carried_axes,
     carried_spin,

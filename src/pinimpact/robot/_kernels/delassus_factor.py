@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, jit
 from .tree import solve_transposed
 
 

@@ -6,7 +6,7 @@ the array in which Pinocchio keeps its placements.
 
 from __future__ import annotations
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 
 
 @inner

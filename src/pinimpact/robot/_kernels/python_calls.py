@@ -15,7 +15,7 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 
 _KEPT = "pinimpact_kept_error"
 _kept = (ctypes.c_void_p * 3)()  # type, value and traceback, as PyErr_Fetch hands them out

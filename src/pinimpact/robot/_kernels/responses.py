@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, jit
 from .tree import factor, solve, solve_transposed
 
 

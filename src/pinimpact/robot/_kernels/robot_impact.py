@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit, released
+from ..._compile.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
+from ..._compile.jit import inner, jit, released
 from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear

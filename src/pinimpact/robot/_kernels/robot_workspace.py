@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from ..._numeric.workspace import Workspace, integer, integers, real, reals, size
-from .constants import CONSTANTS
+from ..._compile.workspace import Workspace, integer, integers, real, reals, size
+from ...geometry._kernels.constants import CONSTANTS
 
 REVOLUTE, UNBOUNDED, PRISMATIC, FREE_FLYER, SPHERICAL, TRANSLATION, PLANAR = range(7)
 """Kinds of joints: by angle, by its cosine and sine, by length; the others as Pinocchio has them."""
 
 
 class RobotWorkspace(Workspace):
-    """See `pinimpact._numeric.workspace` for how it is declared and read.
+    """See `pinimpact._compile.workspace` for how it is declared and read.
 
     Kernels that run without Python's lock write nothing into it, so threads may share it. Placements are
     twelve numbers, see `placement`.

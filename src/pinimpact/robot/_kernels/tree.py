@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, INTEGERS, ahead
-from ..._numeric.jit import jit
+from ..._compile.ahead import FLOAT_ROWS, INTEGERS, ahead
+from ..._compile.jit import jit
 
 EPS = 2.0**-52
 

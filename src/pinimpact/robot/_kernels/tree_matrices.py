@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import inner, jit, separate
+from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, jit, separate
 from .placement import rotate
 from .robot_workspace import (
     FREE_FLYER,

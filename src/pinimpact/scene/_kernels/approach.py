@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, INTEGERS, ahead
-from ..._numeric.jit import jit
+from ..._compile.ahead import FLOATS, INTEGERS, ahead
+from ..._compile.jit import jit
 from .contact_forces import FREE
 from .dynamics import all_gaps
 from .workspace import SceneWorkspace

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, jit, separate
 from ..._numeric.cone_program import cholesky
-from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from .contact_forces import FREE, HELD, SLIP

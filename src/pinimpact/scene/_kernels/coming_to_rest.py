@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.elimination import largest_of
-from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, dot
 from .closed_set import stop_along

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
-from ..._numeric.jit import inner, separate
+from ..._compile.ahead import ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, jit, separate
 from ..._numeric.elimination import RANK, largest_of
-from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, ahead
-from ..._numeric.jit import inner, jit, separate
+from ..._compile.ahead import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, ahead
+from ..._compile.jit import inner, jit, separate
 from .lie_charts import advance
 from .workspace import DENSE_TERMS, SceneWorkspace
 

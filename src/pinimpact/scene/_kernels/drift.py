@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import inner, jit
 from ..._numeric.loops import assign
 from . import lie_charts
 from .closed_set import NORMAL, closed_rows, stop_along

@@ -6,8 +6,8 @@ reaches or leaves the bound is an event.
 
 from __future__ import annotations
 
-from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import inner, jit
 from .workspace import SceneWorkspace
 
 CLEAR = 1e-9

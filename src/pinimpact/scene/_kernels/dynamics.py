@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.jit import inner, separate
 from ..._numeric.loops import assign
 from ..._numeric.semidefinite import solve_definite
+from ...geometry._kernels.constants import RADIUS
 from ...robot._kernels import contact_kinematics, contact_motion
-from ...robot._kernels.constants import RADIUS
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .drives import drive

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 from .slip import set_directions_within

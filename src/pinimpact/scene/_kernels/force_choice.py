@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import inner, jit, separate
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import inner, jit, separate
 from .closed_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .contact_modes import NOTHING

@@ -15,9 +15,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.jit import separate
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.jit import separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, repeated
 from ..._numeric.products import apply

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._numeric.jit import jit
+from ..._compile.jit import jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate

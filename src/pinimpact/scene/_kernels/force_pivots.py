@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import inner, separate
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.loops import flags, repeated
 from ..._numeric.products import apply
 

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_ROWS, FLOATS, ahead
-from ..._numeric.jit import jit
+from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.jit import jit
 
 SWEEPS = 200
 """The largest number of sweeps."""

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, ahead
-from ..._numeric.jit import jit
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import jit
 from .closed_set import ALL, closed_rows
 from .contact_forces import SLIP, delassus_of_rows
 from .dynamics import evaluate, set_state

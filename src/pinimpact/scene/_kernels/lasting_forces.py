@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, ahead
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import separate
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.jit import separate
 from ..._numeric.loops import assign, repeated
 from .force_cones import (
     AS_FORCES_SAY,

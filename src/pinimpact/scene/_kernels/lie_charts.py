@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOATS, INTEGER_ROWS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOATS, INTEGER_ROWS, ahead
+from ..._compile.jit import inner, jit
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
 """Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""

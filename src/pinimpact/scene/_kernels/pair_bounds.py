@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit, separate
+from ..._compile.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
+from ..._compile.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from ...robot._kernels.contact_kinematics import column
 from ...robot._kernels.placement import place, rotate_back

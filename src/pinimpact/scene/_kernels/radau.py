@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from ..._numeric.loops import assign
 from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST

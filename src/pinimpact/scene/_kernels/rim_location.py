@@ -12,11 +12,11 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
-from ..._numeric.jit import inner, separate
+from ..._compile.ahead import ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.loops import assign
+from ...geometry._kernels.constants import RIM
 from ...robot._kernels import contact_motion
-from ...robot._kernels.constants import RIM
 from .dense_output import set_state_within
 from .dynamics import compute_kinematics
 from .gap_bounds import curvatures, rim_clear, rim_gap

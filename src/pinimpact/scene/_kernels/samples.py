@@ -6,7 +6,7 @@ much curvature again as the samples show could bring it there; otherwise it is s
 
 from __future__ import annotations
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .contact_forces import SLIP
 
 SAFETY = 1.5

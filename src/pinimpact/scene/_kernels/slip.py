@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.ahead import FLOAT_ROWS, ahead
-from ..._numeric.jit import inner, separate
+from ..._compile.ahead import FLOAT_ROWS, ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.loops import assign
 from .contact_forces import SLIP
 from .workspace import SceneWorkspace

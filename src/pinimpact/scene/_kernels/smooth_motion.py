@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
-from ..._numeric.jit import inner, jit
+from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
+from ..._compile.jit import inner, jit
 from ..._numeric.loops import assign
 from . import step_dop853
 from .contact_forces import FREE, SLIP

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
-from ..._numeric.jit import inner, jit, separate
+from ..._compile.ahead import ahead
+from ..._compile.jit import inner, jit, separate
 from ..._numeric.loops import assign
 from . import dopri5
 from .dense_output import rate_bounds

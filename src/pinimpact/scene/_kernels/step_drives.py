@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOAT_ROWS, INTEGERS, ahead
+from ..._compile.ahead import FLOAT_ROWS, INTEGERS, ahead
+from ..._compile.jit import inner, jit, separate
 from ..._numeric.elimination import RANK
-from ..._numeric.jit import inner, jit, separate
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute

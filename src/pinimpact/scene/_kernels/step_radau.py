@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import ahead
+from ..._compile.ahead import ahead
+from ..._compile.jit import inner, jit
 from ..._numeric.elimination import RANK, solve
-from ..._numeric.jit import inner, jit
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply_symmetric

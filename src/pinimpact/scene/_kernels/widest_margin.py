@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from ..._numeric.ahead import FLOATS, ahead
+from ..._compile.ahead import FLOATS, ahead
+from ..._compile.jit import inner, separate
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.jit import inner, separate
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, repeated
 from .contact_forces import SLIP, STICK, rubs

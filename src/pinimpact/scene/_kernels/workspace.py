@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..._numeric.workspace import Workspace, count, flag, integer, integers, real, reals, size
-from ...robot._kernels.constants import CONSTANTS
+from ..._compile.workspace import Workspace, count, flag, integer, integers, real, reals, size
+from ...geometry._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
 
 CALLS = 8
@@ -14,7 +14,7 @@ DENSE_TERMS = 7
 
 
 class SceneWorkspace(Workspace):
-    """See `pinimpact._numeric.workspace` for how it is declared and read.
+    """See `pinimpact._compile.workspace` for how it is declared and read.
 
     The modes that hold are those of `contact_forces`. Contacts stand first among the sources of modes, held
     ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ...._numeric.ahead import ahead
-from ...._numeric.jit import inner, jit, separate
+from ...._compile.ahead import ahead
+from ...._compile.jit import inner, jit, separate
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.ahead import ahead
-from ...._numeric.jit import inner, separate
+from ...._compile.ahead import ahead
+from ...._compile.jit import inner, separate
 from ..event_location import search_for_fall
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE

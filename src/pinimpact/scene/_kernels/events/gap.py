@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.ahead import FLOAT_ROWS, FLOATS, ahead
-from ...._numeric.jit import inner, separate
-from ....robot._kernels import contact_motion, surfaces
-from ....robot._kernels.constants import RADIUS, RIM
+from ...._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ...._compile.jit import inner, separate
+from ....geometry._kernels import surfaces
+from ....geometry._kernels.constants import RADIUS, RIM
+from ....robot._kernels import contact_motion
 from ..contact_forces import FREE
 from ..dynamics import compute_kinematics, contact_gap, set_state
 from ..event_location import search_for_closing

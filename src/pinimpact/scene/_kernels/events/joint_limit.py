@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.ahead import ahead
-from ...._numeric.jit import inner, separate
+from ...._compile.ahead import ahead
+from ...._compile.jit import inner, separate
 from ..dynamics import limit_gap
 from ..event_location import search_for_closing
 from ..workspace import SceneWorkspace

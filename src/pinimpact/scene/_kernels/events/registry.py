@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ...._numeric.jit import inner
+from ...._compile.jit import inner
 from . import force_bound, friction_reversal, gap, joint_limit, saturation, slip_end
 
 EVENTS: tuple[ModuleType, ...] = (gap, joint_limit, saturation, friction_reversal, slip_end, force_bound)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._numeric.jit import inner, separate
+from ...._compile.jit import inner, separate
 from ..drives import CLEAR, law
 from ..event_location import search_for_fall
 from .consequences import SIDE_CHANGE

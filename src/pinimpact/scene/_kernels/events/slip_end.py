@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ...._numeric.ahead import ahead
-from ...._numeric.jit import inner, separate
+from ...._compile.ahead import ahead
+from ...._compile.jit import inner, separate
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root

@@ -24,7 +24,7 @@ class Surface(ABC):
     All vectors are in the axes of what carries the surface.
 
     Attributes:
-        code: What the kernels know the kind by, see `pinimpact.robot._kernels.constants`.
+        code: What the kernels know the kind by, see `pinimpact.geometry._kernels.constants`.
         velocity: Velocity of the surface's material at `origin`, beyond its carrier's [m/s].
         angular_velocity: Angular velocity of the surface's material, beyond its carrier's [rad/s].
         body: Frame that carries the surface, by name or id; None for the world.
@@ -67,7 +67,7 @@ class Surface(ABC):
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """The surface's part of the constants of a contact, see `pinimpact.robot._kernels.constants`."""
+        """The surface's part of the constants of a contact, see `pinimpact.geometry._kernels.constants`."""
         axes = self.axes.ravel().tolist()
         return *self.origin, *axes, *self.velocity, *self.angular_velocity, float(self.code), self.size
 
@@ -136,7 +136,7 @@ def contact_axes(normal: ArrayLike) -> NDArray[np.float64]:
     Raises:
         InputError: A normal that is not three finite numbers, or of zero length.
     """
-    from ._kernels.contact_kinematics import contact_axes as kernel
+    from ._kernels.contact_axes import contact_axes as kernel
 
     n = unit_vector("normal", normal)
     return np.array([*kernel(*n), *n]).reshape(3, 3)

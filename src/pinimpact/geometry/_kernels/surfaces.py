@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from . import surface_line, surface_plane, surface_sphere
 from .constants import KIND, LINE, SPHERE
 

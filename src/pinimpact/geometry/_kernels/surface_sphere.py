@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .constants import SIZE
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._numeric.jit import inner
+from ..._compile.jit import inner
 from .constants import AXES
 
 # what every kernel of a surface defines; x is relative to the surface's own point, all in its carrier's axes

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..checks import near_matches
 from ..errors import InputError, ModelError, UnknownNameError
-from .names import near_matches
 
 Array = NDArray[np.float64]
 

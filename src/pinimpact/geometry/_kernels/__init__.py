@@ -1,0 +1,1 @@
+"""Signed distances of surfaces, compiled."""
