@@ -22,13 +22,13 @@ from rich.console import Console
 
 import pinimpact
 from pinimpact._compile import company
+from pinimpact._compile import jit as decorators
 from pinimpact._compile.jit import inner, jit, separate
 from pinimpact._compile.shortcuts import shortcuts
 from pinimpact._compile.waiting import reached
-from pinimpact._numeric import jit as decorators
 from pinimpact.app.cli import compiling_shown
 
-SOURCE = Path(pinimpact.__file__).parent / "_numeric"
+SOURCE = Path(pinimpact.__file__).parent / "_compile"
 
 LEAF = '''"""A leaf."""
 from ..._compile.jit import inner, separate
@@ -83,7 +83,7 @@ print(json.dumps([answers, made]))
 def package(tmp_path: Path) -> Path:
     """A package of this one's name with its decorators and three small modules of kernels."""
     root = tmp_path / "pinimpact"
-    shutil.copytree(SOURCE, root / "_numeric", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(SOURCE, root / "_compile", ignore=shutil.ignore_patterns("__pycache__"))
     kernels = root / "scene" / "_kernels"
     kernels.mkdir(parents=True)
     for name, text in (("leaf", LEAF), ("entry", ENTRY), ("other", OTHER)):
@@ -130,7 +130,7 @@ def test_only_an_edit_of_code_compiles_anew_and_only_what_uses_it(package: Path)
     )
     edit(leaf, '"""Shift."""', '"""Shift,\n\n    by one.\n    """')
     edit(entry, "def second(x):\n", 'def second(x):\n    """New docstring."""\n    # and a comment\n')
-    edit(package / "_numeric" / "jit.py", '"""The decorators', '"""All the decorators')
+    edit(package / "_compile" / "jit.py", '"""The decorators', '"""All the decorators')
     edit(package / "scene" / "_kernels" / "other.py", "-x", "-1.0 * x")
     assert call(package) == ([7.0, 130.0, -3.0], ["third"])
     # a constant of an inner kernel of a callee in another module
@@ -499,7 +499,7 @@ def test_memory_is_released_once() -> None:
 def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:
     assert python(package).stderr == ""  # it takes no time
     shutil.rmtree(package.parent / "cache")
-    edit(package / "_numeric" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
+    edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     told = python(package).stderr
     assert told.count("\n") == 1
     assert told.startswith("pinimpact: compiling kernels for scenes, once per machine")
@@ -517,7 +517,7 @@ def test_the_wait_is_that_of_all_kernels_reached() -> None:
 
 def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path) -> None:
     (package.parent / "cache").write_text("a file where a folder is wanted")
-    edit(package / "_numeric" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
+    edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     closed = "import tempfile\ndef fail(*_, **__): raise OSError\ntempfile.TemporaryFile = fail\n"
     answer = python(package, closed + CALL)
     assert json.loads(answer.stdout)[0] == [7.0, 130.0, -3.0]
