@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -358,3 +360,20 @@ def test_a_control_that_switches_a_hundred_times_does_not_chatter():
     trajectory = simulate(scene, np.zeros(3), np.zeros(3), 1.0, rtol=rtol, atol=1e-2 * rtol, max_step=5e-3)
     assert trajectory.statistics["steps"] > 1000
     assert trajectory.q[-1, 0] == pytest.approx(50 * 0.01**2, rel=1e-5)
+
+
+def test_energy_counts_the_rotor_inertia_of_a_slanted_axis():
+    axis, inertia, rotor, rate = np.array([1.0, 2.0, 3.0]) / math.sqrt(14.0), 0.1, 0.7, 2.0
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRevoluteUnaligned(axis), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
+    model.armature, model.damping = np.array([rotor]), np.array([0.3])
+    unbounded(model)
+    trajectory = simulate(Scene(model, []), [0.0], [rate], 1.0)
+    whole = inertia + rotor
+    left = rate * math.exp(-0.3 / whole)  # damped, and nothing else
+    assert trajectory.v[-1, 0] == pytest.approx(left, rel=1e-7)
+    assert trajectory.energy.kinetic[[0, -1]] == pytest.approx(
+        0.5 * whole * np.square([rate, left]), rel=1e-7
+    )
+    assert abs(trajectory.energy.residual[-1]) < 1e-7

@@ -610,6 +610,17 @@ def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) 
     return found is None
 
 
+def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
+    """Return ½ vᵀ M v [J]; leaves the placements of q in the data.
+
+    Pinocchio's own sum leaves out the rotor inertia of joints about slanted axes, which its M has.
+    """
+    if not model.armature.any():
+        return float(pin.computeKineticEnergy(model, data, q, v))
+    upper = np.triu(pin.crba(model, data, q))
+    return float(v @ (upper @ v) - 0.5 * (v * v) @ upper.diagonal())
+
+
 def _forget(key: tuple[int, Any]) -> Any:
     forget = _verdicts.pop  # bound now: at exit the module may be gone before the model
     return lambda _: forget(key, None)

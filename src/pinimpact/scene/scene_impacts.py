@@ -32,6 +32,7 @@ from ..robot.matrices import (
     contact_matrices,
 )
 from ..robot.names import free_velocities
+from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
 from .dynamics import SceneDynamics
@@ -459,7 +460,7 @@ class SceneImpacts:
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
-        return float(pin.computeKineticEnergy(self._model, self._data, q, v))
+        return kinetic_energy(self._model, self._data, q, v)
 
 
 def _group_impact(

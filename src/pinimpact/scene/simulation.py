@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
+from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
@@ -375,10 +376,8 @@ class Motion:
         w = np.array([row[3] for row in rows])
         kinetic, potential = np.empty((2, len(rows)))
         for k, (_, at, moving, *_) in enumerate(rows):
-            kinetic[k] = pin.computeKineticEnergy(self.model, self.data, at, moving)
-            potential[k] = pin.computePotentialEnergy(
-                self.model, self.data
-            )  # where the line before has put it
+            kinetic[k] = kinetic_energy(self.model, self.data, at, moving)
+            potential[k] = pin.computePotentialEnergy(self.model, self.data)  # at the same placements
         impacts_work = np.array([row[4] for row in rows])
         energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
         modes = self.state.modes.ended[:intervals] + [
