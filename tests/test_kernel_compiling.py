@@ -16,7 +16,6 @@ import numba
 import numpy as np
 import pytest
 from numba.core import event
-from numba.core.compiler import run_frontend
 from numba.core.runtime import _nrt_python, rtsys
 from rich.console import Console
 
@@ -24,7 +23,6 @@ import pinimpact
 from pinimpact._compile import company
 from pinimpact._compile import jit as decorators
 from pinimpact._compile.jit import inner, jit, separate
-from pinimpact._compile.shortcuts import shortcuts
 from pinimpact._compile.waiting import reached
 from pinimpact.app.cli import compiling_shown
 
@@ -70,7 +68,6 @@ def third(x):
 CALL = """
 import json
 from numba.core import event
-from numba.core.compiler import run_frontend
 from pinimpact.scene._kernels import entry, other
 with event.install_recorder("numba:compile") as record:
     answers = entry.first(3.0), entry.second(3.0), other.third(3.0)
@@ -314,7 +311,6 @@ SHARED = """
 import tempfile
 from pathlib import Path
 from numba.core import event
-from numba.core.compiler import run_frontend
 from pinimpact._compile import ahead, company
 from pinimpact.scene._kernels import entry
 jobs = ahead.jobs([(entry.first, ahead.types_ahead(entry.first))])
@@ -429,34 +425,6 @@ def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
     assert refined(5) == (3.0, 3.0)
     assert refined.signatures[0][0] == numba.int64
     assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
-
-
-def with_many_names(x):
-    return {
-        **{"a": x, "b": x, "c": x, "d": x, "e": x, "f": x, "g": x, "h": x, "i": x, "j": x, "k": x},
-        **{"l": x, "m": x, "n": x, "o": x, "p": x, "q": x, "r": x, "s": x},
-    }
-
-
-def with_context(x, context):
-    with context:
-        x = x + 1
-    return x
-
-
-def with_handler(x):
-    try:
-        x = 1 / x
-    except Exception:
-        x = 0
-    return x
-
-
-@pytest.mark.parametrize("function", [with_many_names, with_context, with_handler])
-def test_what_is_read_of_a_function_is_what_numba_reads(function) -> None:
-    expected = run_frontend(function).dump_to_string()
-    with shortcuts():
-        assert run_frontend(function).dump_to_string() == expected
 
 
 @inner

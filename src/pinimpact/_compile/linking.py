@@ -23,7 +23,6 @@ from numba.core.compiler_machinery import PassManager, register_pass
 
 from .arguments import lent_arguments
 from .lowering import Lowering
-from .shortcuts import Canonical, Lifetimes, Passes, Rewrites, shortcuts
 from .sources import stamp
 from .unused import remove_unused
 
@@ -330,15 +329,12 @@ def compiling() -> bool:
 
 @contextmanager
 def _deep() -> Iterator[None]:
-    """Count, and let numba take its shortcuts."""
+    """Count, and collect no garbage."""
     global _depth
     _depth += 1
     try:
-        if _depth > 1:
+        with without_collecting():
             yield
-        else:
-            with shortcuts(), without_collecting():
-                yield
     finally:
         _depth -= 1
 
@@ -374,7 +370,6 @@ class KernelCompiler(compiler.CompilerBase):
     one type, and LLVM has its own.
     """
 
-    makes_kernels = True
     library: Any = KernelLibrary
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
@@ -394,17 +389,17 @@ class KernelCompiler(compiler.CompilerBase):
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
             state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
-        passes = Passes("kernel")
+        passes = PassManager("kernel")
         for one in (
             untyped_passes.TranslateByteCode,
             untyped_passes.FixupArgs,
-            Canonical,
+            untyped_passes.IRProcessing,
             untyped_passes.RewriteSemanticConstants,
             untyped_passes.DeadBranchPrune,
-            Rewrites,
+            untyped_passes.GenericRewrites,
             typed_passes.NopythonTypeInference,
             typed_passes.InlineOverloads,
-            Lifetimes,
+            typed_passes.IRLegalization,
             KernelLowering,
             typed_passes.NoPythonBackend,
         ):
