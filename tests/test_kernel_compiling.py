@@ -22,6 +22,7 @@ from rich.console import Console
 import pinimpact
 from pinimpact._compile import company
 from pinimpact._compile import jit as decorators
+from pinimpact._compile.borrowing import borrowed
 from pinimpact._compile.jit import inner, jit, separate
 from pinimpact._compile.waiting import reached
 from pinimpact.app.cli import compiling_shown
@@ -462,6 +463,40 @@ def test_memory_is_released_once() -> None:
     _nrt_python.memsys_disable_stats()
     assert after.mi_alloc > before.mi_alloc
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
+
+
+@inner
+def sums_of_rows(rows, out):
+    rows, out = borrowed(rows), borrowed(out)
+    parts = Pair(out, 1.0)
+    for k in range(len(rows)):
+        row = rows[k]
+        parts = Pair(parts.kept[1:] if k > 0 else parts.kept, parts.factor + k)
+        parts.kept[0] = parts.factor * row[1:].sum()
+
+
+@jit
+def sums_of_new_rows(n):
+    rows, out = np.full((n, 3), 2.0), np.zeros(n)
+    sums_of_rows(rows, out)
+    return out, rows[0, 0]
+
+
+def test_arrays_are_borrowed_for_the_length_of_a_call() -> None:
+    expected = np.cumsum([1.0, 0.0, 1.0, 2.0])[1:] * 4.0
+    kept = [sums_of_new_rows(3) for _ in range(50)]
+    rubbish = [np.full(3, -1.0) for _ in range(200)]
+    assert len(rubbish) == 200
+    for out, first in kept:
+        np.testing.assert_array_equal(out, expected)
+        assert first == 2.0
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    for n in range(1, 9):
+        sums_of_new_rows(n)
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 16
 
 
 def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:

@@ -17,14 +17,11 @@ from typing import Any
 
 from llvmlite import binding as llvm
 from numba import _dynfunc
-from numba.core import compiler, funcdesc, typed_passes, typing, untyped_passes
+from numba.core import compiler, funcdesc, typed_passes, typing
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_machinery import PassManager, register_pass
 
-from .arguments import lent_arguments
-from .lowering import Lowering
 from .sources import stamp
-from .unused import remove_unused
 
 Kernel = tuple[str, str, tuple[Any, ...]]
 """Module, name and argument types of a kernel that is compiled on its own."""
@@ -43,11 +40,6 @@ class KernelCode(JITCodeLibrary):
     unroll them takes a fifth of LLVM's time and gains nothing. What a kernel does to several numbers side by
     side becomes vector instructions.
     """
-
-    def add_ir_module(self, module: Any) -> None:
-        """Take in what has been lowered, without what nobody uses."""
-        remove_unused(module)
-        super().add_ir_module(module)
 
     def _passes(self, level: int) -> Any:
         options = llvm.create_pipeline_tuning_options(level)
@@ -228,7 +220,6 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
     function, context = kernel.py_func, kernel.targetctx
     flags = compiler.Flags()
     kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)
-    flags = _Flags(flags)
     flags.no_compile = True
     fndesc = funcdesc.PythonFunctionDescriptor(
         *(True, function.__module__, function.__qualname__, function.__qualname__, "", None, result, None),
@@ -238,7 +229,6 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
         abi_tags=[flags.get_mangle_string()],
         uid=symbol_stamp(function.__module__),
     )
-    fndesc.argtypes = lent_arguments(context.data_model_manager, types, result)
     name = function.__module__, function.__qualname__, types
     library = KernelLibrary.without_code(context.codegen(), name)
     return compiler.compile_result(
@@ -288,11 +278,6 @@ class KernelLowering(typed_passes.NativeLowering):
 
     _name = "kernel_lowering"
 
-    @property
-    def lowering_class(self) -> type[Lowering]:
-        """What lowers."""
-        return Lowering
-
     def run_pass(self, state: Any) -> bool:
         """Lower a kernel and make it known to its callers."""
         state.flags.no_compile = True  # numba's way to run it
@@ -335,46 +320,25 @@ def _deep() -> Iterator[None]:
     try:
         with without_collecting():
             yield
+            gc.collect(0)
     finally:
         _depth -= 1
 
 
-class _Flags(compiler.Flags):
-    """The flags of a kernel, which tell numba's own functions compiled for it that all kernels are alike.
-
-    Those are kept by the flags that they were compiled for. numba compares flags option by option, which
-    takes an eighth of its time, and would compile them anew for inner kernels and others.
-    """
-
-    def copy(self) -> _Flags:
-        """Return what all kernels have in common."""
-        if _Flags.common is None:
-            _Flags.common = _Flags(self)
-            for name in ("no_cpython_wrapper", "forceinline", "no_compile"):
-                _Flags.common.discard(name)
-        return _Flags.common
-
-    def __hash__(self) -> int:
-        return id(self)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
-    common: _Flags | None = None
+_LEFT_OUT = {"InlineClosureLikes", "NopythonRewrites", "ReconstructSSA", "PreLowerStripPhis"}
 
 
 class KernelCompiler(compiler.CompilerBase):
-    """The passes of numba that kernels need.
+    """The passes of numba that kernels need: all but some, which take a sixth of the time.
 
-    Static single assignment is not among them, for it costs a tenth of the time: a variable of a kernel has
-    one type, and LLVM has its own.
+    Kernels have no closures and no expressions of whole arrays. Static single assignment they do not need: a
+    variable of a kernel has one type, and LLVM has its own.
     """
 
     library: Any = KernelLibrary
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function."""
-        self.state.flags = _Flags(self.state.flags)
         with _deep():
             return super().compile_extra(func)
 
@@ -389,21 +353,13 @@ class KernelCompiler(compiler.CompilerBase):
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
             state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
-        passes = PassManager("kernel")
-        for one in (
-            untyped_passes.TranslateByteCode,
-            untyped_passes.FixupArgs,
-            untyped_passes.IRProcessing,
-            untyped_passes.RewriteSemanticConstants,
-            untyped_passes.DeadBranchPrune,
-            untyped_passes.GenericRewrites,
-            typed_passes.NopythonTypeInference,
-            typed_passes.InlineOverloads,
-            typed_passes.IRLegalization,
-            KernelLowering,
-            typed_passes.NoPythonBackend,
-        ):
-            passes.add_pass(one, one._name)
+        passes = compiler.DefaultPassBuilder.define_nopython_pipeline(state, "kernel")
+        passes.passes = [
+            (KernelLowering if one is typed_passes.NativeLowering else one, why)
+            for one, why in passes.passes
+            if one.__name__
+            not in {"InlineClosureLikes", "ReconstructSSA", "PreLowerStripPhis", "NopythonRewrites"}
+        ]
         passes.finalize()
         return [passes]
 

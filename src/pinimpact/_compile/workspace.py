@@ -43,7 +43,6 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
-from .lowering import view
 from .sources import stamp
 
 T = TypeVar("T")
@@ -382,8 +381,6 @@ class WorkspaceType(types.Type):
     Its name changes with the declaration and with this module, so that no code in a cache outlives them.
     """
 
-    lends = True  # the workspace outlives the kernels that use it, see `lowering`
-
     def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:
         self.layout = layout
         super().__init__(f"Workspace({hashlib.sha256((_CODE + repr(layout)).encode()).hexdigest()[:16]})")
@@ -466,18 +463,13 @@ def _read(context: Any, builder: Any, kind: WorkspaceType, pointer: Any, name: s
     for length in shape[:0:-1] if order == "C" else shape[:-1]:
         strides.append(builder.mul(strides[-1], length))
     array_type = _array_type(*rest)
-    pointer_type = context.get_value_type(array_type.dtype).as_pointer()
-    nobody = ir.Constant(ir.IntType(8).as_pointer(), None)
-    return view(
-        context,
-        builder,
-        array_type,
-        (nobody, nobody),
-        width,
-        builder.inttoptr(value, pointer_type),
-        shape,
-        strides[::-1] if order == "C" else strides,
-    )
+    array = context.make_array(array_type)(context, builder)  # its owner, `meminfo`, is null
+    array.data = builder.inttoptr(value, array.data.type)
+    array.itemsize = width
+    array.nitems = functools.reduce(builder.mul, shape)
+    array.shape = cgutils.pack_array(builder, shape)
+    array.strides = cgutils.pack_array(builder, strides[::-1] if order == "C" else strides)
+    return array._getvalue()
 
 
 @lower_setattr_generic(WorkspaceType)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead, plain_tuple
+from ..._compile.borrowing import borrowed
 from ..._compile.jit import jit
 from .codes import (
     LAW_MET,
@@ -71,6 +72,7 @@ def solve_into(
     Returns:
         the values of an `Result`.
     """
+    factor, scratch, trace, path = borrowed(factor), borrowed(scratch), borrowed(trace), borrowed(path)
     begins, figure, flags, view, problem = prepare(
         w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._compile.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
+from ..._compile.borrowing import borrowed
 from ..._compile.jit import inner, jit, released
 from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
@@ -81,6 +82,7 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
         status, flags, iterations, how many coordinates are beyond their bounds; or `SINGULAR_MASS` and the
         velocity at which the factorization stops.
     """
+    mass, columns, room, out = borrowed(mass), borrowed(columns), borrowed(room), borrowed(out)
     n = len(v)
     beyond = 0
     for i in range(len(q)):
@@ -144,6 +146,7 @@ def _by_tree(work, room, evaluated, q, v, mu, e, out):
 
     Where the tree is `evaluated`, at this q by the call before, room has it still.
     """
+    room, q, v, out = borrowed(room), borrowed(q), borrowed(v), borrowed(out)
     nv, n = work.nv, work.bodies
     first = BODY * (n + 2)
     second = first + 6 * nv
@@ -183,6 +186,7 @@ def robot_impact(work, q, v, e, out):
 @inner
 def _keep(row, status, flags, out, after, impulses, codes, numbers):
     """Write a row of a batch."""
+    out, numbers = borrowed(out), borrowed(numbers)
     n = after.shape[1]
     codes[row, 0] = status
     if status > LOCKED:

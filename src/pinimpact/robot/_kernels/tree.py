@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from ..._compile.ahead import FLOAT_ROWS, INTEGERS, ahead
+from ..._compile.borrowing import borrowed
 from ..._compile.jit import jit
 
 EPS = 2.0**-52
@@ -59,7 +60,7 @@ def factor(mass, parents, lower):
 @jit
 def solve_transposed(lower, parents, rows):
     """Solve Lᵀ y = x in place for each row x (nv,) of `rows` (m, nv)."""
-    for row in rows:
+    for row in borrowed(rows):
         for i in range(len(row) - 1, -1, -1):
             if row[i] != 0.0:
                 x = row[i] / lower[i, i]
@@ -74,7 +75,7 @@ def solve_transposed(lower, parents, rows):
 @jit
 def solve(lower, parents, rows):
     """Solve L y = x in place for each row x (nv,) of `rows` (m, nv)."""
-    for row in rows:
+    for row in borrowed(rows):
         for i in range(len(row)):
             x = row[i]
             j = parents[i]

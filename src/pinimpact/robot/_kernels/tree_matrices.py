@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.borrowing import borrowed
 from ..._compile.jit import inner, jit, separate
 from .placement import rotate
 from .robot_workspace import (
@@ -180,6 +181,7 @@ def tree_matrices(work, q, bodies, columns, mass):
     Returns:
         whether q is normalized.
     """
+    bodies, columns, mass = borrowed(bodies), borrowed(columns), borrowed(mass)
     n = work.bodies
     bodies[0, :] = 0.0
     bodies[0, 0] = bodies[0, 4] = bodies[0, 8] = 1.0
