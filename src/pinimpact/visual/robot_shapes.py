@@ -31,7 +31,11 @@ def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder)
 
     display = ByJoint(model, None, shapes)
     display.initViewer(viewer=view)
-    display.loadViewerModel()
+    with warnings.catch_warnings():
+        # Pinocchio asks for the truth value of XML elements of Collada meshes, deprecated since Python 3.12;
+        # as an error it would leave the mesh out
+        warnings.simplefilter("ignore", DeprecationWarning)
+        display.loadViewerModel()
     for shape in shapes.geometryObjects:
         place = shape.placement.homogeneous @ np.diag([*np.ravel(shape.meshScale), 1.0])
         view[display.getViewerNodeName(shape, None)].set_transform(place)

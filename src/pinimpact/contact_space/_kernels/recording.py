@@ -8,8 +8,9 @@ from .slip_series import SETTLED, point
 TRACE_ROWS = 32
 """Rows of a trace that hold every impact: its mode changes once or twice, its phase at most three times."""
 
-POINTS = 8
-"""Points recorded on one series of turning slip; twice as many on one around an invariant direction."""
+POINTS = 64
+"""Points recorded on one series of turning slip, so that straight lines between them look smooth; four times
+as many on one around an invariant direction, which spans `SETTLED` e-folds."""
 
 
 @inner
@@ -67,7 +68,7 @@ def record_series(path, points, series, x, d1, d2, p1, p2, p3):
         d1, d2: Its first axis.
         p1, p2, p3: Impulse at its start.
     """
-    end, count = (min(x, SETTLED), 2 * POINTS) if series.around_invariant else (x, POINTS)
+    end, count = (min(x, SETTLED), 4 * POINTS) if series.around_invariant else (x, POINTS)
     for i in range(1, count):
         normal, along, across, dv3, ratio, t, _, _ = point(series, end * i / count)
         radius = series.speed * ratio / (1.0 + t * t)
