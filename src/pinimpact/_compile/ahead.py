@@ -16,6 +16,7 @@ the type of the result is told too, callers are compiled without it::
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable, Sequence
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple, TypeVar, get_type_hints
@@ -108,6 +109,11 @@ def callees(function: FunctionType) -> list[Any]:
     return [one for one in seen if hasattr(one, "py_func")]
 
 
+def kernel_of(job: Job) -> Any:
+    """Return the kernel of a job."""
+    return getattr(importlib.import_module(job.module), job.name)
+
+
 def is_part(kernel: Any) -> bool:
     """Whether the code of a kernel that is kept goes into its callers."""
     return getattr(kernel, "is_part", False)
@@ -149,7 +155,7 @@ def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
         own[one] = sum(
             len(part.py_func.__code__.co_code) for part in inside[one] if not is_job(part) or part is one
         )
-        whole[one] = own[one] + sum(whole[other] for other in inside[one] - {one} if is_part(other))
+        whole[one] = own[one] + sum(whole.get(other, 0) for other in inside[one] - {one} if is_part(other))
     to_go: dict[Any, int] = {}  # the code on the longest way from each through its callers
     for one in reversed(made):
         code = own[one] if is_part(one) else own[one] + whole[one]

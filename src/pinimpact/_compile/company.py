@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import importlib
 import os
 import pickle
 import subprocess
@@ -27,7 +26,7 @@ from typing import Any, TypeVar
 
 import numba
 
-from .ahead import Job, result_ahead
+from .ahead import Job, kernel_of, result_ahead
 from .linking import stand_in, to_be_kept_only
 from .sources import PACKAGE, ROOT, memory
 from .waiting import COUNT, LOG
@@ -134,7 +133,7 @@ class Company:
             LOG.info(COUNT, sum(over), len(jobs))
             self._at_work = job
             with suppress(Exception):  # types that it cannot be called with; or else whoever calls it tells
-                getattr(importlib.import_module(job.module), job.name).compile(job.types)
+                kernel_of(job).compile(job.types)
             self.release(job)
             if self._helpers:  # a second at the end, while nobody helps any more; a helper ends before
                 gc.collect(0)

@@ -16,11 +16,19 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba import _dynfunc
-from numba.core import compiler, funcdesc, typed_passes, typing
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler_machinery import PassManager, register_pass
 
+from .numba_internals import (
+    CompilerBase,
+    DefaultPassBuilder,
+    Environment,
+    Flags,
+    JITCodeLibrary,
+    NativeLowering,
+    PythonFunctionDescriptor,
+    compile_result,
+    make_function,
+    register_pass,
+)
 from .sources import stamp
 
 Kernel = tuple[str, str, tuple[Any, ...]]
@@ -218,10 +226,10 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
         result: The type of what it returns.
     """
     function, context = kernel.py_func, kernel.targetctx
-    flags = compiler.Flags()
+    flags = Flags()
     kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)
     flags.no_compile = True
-    fndesc = funcdesc.PythonFunctionDescriptor(
+    fndesc = PythonFunctionDescriptor(
         *(True, function.__module__, function.__qualname__, function.__qualname__, "", None, result, None),
         *(function.__code__.co_varnames[: len(types)], (), context.mangler),
         argtypes=types,
@@ -231,13 +239,13 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
     )
     name = function.__module__, function.__qualname__, types
     library = KernelLibrary.without_code(context.codegen(), name)
-    return compiler.compile_result(
+    return compile_result(
         typing_context=kernel.typingctx,
         target_context=context,
         library=library,
-        entry_point=_no_entry(library, fndesc, _dynfunc.Environment({})),
+        entry_point=_no_entry(library, fndesc, Environment({})),
         fndesc=fndesc,
-        signature=typing.signature(result, *types),
+        signature=result(*types),
         objectmode=False,
     )
 
@@ -252,7 +260,7 @@ def _loaded(kernel: Kernel) -> Any:
 
 def _no_entry(library: Any, fndesc: Any, env: Any) -> Any:
     """Return what stands for a function that Python cannot call."""
-    return _dynfunc.make_function(fndesc.lookup_module(), fndesc.qualname, "", 0, env, (library,))
+    return make_function(fndesc.lookup_module(), fndesc.qualname, "", 0, env, (library,))
 
 
 def _code(library: Any) -> Any:
@@ -273,7 +281,7 @@ def _needed(library: Any) -> list[Any]:
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class KernelLowering(typed_passes.NativeLowering):
+class KernelLowering(NativeLowering):
     """Lowering to what the library of a kernel makes of it."""
 
     _name = "kernel_lowering"
@@ -328,7 +336,7 @@ def _deep() -> Iterator[None]:
 _LEFT_OUT = {"InlineClosureLikes", "NopythonRewrites", "ReconstructSSA", "PreLowerStripPhis"}
 
 
-class KernelCompiler(compiler.CompilerBase):
+class KernelCompiler(CompilerBase):
     """The passes of numba that kernels need: all but some, which take a sixth of the time.
 
     Kernels have no closures and no expressions of whole arrays. Static single assignment they do not need: a
@@ -342,7 +350,7 @@ class KernelCompiler(compiler.CompilerBase):
         with _deep():
             return super().compile_extra(func)
 
-    def define_pipelines(self) -> list[PassManager]:
+    def define_pipelines(self) -> list[Any]:
         """Return the one list of passes."""
         state = self.state
         function = state.func_id
@@ -353,9 +361,9 @@ class KernelCompiler(compiler.CompilerBase):
             state.library = self.library(state.targetctx.codegen(), function.func_qualname)
             state.library.enable_object_caching()
             state.library.kernel = function.modname, function.func_qualname, tuple(state.args)
-        passes = compiler.DefaultPassBuilder.define_nopython_pipeline(state, "kernel")
+        passes = DefaultPassBuilder.define_nopython_pipeline(state, "kernel")
         passes.passes = [
-            (KernelLowering if one is typed_passes.NativeLowering else one, why)
+            (KernelLowering if one is NativeLowering else one, why)
             for one, why in passes.passes
             if one.__name__
             not in {"InlineClosureLikes", "ReconstructSSA", "PreLowerStripPhis", "NopythonRewrites"}

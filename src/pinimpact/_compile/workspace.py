@@ -29,8 +29,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar, overlo
 
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, errors, types
-from numba.core.typing.templates import AttributeTemplate
+from numba import errors, types
 from numba.extending import (
     NativeValue,
     infer_getattr,
@@ -43,6 +42,7 @@ from numba.extending import (
 )
 from numpy.typing import NDArray
 
+from .numba_internals import AttributeTemplate
 from .sources import stamp
 
 T = TypeVar("T")
@@ -407,7 +407,8 @@ class _Model(models.PrimitiveModel):
 def _unbox(kind: WorkspaceType, work: Any, context: Any) -> NativeValue:
     api, builder = context.pyapi, context.builder
     buffer = api.alloca_buffer()
-    failed = cgutils.is_not_null(builder, api.get_buffer(work, buffer))
+    status = api.get_buffer(work, buffer)
+    failed = builder.icmp_signed("!=", status, status.type(0))
     place = builder.load(builder.bitcast(buffer, ir.IntType(8).as_pointer().as_pointer()))  # its first field
     api.release_buffer(buffer)  # the workspace outlives the kernel
     return NativeValue(place, is_error=failed)
@@ -442,6 +443,13 @@ def _load_integer(builder: Any, kind: WorkspaceType, pointer: Any, name: str | i
     return builder.load(_slot(builder, pointer, _slot_of(kind, name), _ADDRESS))
 
 
+def _packed(builder: Any, integers: list[Any]) -> Any:
+    made = ir.Constant(ir.ArrayType(_ADDRESS, len(integers)), ir.Undefined)
+    for place, one in enumerate(integers):
+        made = builder.insert_value(made, one, place)
+    return made
+
+
 @lower_getattr_generic(WorkspaceType)
 def _read(context: Any, builder: Any, kind: WorkspaceType, pointer: Any, name: str) -> Any:
     slot = _slot_of(kind, name)
@@ -467,8 +475,8 @@ def _read(context: Any, builder: Any, kind: WorkspaceType, pointer: Any, name: s
     array.data = builder.inttoptr(value, array.data.type)
     array.itemsize = width
     array.nitems = functools.reduce(builder.mul, shape)
-    array.shape = cgutils.pack_array(builder, shape)
-    array.strides = cgutils.pack_array(builder, strides[::-1] if order == "C" else strides)
+    array.shape = _packed(builder, shape)
+    array.strides = _packed(builder, strides[::-1] if order == "C" else strides)
     return array._getvalue()
 
 
@@ -483,7 +491,7 @@ def _write(context: Any, builder: Any, signature: Any, arguments: Any, name: str
     value = context.cast(builder, value, signature.args[1], _LOCAL[field])
     if field == "_Count":
         limit = _load_integer(builder, kind, pointer, rest[0])
-        with cgutils.if_unlikely(builder, builder.icmp_unsigned(">", value, limit)):
+        with builder.if_then(builder.icmp_unsigned(">", value, limit), likely=False):
             message = f"{name} set to more than {rest[0]}"
             context.call_conv.return_user_exc(builder, ValueError, (message,))
     if field == "_Flag":

@@ -12,7 +12,6 @@ import ctypes
 
 from llvmlite import binding, ir
 from numba import config, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ..._compile.jit import inner
@@ -45,7 +44,8 @@ def _keep_error(typing_context):
 
 
 def _declared(builder, name, arguments):
-    return cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), arguments), name)
+    known = builder.module.globals.get(name)
+    return known or ir.Function(builder.module, ir.FunctionType(ir.VoidType(), arguments), name)
 
 
 def _call(function, arguments):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from types import ModuleType
 
-import numpy as np
-
 from ...._compile.jit import inner
 from . import force_bound, friction_reversal, gap, joint_limit, saturation, slip_end
 
@@ -18,34 +16,36 @@ closes, the modes are set anew first.
 """
 
 
-def _chain(kind: int):
-    """Return the kernel that asks one event after the other, from the one of this kind on."""
-    if kind == len(EVENTS):
-
-        @inner
-        def end_of_chain(work):
-            pass
-
-        return end_of_chain
-
-    first, others, number = EVENTS[kind].first, _chain(kind + 1), np.int64(kind)
-
-    @inner
-    def search(work):
-        time, which = first(work, min(work.event_time, work.step_start + work.step_length))
-        if time < math.inf:
-            work.event_time, work.event_kind, work.event_index = time, number, which
-        if work.event_time > -math.inf:
-            others(work)
-
-    return search
+GAP, JOINT_LIMIT, SATURATION, FRICTION_REVERSAL, SLIP_END, FORCE_BOUND = range(len(EVENTS))
 
 
-_search = _chain(0)
+@inner
+def _take(work, kind, found):
+    """Keep an event if it comes before the end of the search; return whether the search goes on."""
+    time, which = found
+    if time < math.inf:
+        work.event_time, work.event_kind, work.event_index = time, kind, which
+    return work.event_time > -math.inf
+
+
+@inner
+def _end(work):
+    """Return where the search ends: at the end of the step, or at the event found so far."""
+    return min(work.event_time, work.step_start + work.step_length)
 
 
 @inner
 def find_first_event(work):
     """Leave time, kind and index of the first event in the step last completed; see `event_time`."""
     work.event_time = math.inf
-    _search(work)
+    if not _take(work, GAP, gap.first(work, _end(work))):
+        return
+    if not _take(work, JOINT_LIMIT, joint_limit.first(work, _end(work))):
+        return
+    if not _take(work, SATURATION, saturation.first(work, _end(work))):
+        return
+    if not _take(work, FRICTION_REVERSAL, friction_reversal.first(work, _end(work))):
+        return
+    if not _take(work, SLIP_END, slip_end.first(work, _end(work))):
+        return
+    _take(work, FORCE_BOUND, force_bound.first(work, _end(work)))

@@ -1,0 +1,202 @@
+"""Kernels kept on disk: by name and types, and by the code that they were made from; see `sources`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, partial
+from typing import Any
+
+from . import company
+from .ahead import Job, result_ahead
+from .linking import symbol_stamp
+from .lock import CacheLock
+from .numba_internals import CompileResultCacheImpl, FunctionCache, NullCache, compile_result, rtsys
+from .sources import PACKAGE, memory, stamp
+from .waiting import LOG, SHORT
+
+
+class _Stamped:
+    """Where a kernel is cached: by its name, and by the code that it is made from."""
+
+    _module: str
+
+    def get_source_stamp(self) -> str:
+        memory.keep_in(self.get_cache_path())
+        return stamp(self._module)
+
+    def get_disambiguator(self) -> str:
+        return PACKAGE
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        self = super().from_function(py_func, py_file)  # type: ignore[misc]
+        if self is not None:
+            self._module = py_func.__module__
+        return self
+
+
+class _CacheImpl(CompileResultCacheImpl):
+    _locator_classes = tuple(
+        type(f"Stamped{locator.__name__}", (_Stamped, locator), {})
+        for locator in CompileResultCacheImpl._locator_classes
+    )
+
+    def reduce(self, result: Any) -> Any:
+        envs = tuple(one for one in result._find_referenced_environments() if one.consts)
+        library = result.library.serialize_using_object_code()
+        return type(result.library), library, result.fndesc, result.environment, result.signature, envs
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        made, state, fndesc, env, signature, envs = payload
+        if not fndesc.uid.startswith(
+            symbol_stamp(fndesc.modname)
+        ):  # written late, by a process that ran on other code
+            return None
+        codegen = target_context.codegen()
+        library = made.load(codegen, state)
+        entry = library.entry(target_context, fndesc, env)
+        for one in envs:
+            codegen.set_env(one.env_name, one)
+        return compile_result(
+            target_context=target_context,
+            typing_context=target_context.typing_context,
+            library=library,
+            environment=env,
+            entry_point=entry,
+            fndesc=fndesc,
+            signature=signature,
+            objectmode=False,
+            reload_init=(),
+            referenced_envs=envs,
+        )
+
+
+class _DiskCache(FunctionCache):
+    _impl_class = _CacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a kernel, without all that numba imports first, which is for what compiles."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return sig, codegen.magic_tuple()  # the stamp covers the code
+
+    def knows(self, types: Any, codegen: Any) -> bool:
+        return self._index_key(types, codegen) in self._cache_file._load_index()
+
+
+@cache
+def lock() -> CacheLock | None:
+    """Return the lock of the folder where kernels are kept; None where no folder is writable."""
+    try:
+        return CacheLock(_DiskCache(_place).cache_path)
+    except RuntimeError:
+        return None
+
+
+def _place() -> None:
+    """Have a module, beside whose cache the lock stands."""
+
+
+_in_session = False
+
+
+@contextmanager
+def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
+    """Compile what the cache lacks while no other process does; the lock is taken when something is missing.
+
+    Args:
+        missing: Whether something is known to be missing.
+        needless: Whether all that is wanted is kept by now, so that nobody need be waited for.
+    """
+    global _in_session
+    _in_session = True
+    try:
+        if missing:
+            _hold_lock(needless)
+        yield
+    finally:
+        _in_session = False
+        found = lock()
+        if found is not None:
+            found.release()
+
+
+def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
+    """Take the lock, if a session has not got it; return whether others may have left something meanwhile."""
+    found = lock()
+    if not _in_session or found is None or found.held:
+        return False
+    begun, said = time.monotonic(), False
+
+    def enough() -> bool:
+        nonlocal said
+        if not said and time.monotonic() - begun > SHORT:
+            said = True
+            LOG.warning("%s: waiting for another process that compiles kernels, see %s", PACKAGE, found.file)
+        return needless()
+
+    found.acquire(enough)
+    return True
+
+
+class KernelCache(NullCache):
+    """The cache of a kernel, looked for on first use, for that takes time and most kernels are not used."""
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
+        self._disk: Any = None
+
+    @property
+    def cache_path(self) -> str | None:
+        return self._find().cache_path
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether what is compiled is kept."""
+        return isinstance(self._find(), _DiskCache)
+
+    def knows(self, types: Any) -> bool:
+        """Whether the kernel is kept for some types of arguments."""
+        disk = self._find()
+        return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = company.present.lend(self._kernel, self._job(sig)) if company.present is not None else None
+        if found is None:
+            found = self._load(sig, target_context)
+        if found is None and company.present is not None:
+            found = company.present.of_others(self._job(sig), partial(self._load, sig, target_context))
+        elif found is None and _hold_lock():
+            found = self._load(sig, target_context)
+        return found
+
+    def save_overload(self, sig: Any, cres: Any) -> None:
+        told, found = result_ahead(self._kernel, tuple(sig)), cres.signature.return_type
+        if told not in (None, found):
+            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as told ahead")
+        self._find().save_overload(sig, cres)
+        if company.present is not None:
+            company.present.release(self._job(sig))
+
+    def _job(self, sig: Any) -> Any:
+        function = self._kernel.py_func
+        return Job(function.__module__, function.__qualname__, tuple(sig))
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        found = self._find().load_overload(sig, target_context)
+        if found is not None and found.signature.args != tuple(sig):  # two processes took one file name
+            found = None
+        return found
+
+    def _find(self) -> Any:
+        if self._disk is None:
+            try:
+                self._disk = _DiskCache(self._kernel.py_func)
+            except RuntimeError:  # no writable place at all: compile in every process
+                self._disk = NullCache()
+        return self._disk

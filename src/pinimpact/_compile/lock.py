@@ -1,0 +1,119 @@
+"""One lock for a cache folder, shared by all processes that use it, on one machine or on several.
+
+Whoever compiles holds it, so that what many processes need at once is compiled by one of them. The lock is a
+file that names its holder; the holder touches it every `BEAT` seconds. A lock is taken over when its process
+is gone, or when nobody has touched it for `STALE` seconds, by the clock of the one that waits. Where a lock
+fails, for whatever reason, something is compiled twice and nothing else happens.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+BEAT, STALE = 2.0, 20.0
+"""Time between two touches, and without one until the lock is taken over [s]."""
+
+PAUSE = 0.1
+"""Time between looks at the lock [s]."""
+
+
+class CacheLock:
+    """The lock of a cache folder.
+
+    Attributes:
+        file: The file that is the lock.
+
+    Args:
+        folder: The folder; it need not exist yet.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.file = Path(folder, "pinimpact.lock")
+        self._token = ""
+        self._ended = threading.Event()
+
+    @property
+    def held(self) -> bool:
+        """Whether this process holds the lock."""
+        return self._token.startswith(f"{_owner()} ")
+
+    def acquire(self, needless: Callable[[], bool] = lambda: False) -> None:
+        """Wait for the lock and take it; return without it as soon as it is `needless`, or cannot be had."""
+        token = f"{_owner()} {secrets.token_hex(8)}"
+        seen, since = None, time.monotonic()
+        while not self.held:
+            try:
+                self.file.parent.mkdir(parents=True, exist_ok=True)
+                with open(self.file, "x") as file:
+                    file.write(token)
+            except FileExistsError:
+                now = self._state()
+                if now != seen:
+                    seen, since = now, time.monotonic()
+                elif now is not None and (_is_gone(now[0]) or time.monotonic() - since > STALE):
+                    self._remove(now[0])
+                    continue
+                if needless():
+                    return
+                time.sleep(PAUSE)
+            except OSError:
+                return
+            else:
+                self._token, self._ended = token, threading.Event()
+                threading.Thread(target=self._beat, args=(self._ended,), daemon=True).start()
+
+    def release(self) -> None:
+        """Give the lock back, if this process holds it."""
+        if self.held:
+            self._ended.set()
+            self._remove(self._token)
+        self._token = ""
+
+    def _state(self) -> tuple[str, int] | None:
+        """Return who holds the lock, and when it was touched."""
+        try:
+            return self.file.read_text(), self.file.stat().st_mtime_ns
+        except OSError:
+            return None
+
+    def _remove(self, token: str) -> None:
+        """Remove the lock of a holder, unless another holds it by now."""
+        aside = self.file.with_suffix(f".{secrets.token_hex(8)}")
+        with suppress(OSError):
+            os.rename(self.file, aside)
+            if aside.read_text() != token:
+                with suppress(OSError):
+                    os.link(aside, self.file)
+            aside.unlink()
+
+    def _beat(self, ended: threading.Event) -> None:
+        while not ended.wait(BEAT):
+            with suppress(OSError):
+                if self.file.read_text() == self._token:
+                    os.utime(self.file)
+
+
+def _owner() -> str:
+    return f"{socket.gethostname()} {os.getpid()}"
+
+
+def _is_gone(token: str) -> bool:
+    """Whether the holder was a process of this machine that has ended."""
+    host, _, rest = token.partition(" ")
+    pid = rest.partition(" ")[0]
+    if host != socket.gethostname() or not pid.isdigit() or os.name != "posix":
+        return False
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False

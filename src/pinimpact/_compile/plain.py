@@ -1,0 +1,40 @@
+"""Kernels by plain numba, `njit(cache=True)`, where the compiler of `linking` cannot be used.
+
+The results are the same to rounding. To compile takes several times as long, for numba optimizes a function
+anew in each of its callers. It looks at the source of a kernel only, not at those of its callees, to see
+whether what it has kept is stale: after an edit of kernels, empty the cache.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+
+import numba
+
+from .numba_internals import MISSING
+from .waiting import LOG, PACKAGE
+
+VARIABLE = "PINIMPACT_PLAIN_NUMBA"
+
+TRIED = (0, 61), (0, 68)
+"""The oldest and the newest version of numba that the compiler of `linking` has been run with."""
+
+SECONDS = {"impacts": 40, "scenes": 150}
+"""How long plain numba takes for the kernels of a first impact and a first scene, about [s]."""
+
+
+def reason(version: tuple[int, ...] = numba.version_info[:2]) -> str:
+    """Return why kernels are compiled by plain numba; empty where they are not."""
+    if os.environ.get(VARIABLE, "0") not in ("", "0"):
+        return f"{VARIABLE} is set"
+    if not TRIED[0] <= version <= TRIED[1]:
+        return f"numba {'.'.join(map(str, version))} has not been tried ({TRIED[0]} to {TRIED[1]} have)"
+    return f"this numba lacks a name: {MISSING}" if MISSING else ""
+
+
+@cache
+def warn(why: str) -> None:
+    """Say once what plain numba means for the first run."""
+    times = " and ".join(f"about {seconds} s for {purpose}" for purpose, seconds in SECONDS.items())
+    LOG.warning("%s: %s: kernels are compiled by plain numba; a first run takes %s", PACKAGE, why, times)
