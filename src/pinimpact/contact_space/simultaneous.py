@@ -378,15 +378,12 @@ def _together(inputs: ManyInputs, record: bool) -> ManySolution:
     n = len(inputs.velocity)
     velocity = inputs.velocity.ravel()
     compression, restitution = np.zeros((2, 3 * n))
-    missed = impulses_together(
-        *(inputs.delassus, velocity, inputs.friction, np.zeros(n), np.zeros(n), compression)
-    )
+    w, mu, k = inputs.delassus, inputs.friction, inputs.stiffness
+    missed = impulses_together(w, velocity, mu, np.zeros(n), k, compression)
     between = velocity + inputs.delassus @ compression
     given = inputs.restitution * np.maximum(compression[2::3], 0.0)
     if given.any():
-        further = impulses_together(
-            *(inputs.delassus, between, inputs.friction, given, np.zeros(n), restitution)
-        )
+        further = impulses_together(w, between, mu, given, k, restitution)
         missed = max(missed, further)
     after = between + inputs.delassus @ restitution
     rest = 1e-6 * float(np.abs(velocity).max(initial=0.0))
@@ -422,7 +419,8 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
     start = inputs.velocity.ravel()
     rest = RESTS * float(np.abs(start).max(initial=0.0))
     plastic, elastic, part = np.zeros((3, 3 * n))
-    impulses_together(inputs.delassus, start, np.zeros(n), np.zeros(n), np.zeros(n), plastic)
+    none = np.zeros(n)
+    impulses_together(inputs.delassus, start, none, none, inputs.stiffness, plastic)
     velocity, count = start.copy(), 0
     while (velocity[2::3] < -rest).any():
         if count >= MOST_IMPACTS * n:
@@ -438,7 +436,7 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
         found = np.zeros(len(rows))
         block = np.ascontiguousarray(inputs.delassus[np.ix_(rows, rows)])
         none = np.zeros(len(struck))
-        impulses_together(block, velocity[rows], none, none, none, found)
+        impulses_together(block, velocity[rows], none, none, inputs.stiffness[struck], found)
         part[:] = 0.0
         part[rows] = 2.0 * found
         elastic += part

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._compile.jit import inner, jit, separate
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.loops import repeated
+from ..._numeric.coulomb_problem import solve_compliant
+from ..._numeric.loops import flags, repeated
 
 STOPPED = 1e-6
 """Part of the largest velocity that an approach may keep by rounding."""
@@ -17,11 +16,8 @@ STOPPED = 1e-6
 TINY, SWEEPS = 1e-14, 100
 """Part of the largest velocity that is zero, and how often approaches at rest are taken away at most."""
 
-FOUND = 1e-6
-"""What the last repetition may change of the velocities where Coulomb's law is met well enough."""
-
-REPETITIONS, SETTLED = 500, 1e-12
-"""Of the search for Coulomb's law, and the change of velocities, in parts of the largest, that ends it."""
+FOUND = 1e-8
+"""What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
 
 
 @ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
@@ -80,38 +76,27 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
 
 @ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
-def impulses_together(w, v, friction, given, shift, impulse):
-    """Fill the impulses (3n,) of Coulomb's law on impulses: sliding contacts neither part nor approach.
-
-    The least power of `plastic_impulses` lets what slides part at μ |v_t|; the shift that takes this away is
-    found by repetition. (14.7)
+def impulses_together(w, v, friction, given, stiffness, impulse):
+    """Fill the impulses (3n,) of Coulomb's law on impulses: what slides neither parts nor approaches. (14.7)
 
     Args:
-        w, v, friction, given, impulse: As there.
-        shift: (n,) the shift to begin with, ≥ 0; takes what is found.
+        w, v, friction, given: As in `plastic_impulses`.
+        stiffness: (n,) k; of several impulses the limit of small compliances 1/k is taken.
+        impulse: (3n,) takes P; where none is found, that of `plastic_impulses`.
 
     Returns:
-        What the last repetition has changed, in parts of the largest velocity.
+        What they miss Coulomb's law by, in parts of the largest velocity.
     """
     n = len(friction)
-    before, largest = np.empty(3 * n), 1e-300
-    for i in range(3 * n):
-        largest = max(largest, abs(v[i]))
-    change = 0.0
-    for _ in range(REPETITIONS):
-        plastic_impulses(w, v, friction, given, shift, impulse)
-        change = 0.0
-        for j in range(n):
-            for a in range(2):
-                before[3 * j + a] = v[3 * j + a]
-                for k in range(3 * n):
-                    before[3 * j + a] += w[3 * j + a, k] * impulse[k]
-            slides = friction[j] * math.hypot(before[3 * j], before[3 * j + 1])
-            change = max(change, abs(slides - shift[j]) / largest)
-            shift[j] = slides
-        if change <= SETTLED:
-            break
-    return change
+    compliance = np.empty(n)
+    for i in range(n):
+        impulse[3 * i] = impulse[3 * i + 1] = 0.0
+        impulse[3 * i + 2], compliance[i] = given[i], 1.0 / stiffness[i]
+    none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
+    missed = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
+    if not missed <= FOUND:
+        plastic_impulses(w, v, friction, given, np.zeros(n), impulse)
+    return missed
 
 
 @inner
@@ -141,16 +126,12 @@ def come_to_rest(system, state, works):
 def end_plastically(system, state, works):
     """Bring an impact to its end by a plastic one; return whether that stops all approaches.
 
-    What slides begins with the shift that keeps it on its surface, so that where hardly anything approaches
-    hardly anything changes. Where no shift is found the rest loses as much energy as it can. (14.6)
+    Where no impulses by Coulomb's law are found it loses as much energy as it can. (14.6)
     """
     w, v = system.w, state.v
     n = len(system.friction)
-    impulse, zero, shift = np.empty(3 * n), np.zeros(n), np.empty(n)
-    for j in range(n):
-        shift[j] = system.friction[j] * math.hypot(v[3 * j], v[3 * j + 1])
-    if not impulses_together(w, v, system.friction, zero, shift, impulse) <= FOUND:
-        plastic_impulses(w, v, system.friction, zero, zero, impulse)
+    impulse, zero, ones = np.empty(3 * n), np.zeros(n), np.ones(n)
+    impulses_together(w, v, system.friction, zero, ones, impulse)
     stopped = True
     for i in range(3 * n):
         change = 0.0

@@ -1,0 +1,419 @@
+"""Coulomb's law for contacts and bounded scalar rows: one problem, one solver. (theory.md, 11)
+
+    u = u_free + W f,
+    contacts:     0 ≤ f_3 − l ⟂ u_3 ≥ 0,  |f_t| ≤ μ f_3,  f_t = −μ f_3 u_t/|u_t| where u_t ≠ 0,
+    scalar rows:  lower ≤ f ≤ upper,  u = 0 between them, u ≥ 0 at lower, u ≤ 0 at upper.
+
+u are velocities and f impulses, or u accelerations and f forces. A contact that slides has its friction along
+the direction of its slip, whatever u_t. With De Saxcé's s = μ|u_t| this is a cone complementarity problem,
+f in K and u + s n in its dual cone; where a contact slides K is a half-line and s = μ σ·u_t.
+
+The alternating direction method of multipliers comes near a solution (J. Carpentier, Q. Le Lidec,
+L. Montaut, From compliant to rigid contact simulation, RSS 2024), and Newton's method on what is open, sticks
+and slips then goes to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from .._compile.jit import inner, separate
+from .cone_program import cholesky, substitute
+from .least_norm import least_norm
+from .loops import assign, flags, repeated
+from .products import apply
+
+SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
+"""Types: W, u_free, velocities of slip, friction, least normal forces, held, bounds, and the forces."""
+
+ITERATIONS = 2000
+"""Of the method of multipliers, at most."""
+
+PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
+"""Its first penalty (of rows whose diagonal is one), and by what factor it changes where what is missed of
+f = y and of u differ by such a one."""
+
+COMPLIANCE = 1e-9
+"""What is added to the diagonal, so that it is definite; Newton's method takes it away."""
+
+NEAR = 1e-2
+"""Residual from which on Newton's method is tried."""
+
+LONG = 500
+"""Iterations after which it is tried from anywhere."""
+
+POLISH = 8
+"""Steps of Newton's method after one."""
+
+ACCURATE, USABLE = 1e-11, 1e-10
+"""Residuals of forces: one at which to stop, and one that will do where it falls no more."""
+
+ROUNDING = 1e-15
+"""A residual that is rounding."""
+
+SMALL = 1e-5
+"""A compliance that is small beside the largest of W: what it changes has its square left, 10⁻¹⁰."""
+
+CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
+"""What `polish` is told of a contact in its first iteration."""
+
+
+@inner
+def into_cone(x, b, mu, least, directions, slides):
+    """Take the force at b, b + 1, b + 2 of x to the nearest of its cone, or half-line, from `least` on."""
+    k = b // 3
+    if slides:
+        s1, s2 = directions[k, 0], directions[k, 1]
+        push = max(least, (x[b + 2] - mu * (s1 * x[b] + s2 * x[b + 1])) / (1.0 + mu * mu))
+        x[b], x[b + 1], x[b + 2] = -mu * push * s1, -mu * push * s2, push
+        return
+    length, push = math.hypot(x[b], x[b + 1]), x[b + 2]
+    if length > mu * push:  # on the cone's surface, or at its tip
+        push = max(0.0, (mu * length + push) / (1.0 + mu * mu))
+    push = max(push, least)
+    if length > mu * push:
+        x[b], x[b + 1] = x[b] * mu * push / length, x[b + 1] * mu * push / length
+    x[b + 2] = push
+
+
+@inner
+def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
+    """Fill x with the minimum over all forces, given those in the cones y, multipliers z and shifts."""
+    for a in range(len(x)):
+        x[a] = z[a] + penalty * y[a] - free[a]
+    for i in range(len(shift)):
+        x[3 * i + 2] -= shift[i]
+    substitute(lower_factor, x)
+
+
+@ahead(*SYSTEM, result=float)
+@separate
+def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
+    """Fill x with forces that obey the law, from those that it has.
+
+    Args:
+        delassus: (3 nc + ns, 3 nc + ns) W of nc contacts (t₁, t₂, n), then of ns scalar rows.
+        free: (3 nc + ns,) u without forces.
+        velocity: (nc, 2) of contacts that slide, whose friction is along it; zero for what may stick.
+        mu: (nc,) coefficients of friction.
+        least: (nc,) l ≥ 0, least normal forces.
+        held: (nc,) contacts without bounds.
+        lower: (ns,) least scalar forces, infinite where there is no bound.
+        upper: (ns,) largest scalar forces, likewise.
+        x: (3 nc + ns,) where to begin; takes the forces.
+
+    Returns:
+        How far they are from the law, in parts of u_free; more than `USABLE` where none are found.
+    """
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    d, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
+    loads = np.empty(size)  # of the order of what is solved, also where nothing but `least` acts
+    for a in range(size):
+        loads[a] = abs(free[a])
+        for i in range(nc):
+            loads[a] += abs(delassus[a, 3 * i + 2]) * least[i]
+    if scale(delassus, loads, nc, d, scale_a, scale_f) == 0.0:
+        for a in range(size):
+            x[a] = 0.0
+        return 0.0
+    w, a_now, trial = np.empty((size, size)), np.empty(size), x.copy()
+    for a in range(size):
+        for b in range(size):
+            w[a, b] = d[a] * delassus[a, b] * d[b]
+    directions, slides = np.zeros((nc, 2)), flags(nc, False)
+    for i in range(nc):
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        slides[i] = speed > 0.0 and mu[i] > 0.0 and not held[i]
+        if slides[i]:
+            directions[i, 0], directions[i, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
+    low, high, rates = np.empty(nc + ns), np.empty(ns), np.empty(size)
+    for i in range(nc):
+        low[i] = least[i] / scale_f[3 * i + 2]
+    for i in range(ns):
+        low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+    f, y, z, shift = np.empty(size), np.empty(size), np.zeros(size), np.zeros(nc)
+    for a in range(size):
+        y[a], rates[a] = x[a] / scale_f[a], scale_a[a] * free[a]
+    factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
+    best = math.inf
+    for iteration in range(ITERATIONS + 1):
+        if iteration == next_try:
+            next_try = min(iteration + max(4, iteration // 4), ITERATIONS)
+            for a in range(size):
+                trial[a] = y[a] * scale_f[a]
+            now = residual(
+                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+            )
+            before = math.inf
+            while ROUNDING < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
+                before = now
+                now = newton(
+                    delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+                )
+            if now < best:
+                best = now
+                assign(x, trial)
+            if best <= ACCURATE:
+                break
+        if changed:
+            changed = False
+            for a in range(size):
+                for b in range(a + 1):
+                    factor[a, b] = w[a, b]
+                factor[a, a] += penalty + COMPLIANCE
+            cholesky(factor)
+        multipliers_step(penalty, factor, rates, f, y, z, shift)
+        apart = moved = 0.0
+        for a in range(size):
+            trial[a], y[a] = y[a], f[a] - z[a] / penalty
+        for i in range(nc):
+            if not held[i]:
+                into_cone(y, 3 * i, mu[i], low[i], directions, slides[i])
+        for i in range(ns):
+            a = 3 * nc + i
+            y[a] = min(max(y[a], low[nc + i]), high[i])
+        for a in range(size):
+            z[a] += penalty * (y[a] - f[a])
+            apart, moved = max(apart, abs(f[a] - y[a])), max(moved, penalty * abs(y[a] - trial[a]))
+        for i in range(nc):
+            b, last = 3 * i, shift[i]
+            if slides[i]:
+                shift[i] = mu[i] * (directions[i, 0] * z[b] + directions[i, 1] * z[b + 1])
+            elif not held[i]:
+                shift[i] = mu[i] * math.hypot(z[b], z[b + 1])
+            moved = max(moved, abs(shift[i] - last))
+        if iteration % 10 == 9:
+            changed = apart > IMBALANCE * moved or moved > IMBALANCE * apart
+            if changed:
+                penalty *= FACTOR if apart > moved else 1.0 / FACTOR
+    return best
+
+
+@ahead(*SYSTEM, FLOATS)
+@separate
+def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
+    """Fill x as `solve_coulomb` does, of several solutions with the limit of small compliances. (11.5)
+
+    With W + ε C for W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's method
+    goes to the nearest solution. Other arguments and what is returned are as there; x should begin as
+    symmetric as the problem is. C is diagonal, `compliance` (nc,) for each contact's rows, up to a factor.
+    """
+    nc, size = len(mu), len(free)
+    stiffest = softest = 0.0
+    for i in range(nc):
+        softest = max(softest, compliance[i])
+        for a in range(3 * i, 3 * i + 3):
+            stiffest = max(stiffest, delassus[a, a])
+    soft, far = delassus.copy(), x.copy()
+    for part in (2.0 * SMALL, SMALL):
+        for a in range(3 * nc):
+            soft[a, a] = delassus[a, a] + part * stiffest * compliance[a // 3] / softest
+        assign(far, x)
+        solve_coulomb(soft, free, velocity, mu, least, held, lower, upper, x)
+    for a in range(size):
+        x[a] += x[a] - far[a]
+    return solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x)
+
+
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@separate
+def residual(delassus, free, velocity, mu, least, held, lower, upper, x, accelerations, scale_a, scale_f):
+    """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    apply(delassus, x, accelerations)
+    worst = 0.0
+    for a in range(size):
+        accelerations[a] += free[a]
+    for i in range(nc):
+        b = 3 * i
+        fn, an = x[b + 2] / scale_f[b], accelerations[b + 2] * scale_a[b]
+        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
+        a1, a2 = accelerations[b] * scale_a[b], accelerations[b + 1] * scale_a[b]
+        if held[i]:
+            worst = max(worst, abs(an), abs(a1), abs(a2))
+            continue
+        worst = max(worst, abs(fn - max(least[i] / scale_f[b], fn - an)))
+        if mu[i] == 0.0:
+            continue
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        if speed > 0.0:
+            worst = max(
+                worst,
+                abs(f1 + mu[i] * fn * velocity[i, 0] / speed),
+                abs(f2 + mu[i] * fn * velocity[i, 1] / speed),
+            )
+            continue
+        g1, g2 = f1 - a1, f2 - a2  # the projection of f − a onto the disc is f
+        limit, length = mu[i] * max(fn, 0.0), math.hypot(g1, g2)
+        if length > limit:
+            g1, g2 = g1 * limit / length, g2 * limit / length
+        worst = max(worst, abs(f1 - g1), abs(f2 - g2))
+    for i in range(ns):
+        b = 3 * nc + i
+        f, rate = x[b] / scale_f[b], accelerations[b] * scale_a[b]
+        worst = max(worst, abs(f - min(max(f - rate, lower[i] / scale_f[b]), upper[i] / scale_f[b])))
+    return worst
+
+
+@ahead(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
+@separate
+def scale(delassus, free, contacts, d, scale_a, scale_f):
+    """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
+
+    Args:
+        delassus: (m, m) of the rows, three for each contact first.
+        free: (m,) accelerations without forces.
+        contacts: How many.
+        d: (m,) takes what makes the diagonal one.
+        scale_a: (m,) takes factors of accelerations.
+        scale_f: (m,) takes units of forces.
+    """
+    size = len(free)
+    largest = unit = 0.0
+    for a in range(size):
+        largest = max(largest, delassus[a, a])
+    for i in range(contacts):
+        softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
+        softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
+        for a in range(3 * i, 3 * i + 3):
+            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
+    for a in range(3 * contacts, size):
+        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
+    for a in range(size):
+        unit = max(unit, abs(d[a] * free[a]))
+    if unit > 0.0:
+        for a in range(size):
+            scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
+    return unit
+
+
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@separate
+def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
+    """Take forces x to rounding by Newton's method on what they say is active; return the residual."""
+    worst = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    if not 0.0 < worst < math.inf:
+        return worst
+    undecided = repeated(len(mu), AS_FORCES_SAY)
+    return polish(
+        delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
+    )
+
+
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
+@separate
+def polish(
+    delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed
+):
+    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.
+
+    In the first iteration contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1
+    leaves that to the forces.
+    """
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
+    trial = x.copy()
+    best = worst
+    no_basis, undecided = np.empty((0, size)), repeated(nc, AS_FORCES_SAY)
+    chosen = closed
+    for _ in range(POLISH):
+        linearize(
+            *(delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f),
+            *(chosen, system, right),
+        )
+        chosen = undecided
+        least_norm(system, right, 1e-11, step, no_basis)
+        for a in range(size):
+            trial[a] += step[a] * scale_f[a]
+        now = residual(
+            delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+        )
+        if now < best:
+            best = now
+            for a in range(size):
+                x[a] = trial[a]
+        if now <= 1e-14 or not now < 10.0 * best:
+            break
+    return best
+
+
+@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
+@separate
+def linearize(
+    delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
+):
+    """Fill the equations of a step of Newton's method from forces x, whose accelerations are `a_now`.
+
+    Contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1 leaves that to the forces.
+    """
+    nc, ns = len(mu), len(lower)
+    size = 3 * nc + ns
+    for a in range(size):
+        for b in range(size):
+            system[a, b] = 0.0
+    for i in range(nc):
+        b = 3 * i
+        fn, an = x[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
+        given = closed[i] >= 0
+        lowest = least[i] / scale_f[b]
+        opens = not held[i] and (closed[i] == 0 if given else fn - an <= lowest)
+        if opens and lowest == 0.0:
+            for r in range(b, b + 3):
+                system[r, r], right[r] = 1.0, -x[r] / scale_f[r]
+            continue
+        if opens:
+            system[b + 2, b + 2], right[b + 2] = 1.0, lowest - fn
+        else:
+            for k in range(size):
+                system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
+            right[b + 2] = -an
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
+        if not held[i] and (speed > 0.0 or mu[i] == 0.0):
+            s1 = velocity[i, 0] / speed if speed > 0.0 else 0.0
+            s2 = velocity[i, 1] / speed if speed > 0.0 else 0.0
+            system[b, b], system[b, b + 2], right[b] = 1.0, mu[i] * s1, -f1 - mu[i] * fn * s1
+            system[b + 1, b + 1], system[b + 1, b + 2], right[b + 1] = (
+                1.0,
+                mu[i] * s2,
+                -f2 - mu[i] * fn * s2,
+            )
+            continue
+        a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
+        g1, g2 = f1 - a1, f2 - a2
+        if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
+            for k in range(size):
+                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+                system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
+            right[b], right[b + 1] = -a1, -a2
+        else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
+            length = math.hypot(g1, g2)
+            u1, u2 = g1 / length, g2 / length
+            share = mu[i] * fn / length
+            right[b], right[b + 1] = -f1 + mu[i] * fn * u1, -f2 + mu[i] * fn * u2
+            for k in range(size):
+                h1 = -scale_a[b] * delassus[b, k] * scale_f[k] + (1.0 if k == b else 0.0)
+                h2 = -scale_a[b] * delassus[b + 1, k] * scale_f[k] + (1.0 if k == b + 1 else 0.0)
+                across = u1 * h2 - u2 * h1
+                system[b, k] = (1.0 if k == b else 0.0) + share * u2 * across
+                system[b + 1, k] = (1.0 if k == b + 1 else 0.0) - share * u1 * across
+            system[b, b + 2] -= mu[i] * u1
+            system[b + 1, b + 2] -= mu[i] * u2
+    for i in range(ns):
+        b = 3 * nc + i
+        f, rate = x[b] / scale_f[b], a_now[b] * scale_a[b]
+        low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
+        if f - rate <= low:
+            system[b, b], right[b] = 1.0, low - f
+        elif f - rate >= high:
+            system[b, b], right[b] = 1.0, high - f
+        else:
+            for k in range(size):
+                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
+            right[b] = -rate
