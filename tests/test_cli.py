@@ -32,7 +32,7 @@ def call(*args: str):
 def test_help_names_the_verbs() -> None:
     result = call("--help")
     assert result.exit_code == 0
-    for verb in ("demo", "robots", "info", "plan", "run", "cost"):
+    for verb in ("demo", "robots", "info", "plan", "run", "cost", "warmup"):
         assert f"  {verb} " in result.output
 
 

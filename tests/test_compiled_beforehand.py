@@ -139,3 +139,36 @@ def test_what_is_compiled(code):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "{}"
+
+
+WARMED = """
+import numpy as np
+from numba.core import event
+import pinimpact as p
+from pinimpact.app.warmup import warm_up
+from tests.scene_models import UP, ball
+
+warm_up()
+W = np.array([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]])
+floor = p.Contact("center", p.Plane(), radius=0.1, friction=0.3, restitution=0.5)
+model = ball()
+q, v = np.array([0, 0, 0.1, *UP]), np.array([1.0, 0, -1, 0, 0, 0])
+with event.install_recorder("numba:compile") as record:
+    problem = p.ImpactProblem(W, (1, 0.5, -1), 0.3, 0.5)
+    p.solve_impact(problem)
+    p.solve_impact(problem, "euler")
+    p.solve_impacts(W[None], [(1, 0.5, -1)], 0.3, 0.5, "energetic", work=True)
+    p.impact(model, model.createData(), q, v, floor)
+    other = p.Contact("center", p.Plane((0, 0, -0.01)), radius=0.09, name="other")
+    p.impact(model, model.createData(), q, v, [floor, other])
+    p.impacts(model, model.createData(), q[None], v[None], floor)
+    for policy in ("together", "propagate"):
+        run = p.simulate(p.Scene(model, [floor], simultaneous=policy), [0, 0, 0.3, *UP], v, 0.5)
+    assert run.impacts
+    run.forces("center on plane", 0.4)
+print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer if one.is_start} or {})
+"""
+
+
+def test_a_warmed_up_machine_compiles_nothing() -> None:
+    test_what_is_compiled(WARMED)

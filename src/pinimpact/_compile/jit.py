@@ -22,6 +22,7 @@ With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMB
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any, TypeVar
@@ -104,10 +105,12 @@ def _called(function: F, **options: Any) -> F:
         plainly: F = numba.njit(**_OPTIONS, **options)(function)
         with suppress(RuntimeError):  # no folder is writable
             getattr(plainly, "enable_caching", bool)()
+            plainly.is_called = True  # type: ignore[attr-defined]
         return plainly
     compiled: Any = _cached(function, KernelCompiler, **options)
     if hasattr(compiled, "py_func"):
         compiled.compile = _Compile(compiled)
+        compiled.is_called = True
     return compiled
 
 
@@ -139,6 +142,17 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
             kernel.compile(types)
     else:
         _compile(wanted)
+
+
+def is_declared(item: Any) -> bool:
+    """Whether something is a kernel that Python calls and that declares the types of its arguments."""
+    return bool(getattr(item, "is_called", False)) and hasattr(item, "ahead")
+
+
+def kept_in(kernels: Sequence[Any]) -> str | None:
+    """Return the folder that the caches of some kernels have in common; None where nothing is kept."""
+    paths = [kernel._cache.cache_path for kernel in kernels if hasattr(kernel, "_cache")]
+    return None if not paths or None in paths else os.path.commonpath(paths)
 
 
 def _types(kernel: Any, arguments: Sequence[Any]) -> tuple[Any, ...]:

@@ -1,8 +1,8 @@
 """Telling whoever waits for kernels to be compiled what for, and about how long.
 
-The logger "pinimpact.compiling" says it once for every purpose, with a warning, so that it is seen where
-nobody has set up logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences it. At the
-level INFO it counts the kernels of `jit.compile_all`.
+The logger "pinimpact.compiling" says it once for impacts and once for scenes, with a warning, so that it is
+seen where nobody has set up logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences
+it. At the level INFO it counts the kernels of `jit.compile_all`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from .sources import PACKAGE
 
 LOG = logging.getLogger(f"{PACKAGE}.compiling")
 
-PURPOSES = {"scene": "scenes", "robot": "impacts of robots", "contact_space": "impacts"}
-"""What the kernels of each package are for."""
+IMPACTS, SCENES = "impacts", "scenes"
+"""What kernels are for."""
 
 COUNT = "compiling, once: %d of %d"
 """What is said at the level INFO."""
 
-BYTES_PER_SECOND = 7500
+BYTES_PER_SECOND = 5500
 """Of Python's own code of kernels, compiled on one core of a present machine, about."""
 
 SHORT = 1.0
@@ -42,21 +42,24 @@ def tell(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     """Say that kernels are being compiled.
 
     Args:
-        kernels: All of them that are to be compiled now; the first one names the purpose.
+        kernels: All of them that are to be compiled now.
         kept: Whether they stay on disk.
         processes: How many compile them.
     """
-    package = kernels[0].py_func.__module__.removeprefix(f"{PACKAGE}.").split(".")[0]
+    modules = {kernel.py_func.__module__ for kernel in kernels}
+    purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
     seconds = expected(kernels, processes)
-    if package in _told or seconds < SHORT:
+    if purpose in _told or seconds < SHORT:
         return
-    _told.add(package)
+    _told.update((purpose, IMPACTS))  # scenes need those of impacts
     often = (
-        "once per machine" if kept else "in every process, for no folder is writable (see NUMBA_CACHE_DIR)"
+        "once per machine (`pinimpact warmup` compiles all)"
+        if kept
+        else "in every process, for no folder is writable (see NUMBA_CACHE_DIR)"
     )
     LOG.warning(
         "%s: compiling kernels for %s, %s: up to about %.0f s",
-        *(PACKAGE, PURPOSES.get(package, package), often, seconds),
+        *(PACKAGE, purpose, often, seconds),
     )
 
 

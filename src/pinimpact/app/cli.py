@@ -342,6 +342,27 @@ def run(
 
 
 @main.command()
+@QUIET
+@plain_errors
+def warmup(quiet: bool) -> None:
+    """Compile all kernels now, so that no later call on this machine waits for them.
+
+    They are kept in the folder that NUMBA_CACHE_DIR names, else beside the package, for all processes that
+    use the same folder, Python, numba and kind of processor. For an image or a cluster: set NUMBA_CACHE_DIR
+    to a folder that all see, and run this once.
+    """
+    with _working(quiet, "compiling kernels"):
+        from .warmup import warm_up
+
+        folder = warm_up()
+    if folder is None:
+        message = "no folder is writable, so every process compiles its own; set NUMBA_CACHE_DIR"
+        raise click.ClickException(message)
+    if not quiet:
+        click.echo(f"All kernels are compiled, in {folder}.")
+
+
+@main.command()
 @click.option(
     "--robot", help="Measure the demo's impact of this robot, not the standard classes of problems."
 )

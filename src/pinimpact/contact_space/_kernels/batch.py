@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, ahead
 from ..._compile.jit import inner, released
 from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
@@ -23,6 +24,10 @@ def _asymmetry(w):
     return most > ZERO * largest
 
 
+@ahead(
+    *(FLOAT_STACK, FLOAT_ROWS, FLOATS, FLOATS, int, FLOATS, FLOAT_ROWS),
+    *(FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
+)
 @released
 def solve_rows(
     delassus, velocity, friction, restitution, law, velocity_scale, factors, numbers, codes, works

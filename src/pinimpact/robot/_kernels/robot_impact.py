@@ -244,6 +244,11 @@ def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
     return ALL_DONE
 
 
+@ahead(
+    *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, int, FLOATS),
+    *(FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
+)
 @jit
 def impacts_by_calls(
     calls, buffer, mass, parents, frame, carrier, columns, signs, constants, bounds,

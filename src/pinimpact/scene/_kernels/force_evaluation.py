@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
 from ..._compile.jit import jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
@@ -12,8 +13,13 @@ from .closed_set import close
 from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
 from .widest_margin import least_admissible
+from .workspace import SceneWorkspace
 
 
+@ahead(
+    *(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
+)
 @jit
 def forces_at(work, t, q, v, directions, unique, known, forces, points, normals, joints):
     """Fill the forces of what is closed in the modes that `work.modes` has.

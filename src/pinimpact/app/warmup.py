@@ -1,0 +1,31 @@
+"""Compile all kernels beforehand: for an image, a cluster, or a first run that must not wait."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import pinimpact
+
+from .._compile.jit import compile_all, is_declared, kept_in
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solve import solve_impact
+
+
+def warm_up() -> str | None:
+    """Compile all kernels that impacts and scenes can call for, or find them compiled.
+
+    Returns:
+        The folder in which their caches stand, as far as they have one in common; None where no folder is
+        writable, so that every process compiles its own.
+    """
+    modules = [
+        importlib.import_module(module.name)
+        for module in pkgutil.walk_packages(pinimpact.__path__, "pinimpact.")
+        if "._kernels." in module.name or "._numeric." in module.name
+    ]
+    kernels = dict.fromkeys(item for module in modules for item in vars(module).values() if is_declared(item))
+    compile_all(*((kernel,) for kernel in kernels))
+    problem = ImpactProblem([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]], (1, 0.5, -1), 0.3, 0.5)
+    solve_impact(problem, "rk4")  # whose table no signature declares
+    return kept_in(list(kernels))
