@@ -464,7 +464,7 @@ def test_batches_can_be_pickled_and_copied(copied):
 @pytest.mark.parametrize("field", ["delassus", "velocity", "friction", "restitution"])
 def test_none_is_no_number(field):
     arguments = dict(delassus=[W], velocity=[V], friction=0.3, restitution=0.5) | {field: None}
-    with pytest.raises(InputError, match=f"{field}: None is not an array of numbers") as caught:
+    with pytest.raises(InputError, match=f"{field}: None given; an array of real numbers") as caught:
         solve_impacts(**arguments)
     assert caught.value.field == field
     one = dict(delassus=W, velocity=V, friction=0.3, restitution=0.5) | {field: None}

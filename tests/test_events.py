@@ -318,7 +318,7 @@ def test_what_is_no_event_is_refused(events, message):
         ({"callback": 1}, "callback=1 given; a function"),
         ({"terminal": "yes"}, "terminal='yes' given; True, False or how often"),
         ({"terminal": -1}, "terminal=-1 given"),
-        ({"direction": "up"}, "direction='up' given; a number"),
+        ({"direction": "up"}, "direction='up' given; 1 "),
         ({"direction": math.nan}, "direction=nan given"),
     ],
 )

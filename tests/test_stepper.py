@@ -290,7 +290,7 @@ def swing():
 
 
 def test_short_steps_are_of_order_five(swing):
-    coarse, fine = swing(10, 1.0), swing(40, 1.0)
+    coarse, fine = swing(10, 0.1), swing(40, 0.1)
     assert 4.5 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 6.5
     assert 3.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 6.5
     assert fine[2] < 9.0

@@ -62,7 +62,9 @@ def test_unknown_names_and_times_outside_are_errors(trajectory) -> None:
     with pytest.raises(pinimpact.UnknownNameError, match=r"source: .*'bal'.*'ball'") as caught:
         trajectory.mode_at("bal", 0.5)
     assert caught.value.field == "source"
-    for t in (-1e-9, 1.0 + 1e-9, math.nan, "soon"):
+    with pytest.raises(pinimpact.InputError, match=r"t: .soon. given"):
+        trajectory.mode_at("ball", "soon")
+    for t in (-1e-9, 1.0 + 1e-9, math.nan):
         with pytest.raises(pinimpact.InputError, match=r"t: .*outside the trajectory") as caught:
             trajectory.mode_at("ball", t)
         assert caught.value.field == "t"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,83 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
 
+_DOUBLE = np.dtype(np.float64)
+
+
+def real_numbers(field: str, value: Any, expected: str = "an array of real numbers") -> NDArray[np.float64]:
+    """Return `value` as a float64 array, or raise `InputError` naming `field`.
+
+    Complex numbers, text, dates, truth values and masked entries are refused; NumPy converts them silently.
+    """
+    if type(value) is np.ndarray and value.dtype == _DOUBLE:
+        return value
+    if np.ma.is_masked(value):
+        raise InputError(
+            f"{field}: the array has masked entries; {expected} is expected, for instance .filled(0)",
+            field=field,
+            value=value,
+        )
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind == "O" and not any(isinstance(x, _NO_REALS) for x in array.flat):
+            return np.asarray(array, dtype=np.float64)
+        if array.dtype.kind in "fiu" or array.size == 0:
+            return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(
+        f"{field}: {_short(value)} given; {expected} is expected",
+        field=field,
+        value=value,
+    )
+
+
+_NO_REALS = (
+    str,
+    bytes,
+    bool,
+    np.bool_,
+    complex,
+    np.complexfloating,
+    np.datetime64,
+    np.timedelta64,
+    type(None),
+)
+
+
+def real_number(field: str, value: Any) -> float:
+    """Return `value` as a float, NaN and infinity included, or raise `InputError` naming `field`."""
+    if type(value) is float:
+        return value
+    array = real_numbers(field, value, "a real number")
+    if array.size != 1:
+        raise InputError(
+            f"{field}: shape {array.shape} given; a number is expected", field=field, value=value
+        )
+    return float(array.reshape(()))
+
+
+def _short(value: Any) -> str:
+    """Return what stands for a value in a message, in no more than a line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def output_file(field: str, path: str | Path) -> Path:
+    """Return the path of a file to be written, or raise `InputError` where its folder does not exist."""
+    path = Path(path)
+    if not path.absolute().parent.is_dir():
+        raise InputError(
+            f"{field}: there is no folder {path.absolute().parent}; make it first, or give another path",
+            field=field,
+            value=str(path),
+        )
+    return path
+
 
 def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`."""
-    try:
-        array = np.ascontiguousarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{field}: {value!r} is not an array of numbers; an array of shape {shape} is expected",
-            field=field,
-            value=value,
-        ) from None
+    array = np.ascontiguousarray(real_numbers(field, value, f"an array of real numbers of shape {shape}"))
     if array.shape != shape:
         raise InputError(f"{field}: shape {array.shape} given, {shape} expected", field=field, value=value)
     return array
@@ -64,10 +131,7 @@ def above_zero(name: str, value: Any) -> float:
 
 
 def _finite(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: {value!r} is not a number", field=name, value=value) from None
+    number = real_number(name, value)
     if not math.isfinite(number):
         raise InputError(f"{name}: {number} is not finite", field=name, value=value)
     return number

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .. import __version__
-from ..errors import PinimpactError, SimulationError
+from ..checks import near_matches
+from ..errors import PinimpactError, SimulationError, UnknownNameError
 from .output_folder import make_folder
 
 if TYPE_CHECKING:
@@ -238,6 +239,13 @@ def robots(word: str | None, as_json: bool) -> None:
         source: [name for name in names if word is None or word.lower() in name.lower()]
         for source, names in named_robots().items()
     }
+    if not any(found.values()):
+        every = [name for names in named_robots().values() for name in names]
+        raise UnknownNameError(
+            f"word: no robot has {word!r} in its name; {near_matches(word or '', every)}",
+            field="word",
+            value=word,
+        )
     if as_json:
         click.echo(json.dumps(found))
         return
@@ -397,8 +405,11 @@ def cost(
     quiet: bool,
 ) -> None:
     """Measure error against time, method by method: a summary, a diagram, the raw figures."""
+    from ..contact_space.methods import find_method
     from ..studies.cost import run_cost
 
+    for method in methods:  # before anything is compiled or written
+        find_method(method)
     folder = make_folder(out, COST_FILES, force)
     problems = None
     if robot is not None:

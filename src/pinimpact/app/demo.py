@@ -266,6 +266,13 @@ def _touch(
             field="direction",
             value=direction,
         )
+    if axes is None and along is not None and float(along[2]) >= 0.0:
+        raise InputError(
+            f"direction: {tuple(direction or ())} does not lead down to the table; give a direction with a "
+            "negative z, or the table's normal too (normal=, --normal)",
+            field="direction",
+            value=direction,
+        )
     moves = None
     for key in keys:
         jacobian = pin.computeFrameJacobian(
@@ -306,9 +313,7 @@ def _tables(jacobian: Array, axes: Array | None, along: Array | None) -> list[Ar
     """Return the axes (3, 3) of the tables to try: what is asked for, or z and what can be moved along."""
     if axes is not None:
         return [axes]
-    tables = []
-    if along is None or along[2] < 0.0:
-        tables.append(contact_axes((0.0, 0.0, 1.0)))
+    tables = [contact_axes((0.0, 0.0, 1.0))]
     if along is not None:
         return [*tables, contact_axes(-along)]
     left = np.linalg.svd(jacobian)[0]

@@ -323,13 +323,21 @@ _TABLES: dict[tuple[str, ...], type[_Table]] = {
 
 def _first_error(error: ValidationError, path: Path) -> PinimpactError:
     """Return pydantic's first complaint as an error that names the key."""
-    complaint = error.errors()[0]
+    complaints = error.errors()
+    # a table in place of a list is why other keys seem to be missing
+    complaint = next((one for one in complaints if one["type"] == "list_type"), complaints[0])
     place = complaint["loc"]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if complaint["type"] == "extra_forbidden":
         table = _TABLES[tuple(str(part) for part in place[:-1][:1])]
         return UnknownNameError(
             f"{key}: {path.name} has no such key to set; {near_matches(str(place[-1]), table.model_fields)}",
+            field=key,
+            value=complaint["input"],
+        )
+    if complaint["type"] == "list_type" and isinstance(complaint["input"], dict):
+        return InputError(
+            f"{key}: [{key}] in {path.name} stands for one table of a list; write [[{key}]]",
             field=key,
             value=complaint["input"],
         )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._compile.threads import in_threads, thread_count
+from ..checks import real_numbers
 from ..errors import InputError
 from ..status import Status
 from .inputs import FACTOR, Array
@@ -112,8 +113,8 @@ def solve_impacts(
         InputError: Shapes that do not fit, or a number of threads that is none.
         UnknownNameError: No such law.
     """
-    matrices = _numbers("delassus", delassus)
-    velocities = _numbers("velocity", velocity)
+    matrices = np.ascontiguousarray(real_numbers("delassus", delassus))
+    velocities = np.ascontiguousarray(real_numbers("velocity", velocity))
     if velocities.ndim not in (1, 2) or velocities.shape[-1] != 3:
         raise InputError(
             f"velocity: shape {velocities.shape} given, (N, 3) or (3,) expected",
@@ -136,7 +137,7 @@ def solve_impacts(
     coefficients = []
     scale = 0.0 if velocity_scale is None else velocity_scale
     for name, value in (("friction", friction), ("restitution", restitution), ("velocity_scale", scale)):
-        array = _numbers(name, value)
+        array = np.asarray(real_numbers(name, value), order="C")
         if array.shape not in ((), (count,)):
             raise InputError(
                 f"{name}: shape {array.shape} given, a number or ({count},) expected", field=name, value=value
@@ -161,12 +162,3 @@ def solve_factored(
 ) -> BatchSolution:
     """Do what `solve_impacts` does, for arrays with one row for each problem and factors (N, FACTOR) of W."""
     return BatchSolution((delassus, velocity, mu, e, law_code(law), scales, factors), threads, work)
-
-
-def _numbers(field: str, value: ArrayLike) -> Array:
-    try:
-        if value is None:  # which NumPy takes for NaN
-            raise TypeError
-        return np.asarray(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
-        raise InputError(f"{field}: {value!r} is not an array of numbers", field=field, value=value) from None

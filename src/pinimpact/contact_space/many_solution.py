@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..html_tables import html_lines, html_table
+from ..display import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work

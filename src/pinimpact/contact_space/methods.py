@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import near_matches
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..status import Status
 from .inputs import Array, Inputs
@@ -76,15 +77,18 @@ def load_method(name: str) -> Run:
     """Return the function that runs a registered method, or raise `UnknownNameError`."""
     run = _loaded.get(name)
     if run is None:
-        method = _methods.get(name)
-        if method is None:
-            raise UnknownNameError(
-                f"method: {name!r} is not registered; the methods are {', '.join(map(repr, _methods))}",
-                field="method",
-                value=name,
-            )
-        run = _loaded[name] = method.load()
+        run = _loaded[name] = find_method(name).load()
     return run
+
+
+def find_method(name: str) -> Method:
+    """Return a registered method, or raise `UnknownNameError`."""
+    method = _methods.get(name)
+    if method is None:
+        raise UnknownNameError(
+            f"method: {name!r} is not registered; {near_matches(name, _methods)}", field="method", value=name
+        )
+    return method
 
 
 def _load_exact() -> Run:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import at_least_zero, finite_array, float_array
+from ..checks import at_least_zero, finite_array, float_array, real_number
+from ..display import changed_fields
 from ..errors import InputError
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
@@ -21,7 +22,7 @@ FITTING = 1e-9
 """How much a factor's square may differ from W, relative to its largest entry."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ImpactProblem:
     """One frictional impact in contact axes (t₁, t₂, n); knows nothing of robots.
 
@@ -60,6 +61,9 @@ class ImpactProblem:
     factor: ArrayLike | None = None
     factor_scale: float | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:
     """Return a problem's numbers as the methods take them, or raise what its shapes and types call for.
@@ -71,14 +75,8 @@ def contact_inputs(problem: ImpactProblem) -> Inputs:
         UnknownNameError: No such law.
     """
     v1, v2, v3 = float_array("velocity", problem.velocity, (3,)).tolist()
-    try:
-        mu = float(problem.friction)
-    except (TypeError, ValueError):
-        raise _no_number("friction", problem.friction) from None
-    try:
-        e = float(problem.restitution)
-    except (TypeError, ValueError):
-        raise _no_number("restitution", problem.restitution) from None
+    mu = real_number("friction", problem.friction)
+    e = real_number("restitution", problem.restitution)
     scale = 0.0 if problem.velocity_scale is None else at_least_zero("velocity_scale", problem.velocity_scale)
     upper = delassus_upper(problem.delassus)
     factor = NO_FACTOR if problem.factor is None else _factor(problem, upper)
@@ -105,10 +103,6 @@ def _factor(problem: ImpactProblem, upper: tuple[float, ...]) -> Array:
     if not (C.any() or size):
         return NO_FACTOR
     return np.array([*C[np.tril_indices(3)], size])
-
-
-def _no_number(field: str, value: Any) -> InputError:
-    return InputError(f"{field}: {value!r} is not a number", field=field, value=value)
 
 
 def delassus_upper(delassus: Any) -> tuple[float, float, float, float, float, float]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import finite_array
+from ..checks import finite_array, real_numbers
 from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
@@ -105,12 +105,7 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
 
 
 def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: str) -> Array:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name}: {value!r} is not a number for each contact", field=name, value=value
-        ) from None
+    array = real_numbers(name, value, "a number, or one for each contact,")
     if array.shape not in ((), (n,)):
         raise InputError(
             f"{name}: shape {array.shape} given, a number or ({n},), one for each contact, expected",

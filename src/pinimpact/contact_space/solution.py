@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..html_tables import html_lines, html_table
+from ..display import html_lines, html_table
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_ROWS, Array, Inputs
 from .methods import load_method

@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..display import changed_fields
 from ._kernels.constants import PLANE
 from .surfaces import Surface, Vector, contact_axes, unit_vector, vector
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plane(Surface):
     """A plane fixed in the world, moving at a given rate, or carried by a body.
 
@@ -41,6 +42,9 @@ class Plane(Surface):
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
     name: str | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     def __post_init__(self) -> None:
         self._check()

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero
+from ..display import changed_fields
 from ._kernels.constants import SPHERE
 from .surfaces import Surface, Vector, vector
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sphere(Surface):
     """A sphere fixed in the world, moving at a given rate, or carried by a body; n points out of it.
 
@@ -45,6 +46,9 @@ class Sphere(Surface):
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
     name: str | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     def __post_init__(self) -> None:
         self._check()

@@ -101,13 +101,15 @@ def vector(field: str, value: ArrayLike) -> Vector:
     return x, y, z
 
 
-def unit_vector(field: str, value: ArrayLike) -> Vector:
-    """Return `value` scaled to length one, or raise `InputError` naming `field`."""
+def unit_vector(
+    field: str, value: ArrayLike, meaning: str = "the vector from the surface into free space"
+) -> Vector:
+    """Return `value` scaled to length one, or raise `InputError` naming `field` and what it means."""
     x, y, z = vector(field, value)
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
         raise InputError(
-            f"{field}: {(x, y, z)} has no direction; give the vector from the surface into free space",
+            f"{field}: {(x, y, z)} has no direction; give {meaning}, of any length but zero",
             field=field,
             value=value,
         )

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, at_least_zero, coefficient
 from ..contact_space.laws import law_code
+from ..display import changed_fields
 from ..errors import InputError
 from ..geometry._kernels.constants import (
     AXES,
@@ -39,7 +40,7 @@ WORLD = np.eye(4)
 """The placement that the kernels take where no body carries a surface."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Contact:
     """A point or a collision shape of a robot that may meet a surface, with its friction and restitution.
 
@@ -96,6 +97,9 @@ class Contact:
     pair: Contact | None = None
     law_code: int = field(init=False, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+
     def __post_init__(self) -> None:
         self._check_kind()
         keep = object.__setattr__
@@ -109,7 +113,7 @@ class Contact:
         keep(self, "offset", vector("offset", self.offset))
         keep(self, "radius", at_least_zero("radius", self.radius))
         keep(self, "rim", at_least_zero("rim", self.rim))
-        keep(self, "axis", unit_vector("axis", self.axis))
+        keep(self, "axis", unit_vector("axis", self.axis, "the axis of the rim"))
         if self.rim > 0.0 and not isinstance(self.plane, Plane):
             raise InputError(
                 f"rim: {self.rim:g} m given, but a rim meets planes alone, not a {self.plane.kind}",
@@ -129,6 +133,8 @@ class Contact:
     def _check_kind(self) -> None:
         """Refuse what has no surface, or is not one of a frame's points and a collision shape."""
         check_frame_key("frame", self.frame)
+        if not isinstance(self.name, (str, type(None))):
+            raise InputError(f"name: {self.name!r} given; text is expected", field="name", value=self.name)
         if not isinstance(self.plane, Surface):
             raise InputError(
                 f"plane: {self.plane!r} is not a Plane, Sphere, Box or Shape", field="plane", value=self.plane

@@ -13,7 +13,7 @@ import pinocchio as pin
 from example_robot_data.robots_loader import ROBOTS
 
 from ..checks import near_matches
-from ..errors import ModelError, UnknownNameError
+from ..errors import InputError, ModelError, UnknownNameError
 from .mjcf import load_mjcf
 
 
@@ -27,7 +27,9 @@ def bundled_models() -> dict[str, Path]:
 
 def named_robots() -> dict[str, list[str]]:
     """Return the names that `load_robot` knows, by where their models come from."""
-    return {"pinimpact": list(bundled_models()), "example-robot-data": sorted(ROBOTS)}
+    # robots of SDF files need a Pinocchio that is built with SDFormat
+    readable = [name for name, loader in ROBOTS.items() if not loader.sdf_filename or pin.WITH_SDFORMAT]
+    return {"pinimpact": list(bundled_models()), "example-robot-data": sorted(readable)}
 
 
 def load_robot(
@@ -59,14 +61,28 @@ def load_robot(
         UnknownNameError: No robot bears the name; near matches are offered.
         ModelError: The file is missing or broken, a mass is negative, or the robot has no inertia.
     """
+    if not isinstance(robot, (str, Path)):
+        raise InputError(
+            f"robot: {type(robot).__name__} given; the name of a robot or the path of a file is expected",
+            field="robot",
+            value=robot,
+        )
+    for folder in package_dirs if not isinstance(package_dirs, (str, Path)) else (package_dirs,):
+        if not Path(folder).expanduser().is_dir():
+            raise InputError(f"package_dirs: there is no folder {folder}", field="package_dirs", value=folder)
+    package_dirs = (package_dirs,) if isinstance(package_dirs, (str, Path)) else package_dirs
     models = bundled_models()
     name = str(robot)
+    if "://" in name:
+        raise InputError(
+            f"robot: {name} is a URL; download the file, and give its path", field="robot", value=name
+        )
     if isinstance(robot, str) and name in models:
         path, wrapper = models[name], _from_file(models[name], bool(free_flyer), ())
     elif isinstance(robot, str) and name in ROBOTS:
         path, wrapper = _from_example_robot_data(name, free_flyer)
         mimic = bool(mimic)
-    elif isinstance(robot, Path) or Path(name).suffix or Path(name).name != name:
+    elif isinstance(robot, Path) or Path(name).suffix or Path(name).name != name or Path(name).is_dir():
         path = Path(name).expanduser()
         wrapper = _from_file(path, bool(free_flyer), package_dirs)
     else:
@@ -112,6 +128,8 @@ def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, 
 
 
 def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path]) -> pin.RobotWrapper:
+    if path.is_dir():
+        raise ModelError(f"robot: {path} is a folder; give a file in it", field="robot", value=str(path))
     if not path.is_file():
         raise ModelError(f"robot: there is no file {path}", field="robot", value=str(path))
     root_joint = (pin.JointModelFreeFlyer(),) if free_flyer else ()

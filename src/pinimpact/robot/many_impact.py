@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
+from ..checks import finite_array, real_numbers
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import compile_policy
 from ..contact_space.solve import solve_impact
+from ..display import html_table
 from ..errors import InputError
-from ..html_tables import html_table
 from ._kernels import contact_kinematics
 from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
@@ -87,7 +87,7 @@ def impact_at_many(
     compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
-    configuration = np.asarray(q, dtype=np.float64)
+    configuration = real_numbers("q", q)
     data_cache(model, data).check_limits(configuration, stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)

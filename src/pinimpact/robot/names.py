@@ -125,7 +125,12 @@ def singular_mass(model: pin.Model, velocity: int) -> ModelError:
     )
     for carried in model.subtrees[joint]:
         mass = model.inertias[carried].mass
-        if mass < 0.0:
+        if not np.isfinite(model.inertias[carried].toDynamicParameters()).all():
+            reason = (
+                f"moves joint {model.names[carried]!r}, whose mass, center of mass or inertia is not finite "
+                f"(mass {mass:.6g} kg); give it finite numbers"
+            )
+        elif mass < 0.0:
             reason = (
                 f"moves the negative mass {mass:.6g} kg of joint {model.names[carried]!r}; give it one ≥ 0"
             )

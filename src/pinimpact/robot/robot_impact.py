@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array, float_array
+from ..checks import finite_array, float_array, real_numbers
 from ..contact_space.inputs import FACTOR, NO_FACTOR, triangle_of
 from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
-from ..html_tables import html_table
+from ..display import html_table
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model
-_contiguous = np.ascontiguousarray
+_contiguous, _Array = np.ascontiguousarray, np.ndarray
 _empty = np.empty
 _robot_impact = kernel.robot_impact
 SIZE = kernel.SIZE
@@ -242,20 +242,21 @@ def impact(
     if contact.geometry is not None:
         nearest = touching_points if is_pair(robot, contact) else touching_tips
         tips = nearest(robot, data, q, contact)
-        data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=4)
+        data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=4)
         one_or_many: Any = tips[0] if len(tips) == 1 else tips
         return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
     if contact.rim > 0.0:
         check_rims(model, data, q, (contact,))
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
-    try:
-        q_now, v_now = _contiguous(q, _FLOAT), _contiguous(v, _FLOAT)
-        fit = q_now.shape == cache.q_shape and v_now.shape == cache.v_shape
-    except (TypeError, ValueError):
-        fit = False
-    if not fit:  # say what is wrong
-        q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
+    if type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape:  # the common case takes no time
+        q_now = _contiguous(q)
+    else:
+        q_now = float_array("q", q, cache.q_shape)
+    if type(v) is _Array and v.dtype == _FLOAT and v.shape == cache.v_shape:
+        v_now = _contiguous(v)
+    else:
+        v_now = float_array("v", v, cache.v_shape)
     restitution = contact.restitution
     if callable(restitution):
         restitution = restitution_of_approach(model, data, q_now, v_now, contact)
@@ -325,7 +326,7 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    data_cache(model, data).check_limits(np.asarray(q, dtype=np.float64), stacklevel=5)
+    data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero
+from ..display import changed_fields
 from ..errors import InputError
 from ..geometry._kernels.constants import SOLID
 from ..geometry.collision_shapes import (
@@ -154,7 +155,7 @@ class Solid(Surface):
         return self
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Box(Solid):
     """A box fixed in the world or carried by a body, for collision shapes to meet.
 
@@ -175,6 +176,9 @@ class Box(Solid):
     body: str | int | None = None
     name: str | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+
     def __post_init__(self) -> None:
         for field in ("size", "center", "rpy"):
             object.__setattr__(self, field, vector(field, getattr(self, field)))
@@ -190,7 +194,7 @@ class Box(Solid):
         return carried(model, box(self.size), frame, placement, self.label)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Shape(Solid):
     """A collision shape of the robot, for another one of its shapes to meet.
 
@@ -207,6 +211,9 @@ class Shape(Solid):
     name: str | None = None
     rim_points: int | None = None
     body: None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     def __post_init__(self) -> None:
         if not isinstance(self.geometry, str) or not self.geometry:

@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array, float_array
+from ..checks import finite_array, float_array, real_numbers
+from ..display import changed_fields
 from ..errors import InputError, SimulationError
 from ..robot.names import joint_of_velocity
 from ._kernels.workspace import SceneWorkspace
@@ -33,7 +34,7 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
     """
     nv = len(v)
     try:
-        tau = np.asarray(control(t, q, v), dtype=float)
+        tau = real_numbers("tau", control(t, q, v), f"an array of {nv} real numbers")
     except Exception as error:
         raise SimulationError(
             f"control: {type(error).__name__} at t = {t:.6g} s: {error}", field="control"
@@ -53,7 +54,7 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
     return tau
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class JointPD:
     """A control that draws joints to a configuration: τ = kp (q_ref − q) − kd v, within ±limits.
 
@@ -72,6 +73,9 @@ class JointPD:
     kd: ArrayLike
     q_ref: ArrayLike
     limits: ArrayLike | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     def drives(self, model: pin.Model) -> Drives:
         """Return the drives of a robot.

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..checks import counted, near_matches
+from ..display import html_table
 from ..errors import InputError, UnknownNameError
-from ..html_tables import html_table
 from ..robot.contact import Contact
 
 SWITCHABLE = (

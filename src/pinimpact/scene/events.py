@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
+from ..display import changed_fields
 from ..errors import InputError, SimulationError
 from .crossing import crossing
 from .dense_step import DenseStep
@@ -23,7 +24,7 @@ Callback = Callable[[float, Array, Array], ArrayLike | None]
 """callback(t, q, v) -> (nv,) velocity to go on with, or None to leave it."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Event:
     """Something that happens where a function of time and state changes its sign.
 
@@ -39,8 +40,7 @@ class Event:
         callback: callback(t, q, v), called where the event happens; it returns None, or the velocity (nv,) to
             go on with, as after a blow. What it lets approach collides.
         terminal: Whether the event ends the run, after the callback; a number: whether its n-th time does.
-        direction: Above zero, only changes from negative to positive count; below, only the others; at zero,
-            both.
+        direction: 1: only changes from negative to positive count; -1: only the others; 0: both.
         name: What it is called in the trajectory; None for the name of the guard.
 
     Raises:
@@ -54,6 +54,9 @@ class Event:
     direction: float = 0
     name: str | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+
     def __post_init__(self) -> None:
         for field in ("guard", "callback"):
             function = getattr(self, field)
@@ -63,12 +66,8 @@ class Event:
             raise _refused(
                 "terminal", self.terminal, "True, False or how often the event may happen expected"
             )
-        try:
-            known = not math.isnan(self.direction)
-        except TypeError:
-            known = False
-        if not known:
-            raise _refused("direction", self.direction, "a number expected, of which the sign counts")
+        if isinstance(self.direction, bool) or self.direction not in (-1, 0, 1):
+            raise _refused("direction", self.direction, "1 (rising), -1 (falling) or 0 (both) expected")
 
     @property
     def label(self) -> str:

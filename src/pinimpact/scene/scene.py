@@ -13,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import above_zero, at_least_zero, coefficient
+from ..checks import above_zero, at_least_zero, coefficient, counted
 from ..contact_space.simultaneous import find_policy
+from ..display import changed_fields
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
@@ -22,7 +23,7 @@ from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
 from ..robot.names import frame_id, free_velocities, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
-from ..robot.solids import Solid
+from ..robot.solids import Shape, Solid
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
@@ -222,7 +223,36 @@ class Scene:
                 )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_layout"}
+        """Leave out what is made on demand, and collision shapes that no contact names: meshes are large."""
+        state = {name: value for name, value in vars(self).items() if name != "_layout"}
+        pairs = [contact.pair for contact in (*self.contacts, *self.held) if contact.pair is not None]
+        named = {pair.geometry for pair in pairs} | {
+            pair.plane.geometry for pair in pairs if isinstance(pair.plane, Shape)
+        }
+        if self.geometry is not None:
+            kept = pin.GeometryModel()
+            for shape in self.geometry.geometryObjects:
+                if shape.name in named:
+                    kept.addGeometryObject(shape)
+            state["geometry"] = kept if named else None
+        return state
+
+    def __repr__(self) -> str:
+        """Return the scene in a line: the robot, its contacts, and what differs from the defaults."""
+        parts = [
+            f"{self.model.name}: {counted(self.model.nv, 'velocity')}",
+            counted(len(self.contacts), "contact"),
+        ]
+        if self.held:
+            parts.append(f"{len(self.held)} held")
+        if self.control is not None:
+            parts.append("a control" if self.period is None else f"a control sampled every {self.period:g} s")
+        if self.events:
+            parts.append(counted(len(as_events(self.events)), "event"))
+        given = changed_fields(
+            self, ("model", "contacts", "held", "control", "period", "events", "geometry"), width=40
+        )
+        return f"Scene({', '.join([*parts, *given])})"
 
     def layout(self) -> SceneLayout:
         """Return what a run needs of the scene, made anew if the model has changed since it was."""

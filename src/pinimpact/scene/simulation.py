@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
+from ..checks import finite_array, real_number
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.pinocchio_bridge import kinetic_energy
@@ -81,6 +81,9 @@ SEEN_EVERY = 0.25
 """The part of the scene's time scale after which functions of the user's own are asked again: a smooth force
 that comes after a long time without one is seen, unless it is over within some hundredth of that scale."""
 
+LARGEST_RTOL = 0.1
+"""The largest relative tolerance of a step: beyond it the error estimate says nothing."""
+
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -136,18 +139,23 @@ def simulate(
 
 
 def check_numbers(**numbers: float) -> None:
-    """Refuse what is not above zero, or not finite where it is a time to cover.
+    """Refuse what is not above zero, not finite where it is a time to cover, or too large for a tolerance.
 
     Raises:
         InputError: A number out of its range, or none.
     """
     for name, value in numbers.items():
-        try:
-            good = value > 0.0 and (math.isfinite(value) or name not in ("duration", "dt"))
-        except (TypeError, ValueError):
-            good = False
-        if not good:
-            raise InputError(f"{name}: {value!r} given, a number > 0 expected", field=name, value=value)
+        number = real_number(name, value)
+        if not number > 0.0 or (name in ("duration", "dt") and not math.isfinite(number)):
+            raise InputError(f"{name}: {number!r} given, a number > 0 expected", field=name, value=value)
+        if name == "rtol" and number > LARGEST_RTOL:
+            raise InputError(
+                f"rtol: {number!r} given, a number up to {LARGEST_RTOL} expected", field=name, value=value
+            )
+        if name == "max_impacts" and number != math.inf and number != int(number):
+            raise InputError(
+                f"max_impacts: {number!r} given, a whole number expected", field=name, value=value
+            )
 
 
 def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajectory:

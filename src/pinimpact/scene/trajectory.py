@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import counted, near_matches
+from ..checks import counted, near_matches, real_number, real_numbers
+from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
-from ..html_tables import html_lines, html_table
 from ..robot.contact import Contact
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
@@ -132,9 +131,19 @@ class Trajectory:
         return self._segments[self._number(t, side)].works(t)
 
     def sample(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Return q (k, nq) and v (k, nv) at many times, after any impact at them."""
-        states = [self.at(float(t)) for t in np.asarray(times, dtype=float)]
-        return np.array([q for q, _ in states]), np.array([v for _, v in states])
+        """Return q (k, nq) and v (k, nv) at times (k,), after any impact; (nq,) and (nv,) at one time.
+
+        Raises:
+            InputError: Times that are no numbers, or outside the trajectory.
+        """
+        found = real_numbers("times", times, "a time, or an array of them, in seconds")
+        if found.ndim == 0:
+            return self.at(float(found))
+        states = [self.at(t) for t in found.ravel().tolist()]
+        return (
+            np.array([q for q, _ in states]).reshape(len(states), self.q.shape[1]),
+            np.array([v for _, v in states]).reshape(len(states), self.v.shape[1]),
+        )
 
     def forces(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
         """Return the force on the robot of a sustained contact, in contact axes [N].
@@ -229,8 +238,8 @@ class Trajectory:
         if side not in ("left", "right"):
             raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
         found = []
-        for time in np.ravel(np.asarray(t)):
-            time = self._covered(time)
+        times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
+        for time in map(self._covered, times):
             number = self._number(time, side) if self._segments else None
             found.append(part(None if number is None else source.at(number, self._segments[number], time)))
         return found[0] if np.ndim(t) == 0 else np.array(found)
@@ -267,10 +276,7 @@ class Trajectory:
 
     def _covered(self, t: float) -> float:
         """Return a time as a float, or raise `InputError` where the trajectory does not cover it."""
-        try:
-            time = float(t)
-        except (TypeError, ValueError):
-            time = math.nan
+        time = real_number("t", t)
         if not self.t[0] <= time <= self.t[-1]:
             raise InputError(
                 f"t: {t!r} lies outside the trajectory, from {self.t[0]:.6g} s to {self.t[-1]:.6g} s",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import output_file
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
 from ..geometry.plane import Plane
@@ -97,7 +98,7 @@ def write_trajectory(
         return np.array(rows, dtype=float).reshape(len(rows), *shape)
 
     tables: dict[str, Any] = {} if forces is None else dict(zip(FORCE_TABLES, forces.tables, strict=True))
-    with open(path, "wb") as file:
+    with open(output_file("path", path), "wb") as file:
         np.savez_compressed(
             file,
             meta=np.array(json.dumps(meta)),

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero, finite_array
+from ..checks import above_zero, finite_array, output_file
 from ..errors import InputError
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
@@ -60,7 +60,7 @@ class Replay(os.PathLike[str]):
 
     def save(self, path: str | Path) -> Path:
         """Write the page to a file and return its path."""
-        self.path = Path(path)
+        self.path = output_file("path", path)
         self.path.write_text(self.html, encoding="utf-8")
         return self.path
 
@@ -138,6 +138,8 @@ def replay(
     if isinstance(robot, (Hit, ManyHit)):
         robot, motion = None, robot
     speed = above_zero("speed", speed)
+    if path is not None:
+        output_file("path", path)  # before anything is computed
     if not math.isfinite(slowdown) or slowdown < 1.0:
         raise InputError(
             f"slowdown: {slowdown!r} given, a number of at least 1 expected", field="slowdown", value=slowdown

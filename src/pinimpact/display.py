@@ -1,0 +1,52 @@
+"""How objects show themselves: in a line, and as small tables in HTML for notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import MISSING, fields
+from html import escape
+from inspect import isfunction
+from typing import Any
+
+
+def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table; numbers have six digits and stand to the right."""
+    lines = [f"<table><caption style='text-align:left'><b>{escape(title)}</b></caption>"]
+    if any(head):
+        lines.append("<tr>" + "".join(f"<th>{escape(name)}</th>" for name in head) + "</tr>")
+    lines += ["<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows]
+    return "".join([*lines, "</table>"])
+
+
+def html_lines(sentences: Iterable[str]) -> str:
+    """Return sentences, one below the other."""
+    return "".join(f"<div>{escape(sentence)}</div>" for sentence in sentences)
+
+
+def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> list[str]:
+    """Return "name=value" for each field of a dataclass that differs from its default.
+
+    Args:
+        instance: The dataclass.
+        but: Names of fields to leave out.
+        width: Characters that a value may have; a longer one is cut.
+    """
+    found = []
+    for field in fields(instance):
+        value = getattr(instance, field.name)
+        usual = field.default is not MISSING and _same(value, field.default)
+        if usual or field.name in but or not field.repr:
+            continue
+        text = value.__name__ if isfunction(value) else " ".join(repr(value).split())
+        found.append(f"{field.name}={text if len(text) <= width else text[: width - 1] + '…'}")
+    return found
+
+
+def _same(value: Any, default: Any) -> bool:
+    return value is default or (type(value) is type(default) and bool(value == default))
+
+
+def _cell(cell: Any) -> str:
+    if isinstance(cell, str):
+        return f"<td style='text-align:left'>{escape(cell)}</td>"
+    return f"<td style='text-align:right'>{cell:.6g}</td>"

@@ -1,0 +1,254 @@
+"""What is no real number is refused by an error that names the field; nothing is converted silently."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from click.testing import CliRunner
+
+import pinimpact
+from pinimpact import Contact, ImpactProblem, InputError, PinimpactError, Plane, Scene, simulate
+from pinimpact.app.cli import main
+from pinimpact.app.scene_file import read_scene_file
+
+from .scene_models import UP, ball, pendulum
+
+NOT_REAL = {
+    "complex": lambda x: x + 1j,
+    "complex without imaginary part": lambda x: x + 0j,
+    "masked": lambda x: np.ma.array(x, mask=True),
+    "dates": lambda x: np.asarray(x).astype("datetime64[s]"),
+    "text": lambda x: np.asarray(x).astype(str),
+    "truth values": lambda x: np.asarray(x).astype(bool),
+    "none": lambda x: None,
+    "objects": lambda x: np.array([object()] * np.size(x)).reshape(np.shape(x)),
+}
+
+MODEL = pendulum()
+DATA = MODEL.createData()
+Q, V = np.array([0.3]), np.array([-1.0])
+TIP = Contact("tip", Plane(point=(0.0, 0.0, -0.5)), friction=0.3, restitution=0.5)
+W, U = np.diag([2.0, 3.5, 1.0]), np.array([0.5, 0.5, -1.0])
+SCENE = Scene(MODEL, [Contact("tip", Plane(point=(0.0, 0.0, -5.0)))])
+
+
+def impact(q, v):
+    return pinimpact.impact(MODEL, DATA, q, v, TIP)
+
+
+def step(tau, dt):
+    return pinimpact.Stepper(SCENE, Q, V).step(tau, dt)
+
+
+ARRAYS = {
+    "impact q": ("q", Q, lambda x: impact(x, V)),
+    "impact v": ("v", V, lambda x: impact(Q, x)),
+    "impact of several q": ("q", Q, lambda x: pinimpact.impact(MODEL, DATA, x, V, [TIP])),
+    "impacts q": ("q", Q[None], lambda x: pinimpact.impacts(MODEL, DATA, x, V[None], TIP)),
+    "impacts v": ("v", V[None], lambda x: pinimpact.impacts(MODEL, DATA, Q[None], x, TIP)),
+    "gap q": ("q", Q, lambda x: TIP.gap(MODEL, DATA, x)),
+    "matrices q": ("q", Q, lambda x: pinimpact.contact_matrices(MODEL, DATA, x, TIP)),
+    "place q": ("q", Q, lambda x: pinimpact.place_in_contact(MODEL, DATA, x, TIP)),
+    "W": ("delassus", W, lambda x: pinimpact.solve_impact(ImpactProblem(x, U, 0.5, 0.5))),
+    "velocity": ("velocity", U, lambda x: pinimpact.solve_impact(ImpactProblem(W, x, 0.5, 0.5))),
+    "W of rows": ("delassus", W[None], lambda x: pinimpact.solve_impacts(x, U[None], 0.5, 0.5)),
+    "velocity of rows": ("velocity", U[None], lambda x: pinimpact.solve_impacts(W, x, 0.5, 0.5)),
+    "W of many": (
+        "delassus",
+        np.kron(np.eye(2), W),
+        lambda x: pinimpact.solve_impact(ImpactProblem(x, [U, U], 0.5, 0.5)),
+    ),
+    "point": ("point", np.ones(3), lambda x: Plane(point=x)),
+    "normal": ("normal", np.ones(3), lambda x: Plane(normal=x)),
+    "plane's velocity": ("velocity", np.ones(3), lambda x: Plane(velocity=x)),
+    "offset": ("offset", np.ones(3), lambda x: Contact("tip", Plane(), offset=x)),
+    "axis": ("axis", np.ones(3), lambda x: Contact("tip", Plane(), rim=0.1, axis=x)),
+    "size": ("size", np.ones(3), lambda x: pinimpact.Box(size=x)),
+    "q0": ("q0", Q, lambda x: simulate(SCENE, x, V, 0.01)),
+    "v0": ("v0", V, lambda x: simulate(SCENE, Q, x, 0.01)),
+    "tau": ("tau", V, lambda x: step(x, 0.01)),
+    "control": ("control", V, lambda x: simulate(Scene(MODEL, control=lambda t, q, v: x), Q, V, 0.01)),
+    "sampled control": (
+        "control",
+        V,
+        lambda x: simulate(Scene(MODEL, control=lambda t, q, v: x, period=0.001), Q, V, 0.01),
+    ),
+}
+
+
+@pytest.mark.parametrize("entry", ARRAYS)
+@pytest.mark.parametrize("kind", NOT_REAL)
+def test_an_array_that_holds_no_real_numbers_is_refused(entry, kind):
+    field, good, call = ARRAYS[entry]
+    call(good)
+    with pytest.raises(PinimpactError, match=f"^{field}: ") as caught:
+        call(NOT_REAL[kind](good))
+    assert "expected" in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+NUMBERS = {
+    "friction": lambda x: Contact("tip", Plane(), friction=x),
+    "restitution": lambda x: Contact("tip", Plane(), restitution=x),
+    "sliding_friction": lambda x: Contact("tip", Plane(), sliding_friction=x),
+    "stiffness": lambda x: Contact("tip", Plane(), stiffness=x),
+    "radius": lambda x: Contact("tip", Plane(), radius=x),
+    "resting_speed": lambda x: Scene(MODEL, resting_speed=x),
+    "limit_restitution": lambda x: Scene(MODEL, limit_restitution=x),
+    "duration": lambda x: simulate(SCENE, Q, V, x),
+    "rtol": lambda x: simulate(SCENE, Q, V, 0.01, rtol=x),
+    "atol": lambda x: simulate(SCENE, Q, V, 0.01, atol=x),
+    "max_step": lambda x: simulate(SCENE, Q, V, 0.01, max_step=x),
+    "max_impacts": lambda x: simulate(SCENE, Q, V, 0.01, max_impacts=x),
+    "dt": lambda x: step(V, x),
+    "t": lambda x: simulate(SCENE, Q, V, 0.01).at(x),
+    "times": lambda x: simulate(SCENE, Q, V, 0.01).sample(x),
+    "speed": lambda x: pinimpact.replay(MODEL, simulate(SCENE, Q, V, 0.01), path=None, speed=x),
+}
+
+
+@pytest.mark.parametrize("field", NUMBERS)
+@pytest.mark.parametrize("value", ["0.3", "x", 0.3 + 0j, True, np.datetime64("2020-01-01"), np.ma.masked])
+def test_what_is_no_number_is_refused(field, value):
+    with pytest.raises(InputError, match=f"^{field}: "):
+        NUMBERS[field](value)
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [({"rtol": 1.0}, "rtol"), ({"max_impacts": 1.5}, "max_impacts"), ({"rtol": 0.0}, "rtol")],
+)
+def test_numbers_out_of_range_are_refused(options, field):
+    with pytest.raises(InputError, match=f"^{field}: "):
+        simulate(SCENE, Q, V, 0.01, **options)
+
+
+def test_numbers_of_any_real_kind_are_taken():
+    exact = impact(Q, V).v
+    for kind in (np.float32, object, list):
+        q = Q.tolist() if kind is list else Q.astype(kind)
+        np.testing.assert_allclose(impact(q, V).v, exact, rtol=1e-5)  # 0.3 in single precision
+    integers = pinimpact.solve_impact(ImpactProblem(np.eye(3, dtype=int), [1, 0, -1], 1, 0))
+    np.testing.assert_array_equal(integers.velocity, [0.0, 0.0, 0.0])
+
+
+def test_events_have_one_of_three_directions():
+    for direction in (5, "up", True, None):
+        with pytest.raises(InputError, match="direction="):
+            pinimpact.Event(lambda t, q, v: 1.0, direction=direction)
+
+
+def test_a_rim_asks_for_its_axis():
+    with pytest.raises(InputError, match="the axis of the rim"):
+        Contact("tip", Plane(), rim=0.1, axis=(0.0, 0.0, 0.0))
+
+
+def test_a_mass_that_is_no_number_is_named():
+    model = pendulum()
+    model.inertias[1] = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
+    with pytest.raises(pinimpact.ModelError, match=r"'hinge'.*not finite"):
+        pinimpact.impact(model, model.createData(), Q, V, TIP)
+
+
+@pytest.mark.parametrize(
+    ("robot", "says"),
+    [
+        (".", "is a folder"),
+        ("https://example.org/robot.urdf", "https://example.org/robot.urdf is a URL"),
+        (None, "NoneType given"),
+    ],
+)
+def test_what_is_no_robot_is_called_what_it_is(robot, says):
+    with pytest.raises(PinimpactError, match=f"^robot: .*{says}"):
+        pinimpact.load_robot(robot)
+
+
+def test_a_folder_of_packages_has_to_exist(tmp_path):
+    with pytest.raises(InputError, match=r"^package_dirs: there is no folder"):
+        pinimpact.load_robot("rod", package_dirs=tmp_path / "nowhere")
+
+
+def test_files_go_into_folders_that_exist(tmp_path):
+    trajectory = simulate(SCENE, Q, V, 0.01)
+    nowhere = tmp_path / "nowhere"
+    with pytest.raises(InputError, match=r"^path: there is no folder"):
+        pinimpact.replay(MODEL, trajectory, path=nowhere / "replay.html")
+    with pytest.raises(InputError, match=r"^path: there is no folder"):
+        trajectory.save(nowhere / "trajectory.npz")
+    assert not nowhere.exists()
+
+
+def test_one_table_in_place_of_a_list_is_told(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text('[contact]\nframe = "tip"\n')
+    with pytest.raises(InputError, match=r"write \[\[contact\]\]"):
+        read_scene_file(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["robots", "zzz"], "no robot has 'zzz'"),
+        (["cost", "--method", "eulr"], "did you mean 'euler'"),
+        (["demo", "rod", "--direction", "0", "0", "1"], "does not lead down to the table"),
+    ],
+)
+def test_the_command_line_refuses_names_and_directions_at_once(words, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code != 0
+    assert says in " ".join(result.output.split())
+
+
+def test_named_robots_can_be_loaded_here():
+    from pinimpact.robot.loading import named_robots
+
+    assert ("cassie" in named_robots()["example-robot-data"]) == pin.WITH_SDFORMAT
+
+
+def test_objects_show_themselves_in_a_line():
+    robot = pinimpact.load_robot("panda")
+    scene = Scene(robot).contacts_from_geometry(Plane(), friction=0.3)
+    shown = [
+        scene,
+        scene.contacts[0],
+        Plane(),
+        SCENE,
+        ImpactProblem(W, U, 0.5, 0.5),
+        simulate(SCENE, Q, V, 0.01),
+    ]
+    for one in shown:
+        assert "\n" not in repr(one)
+        assert len(repr(one)) < 300
+    assert repr(Plane()) == "Plane()"
+    assert (
+        repr(TIP)
+        == "Contact(frame='tip', plane=Plane(point=(0.0, 0.0, -0.5)), friction=0.3, restitution=0.5)"
+    )
+
+
+def test_a_pickled_scene_has_the_shapes_that_its_contacts_name_and_no_others():
+    robot = pinimpact.load_robot("solo12")
+    foot = Contact("HR_FOOT", Plane(), friction=0.3)
+    assert len(pickle.dumps(Scene(robot, [foot]))) < 1.1 * len(pickle.dumps(Scene(robot.model, [foot])))
+    arm = pinimpact.load_robot("panda")
+    q0, v0 = arm.q0, np.full(arm.model.nv, 0.5)
+    name = arm.collision_model.geometryObjects[-1].name
+    block = pinimpact.Box(size=(0.5, 0.5, 0.2), center=(0.4, 0.0, 0.3))
+    scene = Scene(arm, [Contact(geometry=name, plane=block, friction=0.2)])
+    again = pickle.loads(pickle.dumps(scene))
+    one, other = simulate(scene, q0, v0, 0.3), simulate(again, q0, v0, 0.3)
+    np.testing.assert_array_equal(one.q, other.q)
+    assert len(again.geometry.geometryObjects) == 1
+
+
+def test_a_ball_falls_for_a_time_given_as_an_integer():
+    scene = Scene(ball(), [Contact("center", Plane(), radius=0.1)])
+    trajectory = simulate(scene, [0, 0, 30, *UP], [0] * 6, 1)
+    assert trajectory.q[-1, 2] == pytest.approx(30.0 - 0.5 * 9.80665 * 1.0, abs=1e-2)
+    q, v = trajectory.sample(0.5)
+    np.testing.assert_array_equal(trajectory.at(0.5)[0], q)
+    np.testing.assert_array_equal(trajectory.at(0.5)[1], v)
