@@ -634,13 +634,37 @@ def test_an_approach_that_nothing_can_stop():
         solve_impact(ImpactProblem(w, [[0, 0, -1.0], [0, 0, -2.0]], 0.0, 0.5, "energetic"))
 
 
-def test_what_ends_at_its_bound_tells_the_last_events(monkeypatch):
-    monkeypatch.setattr("pinimpact.contact_space.simultaneous.MOST_STEPS", 3)
-    solution, u = collide(*row_of_balls(4), np.array([1.0, 0.0, 0.0, 0.0]), restitution=0.8)
-    assert "resolved at once" in solution.notes[-1]
-    assert "The last of them: contact 0 slip in compression" in solution.notes[-1]
-    assert sum(u) == pytest.approx(1.0, abs=1e-12)  # nothing lost of the momentum
-    assert (np.diff(u) >= -1e-9).all()  # nor is any approach left
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize("seed", [3, 11, 22])
+def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, exponent):
+    # short steps and series of events are two integrations of one model
+    jacobian, inverse, u, mu, _ = draw(seed)
+    options = {"friction": mu, "restitution": 0.6, "simultaneous": "propagate", "exponent": exponent}
+    _, by_events = collide(jacobian, inverse, u, **options)
+    monkeypatch.setattr("pinimpact.contact_space.simultaneous.MOST_STEPS", 0)
+    solution, by_steps = collide(jacobian, inverse, u, **options)
+    assert "stepped through" in solution.notes[-1]
+    assert by_steps == pytest.approx(by_events, abs=1e-5 * np.abs(u).max())  # 1e-7 of velocities at contacts
+    mass = np.linalg.inv(inverse)
+    gained = 0.5 * (by_steps @ mass @ by_steps - u @ mass @ u)
+    assert solution.work.total.sum() == pytest.approx(gained, rel=1e-5)
+
+
+def test_a_cube_lands_flat_as_its_planar_twin_does():
+    # all four corners stick in many ways at once; two of double stiffness are the same body in the plane
+    half = 0.05
+    rows = []
+    for x, y in ((-half, -half), (-half, half), (half, -half), (half, half)):
+        rows += [[1, 0, 0, 0, -half, -y], [0, 1, 0, half, 0, x], [0, 0, 1, y, -x, 0]]
+    inverse = np.diag([1.0, 1.0, 1.0, 600.0, 600.0, 600.0])
+    start = np.array([0.5, 0.0, -1.0, 0.0, 0.0, 0.0])
+    _, cube = collide(np.array(rows, dtype=float), inverse, start, friction=0.5, restitution=0.5)
+    twin = planar_body([(-half, -half), (half, -half)], 1.0, 1 / 600)
+    _, planar = collide(*twin, start[[0, 2, 4]], friction=0.5, restitution=0.5)
+    assert cube[[0, 2]] == pytest.approx(planar[:2], abs=1e-6)
+    assert cube[4] == pytest.approx(-planar[2], abs=2e-5)  # 1e-6 of 1 m/s, 5 cm from the centre
+    assert cube[[1, 3, 5]] == pytest.approx(0.0, abs=2e-5)
+    assert cube[[0, 2, 4]] == pytest.approx((0.0063, 0.5509, -0.8746), abs=5e-5)  # by another program
 
 
 def test_what_waves_cannot_stop_is_no_reason_to_refuse_what_can_be_stopped():

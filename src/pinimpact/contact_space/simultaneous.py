@@ -204,7 +204,12 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
             break
-    if not (stopped and missed <= max(MISSED, 100.0 * rtol)):  # never a wrong answer without a word
+    lost = not (stopped and missed <= max(MISSED, 100.0 * rtol))
+    if lost or ended == 2:  # never a wrong answer without a word
+        stepped = _propagate_in_steps(inputs, exponent)
+        if stepped is not None:
+            return stepped
+    if lost:
         plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
         text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
         return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, text))
@@ -224,6 +229,86 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
     segments = partial(segments_of, rows[:used].copy(), n)
     names = "propagate", "energetic"
     return _answer(inputs, names, velocity, impulse, works, (steps, events), segments, notes, story)
+
+
+LONGEST_STEP, MOST_SHORT_STEPS = 8e-3, 1 << 17
+"""Of short steps, in units of the stiffest contact's clock, and how many a pass may take."""
+
+AGREE, USEFUL = 1e-7, 1e-3
+"""Part of the largest velocity to which two extrapolations agree at the end; beyond it they say nothing."""
+
+SMALLEST_RESTITUTION = 4e-3
+"""Stands for e = 0 in short steps, with half of it, from which the limit is extrapolated."""
+
+
+def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | None:
+    """Follow waves by short steps of equal length, extrapolated; None where they do not come to an end."""
+    n = len(inputs.velocity)
+    plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
+    found = _extrapolated(inputs, exponent, np.where(plastic, SMALLEST_RESTITUTION, inputs.restitution))
+    if found is None:
+        return None
+    numbers, missed, steps = found
+    if plastic.any():
+        smaller = np.where(plastic, 0.5 * SMALLEST_RESTITUTION, inputs.restitution)
+        closer = _extrapolated(inputs, exponent, smaller)
+        if closer is None:
+            return None
+        missed = max(missed, closer[1], 0.1 * _differ(inputs, numbers, closer[0]))
+        numbers, steps = 2.0 * closer[0] - numbers, steps + closer[2]
+    impulse = numbers[: 3 * n].reshape(n, 3)
+    impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
+    tangential = np.hypot(impulse[:, 0], impulse[:, 1])
+    most = inputs.friction * impulse[:, 2]
+    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, 1e-300), 1.0)[:, None]
+    velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
+    works = numbers[3 * n :].reshape(n, 3)
+    text = (
+        "Events crowd here: the impact was stepped through; two extrapolations of its velocities differ by "
+        f"{missed:.1e} of the largest."
+    )
+    notes = (*_of_law(inputs), text)
+    return _answer(
+        inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0), notes=notes
+    )
+
+
+def _extrapolated(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[Array, float, int] | None:
+    """Return impulses and works (6n,) for steps of no length, the velocities missed, and the steps."""
+    from ._kernels.propagation_steps import step_through
+
+    n = len(inputs.velocity)
+    size = float(np.abs(inputs.velocity).max())
+    scaled = inputs.stiffness / np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3])
+    velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
+    h, total, missed = LONGEST_STEP, 0, np.inf
+    last: Array | None = None
+    best: Array | None = None
+    while True:
+        steps = step_through(
+            *(inputs.delassus, inputs.velocity.ravel() / size, inputs.friction, restitution, scaled),
+            *(float(exponent), h, MOST_SHORT_STEPS, velocity, impulse, works),
+        )
+        if steps == 0:
+            break
+        total += steps
+        numbers = np.concatenate([impulse * size, works.ravel() * size * size])
+        if last is not None:
+            further = 2.0 * numbers - last
+            if best is not None:
+                missed = _differ(inputs, further, best)
+            best = further
+            if missed <= AGREE:
+                break
+        last, h = numbers, 0.5 * h
+    return None if best is None or not missed <= USEFUL else (best, missed, total)
+
+
+def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:
+    """Return by how much two impulses (3n,), first in what is given, differ in velocities, of the largest."""
+    rows = 3 * len(inputs.velocity)
+    change = inputs.delassus @ (one[:rows] - other[:rows])
+    return float(np.abs(change).max() / np.abs(inputs.velocity).max())
 
 
 LAST = 5
@@ -453,8 +538,9 @@ def _kernels_at_once() -> tuple[Any, ...]:
 
 def _kernels_of_waves() -> tuple[Any, ...]:
     from ._kernels.propagation import propagate
+    from ._kernels.propagation_steps import step_through
 
-    return propagate, *_kernels_at_once()
+    return propagate, step_through, *_kernels_at_once()
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType(
