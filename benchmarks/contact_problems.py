@@ -1,0 +1,121 @@
+"""Forces by Coulomb's law: how many are found, and in what time, by the chain of scenes and by one solver.
+
+Problems recorded in runs are read from a file (arrays one after the other; `contacts` and `scalars` give the
+sizes), others are drawn: four contacts, some of which slip, with and without three dry joints, of full rank,
+with two normals alike, and redundant ones.
+
+    python -m benchmarks.contact_problems recorded.npz
+    python -m benchmarks.contact_problems
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from pinimpact._numeric.coulomb_problem import USABLE, solve_coulomb
+from pinimpact.scene._kernels.force_cones import forces_by_cones
+from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
+
+Problem = tuple[Any, ...]
+"""W, accelerations, velocities of slip, friction, held, lower, upper."""
+
+
+@numba.njit
+def one_solver(delassus, free, velocity, mu, held, lower, upper, x):
+    """Call the kernel, which only kernels can."""
+    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
+
+
+@numba.njit
+def chain(delassus, free, velocity, mu, held, lower, upper, x):
+    """Sweeps, and what follows where they do not do."""
+    force, strength = np.zeros((len(mu), 3)), np.zeros(len(lower))
+    sweeps, jamming = forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, strength)
+    x[: 3 * len(mu)], x[3 * len(mu) :] = force.ravel(), strength
+    if sweeps >= 0 and jamming < 0:
+        return 0.0
+    return forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x)
+
+
+def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:
+    """Yield whether sweeps have left it, and the problem."""
+    data = dict(np.load(path))
+    slip, at = data["slip"].reshape(-1, 2), np.zeros(4, dtype=int)
+    for nc, ns, hard in zip(data["contacts"], data["scalars"], data["hard"], strict=True):
+        n = 3 * nc + ns
+        a, b, c, s = (slice(start, start + size) for start, size in zip(at, (n * n, n, nc, ns), strict=True))
+        contacts = slip[c].copy(), data["friction"][c], data["held"][c]
+        yield (
+            bool(hard),
+            (
+                data["delassus"][a].reshape(n, n),
+                data["free"][b],
+                *contacts,
+                data["lower"][s],
+                data["upper"][s],
+            ),
+        )
+        at += n * n, n, nc, ns
+
+
+def drawn(seed: int) -> Problem:
+    """Draw a problem of four contacts."""
+    rng = np.random.default_rng(seed)
+    joints = 3 * (seed % 2)
+    rows = 12 + joints
+    speeds = rows - 1 if seed % 8 < 6 else 9
+    jacobian, factor = rng.normal(size=(rows, speeds)), rng.normal(size=(speeds, speeds))
+    if seed % 4 >= 2:
+        jacobian[9] = jacobian[6]
+    delassus = jacobian @ (factor @ factor.T / speeds + 0.1 * np.eye(speeds)) @ jacobian.T
+    free = jacobian @ rng.normal(size=speeds)
+    if speeds > 9:
+        free -= np.array([0, 0, 1] * 4 + [0] * joints)
+    velocity, slips = np.zeros((4, 2)), int(rng.integers(0, 5))
+    velocity[:slips] = rng.normal(size=(slips, 2))
+    bound = np.full(joints, rng.uniform(0.05, 0.5))
+    return delassus, free, velocity, rng.uniform(0.2, 1.2, size=4), np.zeros(4, dtype=bool), -bound, bound
+
+
+def measure(solve: Callable[..., float], problems: list[Problem]) -> tuple[np.ndarray, np.ndarray]:
+    """Return which are solved, and the times [ms]."""
+    found, times = np.empty(len(problems), dtype=bool), np.empty(len(problems))
+    for k, problem in enumerate(problems):
+        x = np.zeros(len(problem[1]))
+        start = time.perf_counter()
+        found[k] = solve(*problem, x) <= USABLE
+        times[k] = 1e3 * (time.perf_counter() - start)
+    return found, times
+
+
+def main() -> None:
+    """Print a line for each kind of problem and way to solve it."""
+    kinds: dict[str, list[Problem]] = {"drawn": [drawn(seed) for seed in range(1600)]}
+    if len(sys.argv) > 1:
+        problems = list(recorded(Path(sys.argv[1])))
+        kinds["recorded, hard"] = [problem for hard, problem in problems if hard]
+        kinds["recorded, others"] = [problem for hard, problem in problems if not hard]
+    else:
+        print("recorded problems are left out: no file is given")
+    for kind, problems in kinds.items():
+        found = {}
+        for name, solve in (("chain", chain), ("one solver", one_solver)):
+            measure(solve, problems[:1])
+            found[name], times = measure(solve, problems)
+            print(
+                f"{kind}, {name}: {found[name].sum()} of {len(problems)}, {times.mean():.3f} ms as a mean, "
+                f"{np.median(times):.3f} as a median, {times.max():.2f} at most"
+            )
+        only = {name: np.flatnonzero(found[name] & ~np.all(list(found.values()), axis=0)) for name in found}
+        print("    found by one alone:", {name: which.tolist() for name, which in only.items()})
+
+
+if __name__ == "__main__":
+    main()
