@@ -186,15 +186,16 @@ def test_a_rigid_body_on_four_feet(quadruped, friction, e):
         v[4] = pitch
         contacts = feet(friction=friction, restitution=e)
         hit = pinimpact.impact(model, model.createData(), q, v, contacts, locked=list(model.names)[2:])
-        # at e = 0.8 rounding decides whether the last waves die out or are resolved at once
+        # at e = 0.8 rounding decides whether the last waves die out or are stepped through, to 1e-7
         assert (
-            all("resolved at once" in note for note in hit.solution.notes)
+            all("stepped through" in note for note in hit.solution.notes)
             if e == 0.8
             else not hit.solution.notes
         )
-        assert np.abs(hit.v[[1, 3, 5]]).max() < 1e-8
+        digits = 1e-6 if hit.solution.notes else 1e-8
+        assert np.abs(hit.v[[1, 3, 5]]).max() < digits
         p = hit.impulses_world
-        assert p[[0, 2], 2] == pytest.approx(p[[1, 3], 2], abs=1e-8)
+        assert p[[0, 2], 2] == pytest.approx(p[[1, 3], 2], abs=digits)
         assert (np.hypot(p[:, 0], p[:, 1]) <= friction * p[:, 2] * (1 + 1e-9)).all()
         outcomes.append(hit.v)
     assert outcomes[0][0] * outcomes[1][0] < 0.0
