@@ -197,7 +197,7 @@ def test_a_run_as_json(tmp_path: Path) -> None:
     assert facts["complete"]
     assert [impact["time"] for impact in facts["impacts"]] == [impact.time for impact in trajectory.impacts]
     assert len(facts["notes"]) == len(trajectory.notes)
-    assert facts["energy"]["not accounted for"] == trajectory.energy.residual[-1]
+    assert facts["energy"]["energy residual"] == trajectory.energy.residual[-1]
 
 
 def test_the_sampling_of_a_run_can_be_given(tmp_path: Path) -> None:

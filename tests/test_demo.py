@@ -80,7 +80,7 @@ def test_zero_to_rounding_is_told_from_small() -> None:
 def test_the_ends_of_chains_suggest_themselves() -> None:
     arm = load_robot(str(Path(__file__).parents[1] / "examples" / "arm.urdf"))
     assert robot_facts("arm", arm)["contact_frames"] == ["tip"]  # not the hand that it is fixed to
-    assert "At their joints: link2; offset=" in call("info", "double_pendulum").output
+    assert "At joint origins: link2; offset=" in call("info", "double_pendulum").output
 
 
 def test_a_robot_strikes_as_it_is_asked_to() -> None:

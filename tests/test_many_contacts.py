@@ -618,7 +618,7 @@ def test_bad_policies():
         solve_impact(problem, simultaneous="all")
     with pytest.raises(LawError, match='"together" can take'):
         solve_impact(problem, simultaneous="together")
-    with pytest.raises(pinimpact.UnknownNameError, match="seed: 'propagate' has no such option"):
+    with pytest.raises(pinimpact.UnknownNameError, match="seed: unknown option of 'propagate'"):
         solve_impact(problem, simultaneous="propagate", seed=1)
     with pytest.raises(InputError, match=r"exponent: 2 given"):
         solve_impact(problem, simultaneous="propagate", exponent=2)

@@ -211,7 +211,7 @@ WRONG = {
     "no radius": (
         ("[plane.belt]", "[sphere.post]\n[plane.belt]"),
         pinimpact.InputError,
-        r"sphere\.post\.radius: .* does not set it",
+        r"sphere\.post\.radius: .* required key missing",
     ),
     "unknown frame": (('frame = "ball"', 'frame = "bal"'), pinimpact.UnknownNameError, "'bal'.*'ball'"),
     "unknown law": (

@@ -149,24 +149,28 @@ def _tell(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, qu
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pinimpact")
 def main() -> None:
-    """What happens to a robot in the instant in which it hits something with friction."""
+    """Compute rigid-body impacts of robots with friction, and simulate motions with contact."""
 
 
 @main.command()
 @click.argument("robot", required=False)
 @click.option("--robot", "named", hidden=True)
-@click.option("--frame", help="What strikes, by name or id.  [default: a hand or a foot]")
+@click.option("--frame", help="Frame that strikes, by name or id.  [default: a hand or a foot]")
 @click.option(
-    "--speed", type=float, help="Of the striking point at the touch [m/s].  [default: 1, or 2.1 in a fall]"
+    "--speed",
+    type=float,
+    help="Speed of the contact point at impact [m/s].  [default: 1, or 2.1 in a fall]",
 )
 @click.option(
-    "--direction", type=VECTOR, help="Of its motion, x y z in the world.  [default: aslant, onto the table]"
+    "--direction",
+    type=VECTOR,
+    help="Direction of motion, x y z in the world.  [default: obliquely, towards the table]",
 )
-@click.option("--normal", type=VECTOR, help="Of the table, x y z in the world.  [default: 0 0 1]")
+@click.option("--normal", type=VECTOR, help="Normal of the table, x y z in the world.  [default: 0 0 1]")
 @click.option("--friction", type=float, help="Coulomb coefficient.  [default: 0.3]")
 @click.option("--restitution", type=float, help="Coefficient of the law, 0 to 1.  [default: 0.5]")
 @click.option(
-    "--law", default="poisson", show_default=True, help="Of restitution: poisson, energetic or newton."
+    "--law", default="poisson", show_default=True, help="Restitution law: poisson, energetic or newton."
 )
 @OUT
 @FORCE
@@ -182,7 +186,7 @@ def demo(
     quiet: bool,
     **how: Any,
 ) -> None:
-    """Let a robot strike a table: print the impact, write a replay and a hodograph.
+    """Compute an impact of a robot with a table: print it, write a replay and a hodograph.
 
     ROBOT is a name (`pinimpact robots` lists them) or the path of a file; panda if it is left out. A fixed
     base swings what strikes onto the table, a free one falls onto it.
@@ -261,7 +265,7 @@ def robots(word: str | None, as_json: bool) -> None:
 @JSON
 @plain_errors
 def info(robot: str, every: bool, as_json: bool) -> None:
-    """Tell the joints of a robot with their limits, its frames, and which of them may touch something."""
+    """Show the joints of a robot with their limits, its frames, and which of them may make contact."""
     from ..robot.loading import load_robot
     from .report import robot_report
     from .robot_info import robot_facts
@@ -404,7 +408,7 @@ def cost(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Measure error against time, method by method: a summary, a diagram, the raw figures."""
+    """Benchmark accuracy against run time, method by method: a summary, a plot, the raw figures."""
     from ..contact_space.methods import find_method
     from ..studies.cost import run_cost
 

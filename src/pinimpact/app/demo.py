@@ -151,7 +151,7 @@ def run_demo(
     Args:
         name: Of the robot, or the path of its file.
         frame: What strikes; None for a hand or a foot that suggests itself.
-        speed: Of the striking point at the touch [m/s].
+        speed: Speed of the contact point at impact [m/s].
         direction: Of its motion, (3,) in world axes, of any length. What a frame cannot do is left out.
         normal: Of the table, (3,) in world axes, of any length; None for z or, where the frame cannot move
             that way, against the way in which it can.

@@ -170,7 +170,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
     base = "free" if facts["free_base"] else "fixed"
     heading = (
         f"{facts['robot']}: {counted(facts['nv'], 'velocity')} (nq = {facts['nq']}), {base} base, "
-        f"{facts['mass']:.4g} kg; shapes to show: {facts['shapes']['visual']}"
+        f"{facts['mass']:.4g} kg; visual shapes: {facts['shapes']['visual']}"
     )
 
     def limits(joint: dict[str, Any]) -> tuple[str, str]:
@@ -198,7 +198,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
     ]
     if at_joint:
         parts.append(
-            Text(f"At their joints: {', '.join(sorted(at_joint))}; offset= of a Contact moves the point.")
+            Text(f"At joint origins: {', '.join(sorted(at_joint))}; offset= of a Contact moves the point.")
         )
     if every:
         rows = [(str(f["id"]), f["name"], f["joint"], f["kind"]) for f in facts["frames"]]
@@ -210,12 +210,12 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
-    """Return what changed the energy; what is not accounted for is told as small as it is."""
+    """Return what changed the energy; the residual is given as small as it is."""
     energy = trajectory.energy
     values = [energy.total[-1] - energy.total[0], *(getattr(energy, name)[-1] for name in WORKS)]
     names = ["kinetic and potential", *(f"work of {name}" for name in WORKS)]
     changes = rounded(values, float(np.abs(energy.total).max()))
-    return [*zip(names, changes, strict=True), ("not accounted for", energy.residual[-1])]
+    return [*zip(names, changes, strict=True), ("energy residual", energy.residual[-1])]
 
 
 def _cut(rows: Sequence[Any], shown: int | None) -> str:

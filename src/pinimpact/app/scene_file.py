@@ -331,7 +331,7 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
     if complaint["type"] == "extra_forbidden":
         table = _TABLES[tuple(str(part) for part in place[:-1][:1])]
         return UnknownNameError(
-            f"{key}: {path.name} has no such key to set; {near_matches(str(place[-1]), table.model_fields)}",
+            f"{key}: unknown key in {path.name}; {near_matches(str(place[-1]), table.model_fields)}",
             field=key,
             value=complaint["input"],
         )
@@ -342,7 +342,7 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
             value=complaint["input"],
         )
     if complaint["type"] == "missing":
-        return InputError(f"{key}: {path.name} does not set it, and it must", field=key)
+        return InputError(f"{key}: {path.name}: required key missing", field=key)
     message = complaint["msg"].removeprefix("Value error, ")
     return InputError(
         f"{key}: {complaint['input']!r} given in {path.name}; {message}", field=key, value=complaint["input"]

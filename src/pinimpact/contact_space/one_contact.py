@@ -95,7 +95,7 @@ def solve_inputs(
         for name in options:
             if name not in known:
                 raise UnknownNameError(
-                    f"{name}: method {method!r} has no such option; it has {', '.join(known) or 'none'}",
+                    f"{name}: unknown option of {method!r}, which takes {', '.join(known) or 'no options'}",
                     field=name,
                     value=options[name],
                 )

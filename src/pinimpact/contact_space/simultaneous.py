@@ -154,7 +154,8 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
     for name in options:
         if name not in policy.options:
             raise UnknownNameError(
-                f"{name}: {simultaneous!r} has no such option; it has {', '.join(policy.options) or 'none'}",
+                f"{name}: unknown option of {simultaneous!r}, which takes "
+                f"{', '.join(policy.options) or 'no options'}",
                 field=name,
                 value=options[name],
             )

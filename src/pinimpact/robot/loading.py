@@ -166,8 +166,8 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
     if missing:
         warnings.warn(
             f"the robot of {path} lacks the shapes of meshes that are not found or cannot be read: "
-            f"{', '.join(missing)}; package_dirs or the environment variable ROS_PACKAGE_PATH tells where "
-            "meshes are",
+            f"{', '.join(missing)}; set package_dirs "
+            "or the environment variable ROS_PACKAGE_PATH",
             stacklevel=3,
         )
     return pin.RobotWrapper(model, *shapes)

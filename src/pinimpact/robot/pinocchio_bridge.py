@@ -577,7 +577,8 @@ def _check_joints(model: pin.Model) -> None:
     if mimics:
         raise ModelError(
             f"model: Pinocchio has no forward dynamics of mimic joints ({', '.join(mimics)}), so they cannot "
-            "move in a scene; load the robot without them (load_robot(…, mimic=False)), or give impacts only",
+            "move in a scene; load the robot without them (load_robot(…, mimic=False)), or use impact() "
+            "in place of a scene",
             field="model",
             value=mimics,
         )

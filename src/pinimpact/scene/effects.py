@@ -75,7 +75,7 @@ class Plan:
         for effect in self.effects:
             if effect.name == name:
                 return effect
-        raise UnknownNameError(f"effect: {name!r} is none; {near_matches(name, SWITCHABLE + DERIVED)}")
+        raise UnknownNameError(f"effect: unknown effect {name!r}; {near_matches(name, SWITCHABLE + DERIVED)}")
 
     @property
     def switched_off(self) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
             )
         if name not in SWITCHABLE:
             raise UnknownNameError(
-                f"without: {name!r} is no effect; {near_matches(name, SWITCHABLE)}",
+                f"without: unknown effect {name!r}; {near_matches(name, SWITCHABLE)}",
                 field="without",
                 value=name,
             )

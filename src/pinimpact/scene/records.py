@@ -227,7 +227,7 @@ class Energy:
         works = ", ".join(f"{cause} {float(work[-1]):.6g}" for cause, work in self.works().items())
         return (
             f"Energy({float(self.total[0]):.6g} J to {float(self.total[-1]):.6g} J; works: {works}; "
-            f"not accounted for {float(self.residual[-1]):.2g} J)"
+            f"energy residual {float(self.residual[-1]):.2g} J)"
         )
 
     def works(self) -> dict[str, Array]:

@@ -339,7 +339,7 @@ class Trajectory:
             f"{self.duration:.6g} s in {counted(len(self.t) - 1, 'sample')}, "
             f"{counted(len(self.impacts), 'impact')}{f' ({hits})' if hits else ''}. {self.termination}",
             f"Energy {float(self.energy.total[0]):.6g} J to {float(self.energy.total[-1]):.6g} J, "
-            f"{float(self.energy.residual[-1]):.2g} J not accounted for.",
+            f"energy residual {float(self.energy.residual[-1]):.2g} J.",
             *map(str, self.events),
             *map(str, group_notes(self.notes)),
         ]
@@ -351,7 +351,7 @@ class Trajectory:
         energy = self.energy
         rows = [("kinetic and potential", float(energy.total[-1] - energy.total[0]))]
         rows += [(f"work of {cause}", float(work[-1])) for cause, work in energy.works().items()]
-        rows.append(("not accounted for", float(energy.residual[-1])))
+        rows.append(("energy residual", float(energy.residual[-1])))
         impacts = html_table(
             f"{self.duration:.6g} s, {counted(len(self.impacts), 'impact')}"
             + (f", the first {SHOWN}" if len(self.impacts) > SHOWN else ""),

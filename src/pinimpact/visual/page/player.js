@@ -357,16 +357,16 @@
     const held = data.impacts.some(impact => impact.contacts.length), { longest } = data.scales;
     const rows = [];
     if (held) rows.push(
-      ["impulse", `impulse, the longest ${digits(longest.impulse)} N s`],
+      ["impulse", `impulse (max. ${digits(longest.impulse)} N s)`],
       ["cone", "friction cone"],
-      ["before", `velocity before, the longest ${digits(longest.velocity)} m/s`],
+      ["before", `velocity before (max. ${digits(longest.velocity)} m/s)`],
       ["after", "velocity after"]);
     if (contacts.some(contact => contact.forces))
-      rows.push(["force", `force of contact, the longest ${digits(longest.force)} N`]);
-    if (contacts.length && !data.within) rows.push(["path", "way of a contact point"]);
+      rows.push(["force", `contact force (max. ${digits(longest.force)} N)`]);
+    if (contacts.length && !data.within) rows.push(["path", "path of the contact point"]);
     if (data.surfaces.length)
       rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);
-    if (lit.length) rows.push(["lit", "shape that touches"]);
+    if (lit.length) rows.push(["lit", "shape in contact"]);
     for (const [name, text] of rows) {
       const row = find("legend").appendChild(document.createElement("div"));
       const swatch = row.appendChild(document.createElement("i"));
