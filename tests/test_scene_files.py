@@ -245,7 +245,7 @@ WRONG = {
         pinimpact.InputError,
         r"plane\.belt\.velocity",
     ),
-    "no duration": (("duration = 1.5", ""), pinimpact.InputError, "duration.*must"),
+    "no duration": (("duration = 1.5", ""), pinimpact.InputError, "duration.*required key missing"),
     "negative time": (("duration = 1.5", "duration = -1"), pinimpact.InputError, "duration: -1"),
     "no TOML": (("duration =", "duration"), pinimpact.InputError, "is not TOML"),
     "no robot": (("urdf =", "# urdf ="), pinimpact.InputError, r"robot\[0\]: give either"),
