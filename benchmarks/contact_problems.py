@@ -41,7 +41,7 @@ def chain(delassus, free, velocity, mu, held, lower, upper, x):
     x[: 3 * len(mu)], x[3 * len(mu) :] = force.ravel(), strength
     if sweeps >= 0 and jamming < 0:
         return 0.0
-    return forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x)
+    return forces_by_cones(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:

@@ -19,7 +19,7 @@ from pinimpact.scene._kernels.lasting_forces import take_lasting
 @numba.njit
 def solve(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
-    return forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x)
+    return forces_by_cones(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def contacts_at_rest(seed, contacts, velocities):
@@ -470,7 +470,7 @@ def test_of_several_forces_those_where_the_search_begins_are_taken():
 
 @numba.njit
 def last(delassus, free, velocity, mu, held, lower, upper, x):
-    take_lasting(delassus, free, velocity, mu, held, lower, upper, x)
+    take_lasting(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def test_forces_from_which_any_deviation_grows_give_way_to_others():

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._compile.jit import inner, jit, separate
+from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale
 from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
@@ -26,7 +27,7 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .force_cones import SYSTEM, forces_by_cones, newton, residual, scale
+from .force_cones import forces_by_cones
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
 from .slip import CERTAIN, behind
@@ -191,7 +192,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         rows[3 * nc + m, scalars[m]] = 1.0
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
-    force, strength, found = np.zeros((nc, 3)), np.zeros(ns), work.found_forces
+    force, strength, found, least = np.zeros((nc, 3)), np.zeros(ns), work.found_forces, np.zeros(nc)
     sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
     converged = sweeps >= 0 and jamming < 0
     both = np.empty(size)
@@ -200,15 +201,15 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     if not converged:
         known = np.empty(size)
         forces_of_before(work, contacts, joints, known)
-        converged = go_on_from(delassus, free, slip, mu, held, lower, upper, known)
+        converged = go_on_from(delassus, free, slip, mu, least, held, lower, upper, known)
         if converged:
             assign(both, known)
         else:
-            converged = forces_by_cones(delassus, free, slip, mu, held, lower, upper, both) <= ACCURACY
+            converged = forces_by_cones(delassus, free, slip, mu, least, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
     if converged:
-        take_lasting(delassus, free, slip, mu, held, lower, upper, both)
+        take_lasting(delassus, free, slip, mu, least, held, lower, upper, both)
     for a in range(size):  # if not found, then the nearest to it
         if a < 3 * nc:
             force[a // 3, a % 3] = both[a]
@@ -314,7 +315,7 @@ def forces_of_before(work, contacts, joints, x):
 
 @ahead(*SYSTEM)
 @separate
-def go_on_from(delassus, free, velocity, mu, held, lower, upper, x):
+def go_on_from(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Take forces x of before to those of now, by Newton's method; return whether there are such.
 
     Near where they cease to exist they are a thousand times those of the loads, too far for any other way.
@@ -324,7 +325,10 @@ def go_on_from(delassus, free, velocity, mu, held, lower, upper, x):
     scale_a, scale_f = np.empty(size), np.empty(size)
     if scale(delassus, free, len(mu), width, scale_a, scale_f) == 0.0:
         return False
-    return newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= ACCURACY
+    return (
+        newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+        <= ACCURACY
+    )
 
 
 @inner
@@ -398,11 +402,11 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
             other_strength[a - 3 * nc] = x[a]
     if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
         return
-    width, a_now = np.empty(size), np.empty(size)
+    width, a_now, least = np.empty(size), np.empty(size), np.zeros(nc)
     scale_a, scale_f = np.empty(size), np.empty(size)
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
         return
-    off = residual(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    off = residual(delassus, free, slip, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     if not off <= ACCURACY:
         sweeps, jamming = forces_by_sweeps(
             delassus, free, slip, mu, held, lower, upper, others, other_strength
@@ -413,7 +417,7 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
             x[a] = others[a // 3, a % 3] if a < 3 * nc else other_strength[a - 3 * nc]
         if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
             return
-    if orientation(delassus, free, slip, mu, held, lower, upper, x, a_now, scale_a, scale_f) < 0:
+    if orientation(delassus, free, slip, mu, least, held, lower, upper, x, a_now, scale_a, scale_f) < 0:
         return
     for k in range(nc):
         assign(force[k], others[k])

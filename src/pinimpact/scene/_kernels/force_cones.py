@@ -15,28 +15,27 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
+from ..._compile.ahead import FLOATS, ahead
 from ..._compile.jit import separate
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.least_norm import least_norm
+from ..._numeric.coulomb_problem import (
+    ACCURATE,
+    CLOSED,
+    SYSTEM,
+    USABLE,
+    newton,
+    polish,
+    residual,
+    scale,
+)
 from ..._numeric.loops import assign, flags, repeated
-from ..._numeric.products import apply
 from .force_pivots import forces_by_pivots
-
-SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
-"""Types: W, accelerations, velocities of slip, friction, held, bounds, and the forces."""
 
 OUTER = 60
 """Convex programs that are solved at most."""
 
-POLISH = 8
-"""Steps of Newton's method after one."""
-
 MOST_CHOSEN = 8
 """Contacts that slip of which all choices are tried."""
-
-ACCURATE, USABLE = 1e-11, 1e-10
-"""Residuals of forces: one at which to stop, and one that will do where it falls no more."""
 
 PATIENCE = 4
 """Programs without half the residual after which it does that."""
@@ -55,54 +54,10 @@ and its force is to be at its bound to 10⁻¹² nevertheless."""
 FEWEST_SIDES, MOST_SIDES = np.int64(8), np.int64(64)
 """Sides of the polygons in place of cones, where pivots are tried."""
 
-CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
-"""What `polish` is told of a contact in its first iteration."""
-
-
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
-@separate
-def residual(delassus, free, velocity, mu, held, lower, upper, x, accelerations, scale_a, scale_f):
-    """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
-    apply(delassus, x, accelerations)
-    worst = 0.0
-    for a in range(size):
-        accelerations[a] += free[a]
-    for i in range(nc):
-        b = 3 * i
-        fn, an = x[b + 2] / scale_f[b], accelerations[b + 2] * scale_a[b]
-        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
-        a1, a2 = accelerations[b] * scale_a[b], accelerations[b + 1] * scale_a[b]
-        if held[i]:
-            worst = max(worst, abs(an), abs(a1), abs(a2))
-            continue
-        worst = max(worst, abs(fn - max(0.0, fn - an)))
-        if mu[i] == 0.0:
-            continue
-        speed = math.hypot(velocity[i, 0], velocity[i, 1])
-        if speed > 0.0:
-            worst = max(
-                worst,
-                abs(f1 + mu[i] * fn * velocity[i, 0] / speed),
-                abs(f2 + mu[i] * fn * velocity[i, 1] / speed),
-            )
-            continue
-        g1, g2 = f1 - a1, f2 - a2  # the projection of f − a onto the disc is f
-        limit, length = mu[i] * max(fn, 0.0), math.hypot(g1, g2)
-        if length > limit:
-            g1, g2 = g1 * limit / length, g2 * limit / length
-        worst = max(worst, abs(f1 - g1), abs(f2 - g2))
-    for i in range(ns):
-        b = 3 * nc + i
-        f, rate = x[b] / scale_f[b], accelerations[b] * scale_a[b]
-        worst = max(worst, abs(f - min(max(f - rate, lower[i] / scale_f[b]), upper[i] / scale_f[b])))
-    return worst
-
 
 @ahead(*SYSTEM, FLOATS, FLOATS)
 @separate
-def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f):
+def forces_by_modes(delassus, free, velocity, mu, least, held, lower, upper, x, scale_a, scale_f):
     """Fill x with forces by Newton's method from each choice of which contacts that slip are closed.
 
     Choices with fewer closed ones come first: of several solutions, the contact that opens. Returns the
@@ -129,9 +84,22 @@ def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a
                 continue
             for a in range(size):
                 x[a] = 0.0
-            residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
             worst = polish(
-                delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, math.inf, closed
+                delassus,
+                free,
+                velocity,
+                mu,
+                least,
+                held,
+                lower,
+                upper,
+                x,
+                a_now,
+                scale_a,
+                scale_f,
+                math.inf,
+                closed,
             )
             if worst <= 1e-12:
                 return worst
@@ -140,20 +108,7 @@ def forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @separate
-def newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Take forces x to rounding by Newton's method on what they say is active; return the residual."""
-    worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-    if not 0.0 < worst < math.inf:
-        return worst
-    undecided = repeated(len(mu), AS_FORCES_SAY)
-    return polish(
-        delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
-    )
-
-
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
-@separate
-def forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
+def forces_at_bounds(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Take one scalar force at a time to a bound, and go on from there; keep x where nothing comes of it.
 
     Where a solution has just ceased to exist, another is often a joint's yielding away. Returns the residual.
@@ -165,47 +120,18 @@ def forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now,
                 continue
             assign(x, start)
             x[3 * nc + i] = bound
-            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = newton(
+                delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f
+            )
             if worst <= USABLE:
                 return worst
     assign(x, start)
-    return residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-
-
-@ahead(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
-@separate
-def scale(delassus, free, contacts, d, scale_a, scale_f):
-    """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
-
-    Args:
-        delassus, free: Of the rows (m,), three for each contact first.
-        contacts: How many.
-        d: (m,) takes what makes the diagonal one.
-        scale_a: (m,) takes factors of accelerations.
-        scale_f: (m,) takes units of forces.
-    """
-    size = len(free)
-    largest = unit = 0.0
-    for a in range(size):
-        largest = max(largest, delassus[a, a])
-    for i in range(contacts):
-        softest = max(delassus[3 * i, 3 * i], delassus[3 * i + 1, 3 * i + 1])
-        softest = max(softest, delassus[3 * i + 2, 3 * i + 2])
-        for a in range(3 * i, 3 * i + 3):
-            d[a] = 1.0 / math.sqrt(max(softest, 1e-14 * largest))
-    for a in range(3 * contacts, size):
-        d[a] = 1.0 / math.sqrt(max(delassus[a, a], 1e-14 * largest))
-    for a in range(size):
-        unit = max(unit, abs(d[a] * free[a]))
-    if unit > 0.0:
-        for a in range(size):
-            scale_a[a], scale_f[a] = d[a] / unit, d[a] * unit
-    return unit
+    return residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, FLOATS)
 @separate
-def forces_on_path(delassus, free, velocity, mu, held, lower, upper, x, a_now, d, scale_a, scale_f):
+def forces_on_path(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, d, scale_a, scale_f):
     """Fill x with forces from Lemke's pivots and Newton's method; return the residual."""
     ns, size = len(lower), len(x)
     w, f0, f = np.empty((size, size)), np.empty(size), np.empty(size)
@@ -224,10 +150,12 @@ def forces_on_path(delassus, free, velocity, mu, held, lower, upper, x, a_now, d
         for a in range(size):
             x[a] = f[a] * scale_f[a]
         before = math.inf
-        worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        worst = newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
         while worst < 0.5 * before and worst > ACCURATE:  # slow where hardly anything begins to slip
             before = worst
-            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = newton(
+                delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f
+            )
         if worst < best:
             best = worst
             assign(best_x, x)
@@ -238,7 +166,7 @@ def forces_on_path(delassus, free, velocity, mu, held, lower, upper, x, a_now, d
 
 @ahead(*SYSTEM)
 @separate
-def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
+def forces_by_cones(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Fill x with forces: near those that it has, or from convex programs. (see above)
 
     Returns the residual.
@@ -251,9 +179,9 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             x[a] = 0.0
         return 0.0
     a_now = np.empty(size)
-    if newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) <= 1e-12:
+    if newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f) <= 1e-12:
         return 0.0
-    if forces_by_modes(delassus, free, velocity, mu, held, lower, upper, x, scale_a, scale_f) <= 1e-12:
+    if forces_by_modes(delassus, free, velocity, mu, least, held, lower, upper, x, scale_a, scale_f) <= 1e-12:
         return 0.0
     w = np.empty((size, size))
     f0 = np.empty(size)
@@ -327,11 +255,13 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
                 f[3 * i + 1] = -mu[i] * f[3 * i + 2] * velocity[i, 1] / speed
         for a in range(size):
             x[a] = f[a] * scale_f[a]
-        worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+        worst = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
         if worst <= 1e-12:
             return worst
         if worst <= 1e-3 or outer == OUTER - 1:
-            worst = newton(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = newton(
+                delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f
+            )
             since += 1
             if worst < best:
                 since = 0 if worst < 0.5 * best else since
@@ -343,7 +273,9 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             # go on from the convex program's own answer
             for a in range(size):
                 x[a] = f[a] * scale_f[a]
-            worst = residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+            worst = residual(
+                delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f
+            )
         along = new = old = 0.0
         for i in range(nc):
             if at_rest[i] and not held[i]:
@@ -380,117 +312,13 @@ def forces_by_cones(delassus, free, velocity, mu, held, lower, upper, x):
             break
     if best > USABLE:
         worst = forces_on_path(
-            delassus, free, velocity, mu, held, lower, upper, x, a_now, d, scale_a, scale_f
+            delassus, free, velocity, mu, least, held, lower, upper, x, a_now, d, scale_a, scale_f
         )
     if best < worst:
         worst = best
         assign(x, best_x)
     if worst > USABLE:
-        worst = forces_at_bounds(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
-    return worst
-
-
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
-@separate
-def linearize(
-    delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
-):
-    """Fill the equations of a step of Newton's method from forces x, whose accelerations are `a_now`.
-
-    Contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1 leaves that to the forces.
-    """
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
-    for a in range(size):
-        for b in range(size):
-            system[a, b] = 0.0
-    for i in range(nc):
-        b = 3 * i
-        fn, an = x[b + 2] / scale_f[b], a_now[b + 2] * scale_a[b]
-        given = closed[i] >= 0
-        opens = closed[i] == 0 if given else fn - an <= 0.0
-        if not held[i] and opens:
-            for r in range(b, b + 3):
-                system[r, r], right[r] = 1.0, -x[r] / scale_f[r]
-            continue
-        for k in range(size):
-            system[b + 2, k] = scale_a[b] * delassus[b + 2, k] * scale_f[k]
-        right[b + 2] = -an
-        speed = math.hypot(velocity[i, 0], velocity[i, 1])
-        f1, f2 = x[b] / scale_f[b], x[b + 1] / scale_f[b]
-        if not held[i] and (speed > 0.0 or mu[i] == 0.0):
-            s1 = velocity[i, 0] / speed if speed > 0.0 else 0.0
-            s2 = velocity[i, 1] / speed if speed > 0.0 else 0.0
-            system[b, b], system[b, b + 2], right[b] = 1.0, mu[i] * s1, -f1 - mu[i] * fn * s1
-            system[b + 1, b + 1], system[b + 1, b + 2], right[b + 1] = (
-                1.0,
-                mu[i] * s2,
-                -f2 - mu[i] * fn * s2,
-            )
-            continue
-        a1, a2 = a_now[b] * scale_a[b], a_now[b + 1] * scale_a[b]
-        g1, g2 = f1 - a1, f2 - a2
-        if held[i] or given or math.hypot(g1, g2) <= mu[i] * fn:  # sticks
-            for k in range(size):
-                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
-                system[b + 1, k] = scale_a[b] * delassus[b + 1, k] * scale_f[k]
-            right[b], right[b + 1] = -a1, -a2
-        else:  # begins to slip: f_t = μ f_n g/|g|, g = f_t − a_t
-            length = math.hypot(g1, g2)
-            u1, u2 = g1 / length, g2 / length
-            share = mu[i] * fn / length
-            right[b], right[b + 1] = -f1 + mu[i] * fn * u1, -f2 + mu[i] * fn * u2
-            for k in range(size):
-                h1 = -scale_a[b] * delassus[b, k] * scale_f[k] + (1.0 if k == b else 0.0)
-                h2 = -scale_a[b] * delassus[b + 1, k] * scale_f[k] + (1.0 if k == b + 1 else 0.0)
-                across = u1 * h2 - u2 * h1
-                system[b, k] = (1.0 if k == b else 0.0) + share * u2 * across
-                system[b + 1, k] = (1.0 if k == b + 1 else 0.0) - share * u1 * across
-            system[b, b + 2] -= mu[i] * u1
-            system[b + 1, b + 2] -= mu[i] * u2
-    for i in range(ns):
-        b = 3 * nc + i
-        f, rate = x[b] / scale_f[b], a_now[b] * scale_a[b]
-        low, high = lower[i] / scale_f[b], upper[i] / scale_f[b]
-        if f - rate <= low:
-            system[b, b], right[b] = 1.0, low - f
-        elif f - rate >= high:
-            system[b, b], right[b] = 1.0, high - f
-        else:
-            for k in range(size):
-                system[b, k] = scale_a[b] * delassus[b, k] * scale_f[k]
-            right[b] = -rate
-
-
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
-@separate
-def polish(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed):
-    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.
-
-    In the first iteration contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1
-    leaves that to the forces.
-    """
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
-    system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
-    trial = x.copy()
-    best = worst
-    no_basis, undecided = np.empty((0, size)), repeated(nc, AS_FORCES_SAY)
-    chosen = closed
-    for _ in range(POLISH):
-        linearize(
-            *(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f),
-            *(chosen, system, right),
+        worst = forces_at_bounds(
+            delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f
         )
-        chosen = undecided
-        least_norm(system, right, 1e-11, step, no_basis)
-        for a in range(size):
-            trial[a] += step[a] * scale_f[a]
-        now = residual(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f)
-        if now < best:
-            best = now
-            for a in range(size):
-                x[a] = trial[a]
-        if now <= 1e-14 or not now < 10.0 * best:
-            break
-    return best
+    return worst

@@ -12,32 +12,32 @@ import numpy as np
 
 from ..._compile.ahead import FLOATS, ahead
 from ..._compile.jit import separate
-from ..._numeric.elimination import RANK, solve
-from ..._numeric.loops import assign, repeated
-from .force_cones import (
+from ..._numeric.coulomb_problem import (
     AS_FORCES_SAY,
     SYSTEM,
     USABLE,
-    forces_on_path,
     linearize,
     newton,
     residual,
     scale,
 )
+from ..._numeric.elimination import RANK, solve
+from ..._numeric.loops import assign, repeated
+from .force_cones import forces_on_path
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
 @separate
-def orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f):
+def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Return the sign of the determinant of the equations that forces x solve, zero where singular.
 
     Where slip begins, it is negative also if it is with directions as they are, in which slip goes on.
     """
     nc, size = len(mu), len(x)
     system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
-    residual(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f)
+    residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     linearize(
-        *(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
+        *(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
         *(system, right),
     )
     sign = solve(system, right, np.empty(size), RANK)
@@ -52,7 +52,7 @@ def orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scal
     if sign <= 0 or not begins:
         return sign
     linearize(
-        *(delassus, free, directed, mu, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
+        *(delassus, free, directed, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
         *(system, right),
     )
     return solve(system, right, np.empty(size), RANK)
@@ -60,7 +60,7 @@ def orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scal
 
 @ahead(*SYSTEM)
 @separate
-def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
+def take_lasting(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Replace forces x of a negative determinant by others that last, if such are found.
 
     Lemke's path leads to a solution of a positive determinant. (M. J. Todd, Mathematics of Operations
@@ -70,13 +70,13 @@ def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
     d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     if scale(delassus, free, nc, d, scale_a, scale_f) == 0.0:
         return
-    if orientation(delassus, free, velocity, mu, held, lower, upper, x, a_now, scale_a, scale_f) >= 0:
+    if orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f) >= 0:
         return
     trial = x.copy()
     for k in range(-1, nc + 2 * ns):
         if k < 0:
             worst = forces_on_path(
-                delassus, free, velocity, mu, held, lower, upper, trial, a_now, d, scale_a, scale_f
+                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, d, scale_a, scale_f
             )
         else:
             assign(trial, x)
@@ -88,9 +88,16 @@ def take_lasting(delassus, free, velocity, mu, held, lower, upper, x):
                 if abs(bound) == math.inf:
                     continue
                 trial[3 * nc + i] = bound
-            worst = newton(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f)
+            worst = newton(
+                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+            )
         if worst > USABLE:
             continue
-        if orientation(delassus, free, velocity, mu, held, lower, upper, trial, a_now, scale_a, scale_f) > 0:
+        if (
+            orientation(
+                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
+            )
+            > 0
+        ):
             assign(x, trial)
             return
