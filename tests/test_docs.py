@@ -12,12 +12,13 @@ import pytest
 import pinimpact
 from pinimpact.app.scene_file import SceneFile, bundled_scenes
 from pinimpact.scene.effects import DERIVED, SWITCHABLE
-from tools import pages, scene_keys
+from tools import figures, pages, scene_keys
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
 ALL = [*pages.pages(), ROOT / "CONTRIBUTING.md"]
 LANGUAGES = {"python", "sh", "text", "toml", "xml"}
 FIGURES_MARK = re.compile(r"<!-- (\w+\.txt) -->\n```text\n(.*?)```\n<!-- end -->", re.DOTALL)
+MARK = re.compile(r"<!-- \w+(?:\.txt|: )")
 OTHER_TOOLS = {
     "pip",
     "pytest",
@@ -65,21 +66,44 @@ def test_no_block_is_left_out(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     found = pages.blocks_of(page)
     assert 2 * len(found) == len(re.findall(r"^ *```", text, re.MULTILINE)), "a fence that no test sees"
-    figures = {block for _, block in FIGURES_MARK.findall(text)}
+    tables = {block for _, block in FIGURES_MARK.findall(text)}
     for block in found:
         assert block.language in LANGUAGES, block
         if block.language in ("toml", "xml"):
             assert block.title, block
         if block.language == "text" and block.follows not in ("python", "sh"):
-            assert block.text in figures or page.stem == "architecture", block
+            assert block.text in tables or page.stem == "architecture", block
+
+
+@pytest.mark.parametrize("page", [p for p in ALL if MARK.search(p.read_text(encoding="utf-8"))], ids=name_of)
+def test_tables_and_figures_are_those_that_were_measured(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert len(MARK.findall(text)) == len(figures.TABLE.findall(text)) + len(figures.FIGURE.findall(text))
+    assert figures.refreshed(text) == text, "python -m tools.figures writes the measured figures"
 
 
 @pytest.mark.parametrize(
-    "page", [p for p in ALL if FIGURES_MARK.search(p.read_text(encoding="utf-8"))], ids=name_of
+    ("seconds", "shown"),
+    [
+        (10.23, "10 s"),
+        (0.99951, "1.0 s"),
+        (0.6351, "640 ms"),
+        (0.009951, "10 ms"),
+        (7.74e-5, "77 µs"),
+        (3.13e-6, "3.1 µs"),
+    ],
 )
-def test_tables_of_figures_are_those_that_were_measured(page: Path) -> None:
-    for name, table in FIGURES_MARK.findall(page.read_text(encoding="utf-8")):
-        assert table.strip() == (DOCS / "figures" / name).read_text(encoding="utf-8").strip(), name
+def test_figures_have_two_digits(seconds: float, shown: str) -> None:
+    assert figures.time_of(seconds) == shown
+
+
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/index.md", "docs/errors.md", "docs/faq.md", "docs/in-your-loop.md"]
+)
+def test_run_times_in_sentences_are_measured(name: str) -> None:
+    text = pages.FENCE.sub("", (ROOT / name).read_text(encoding="utf-8"))
+    written = re.findall(r"\b[\d.]+ (?:ns|µs|ms|s|seconds|minutes)\b", figures.FIGURE.sub("", text))
+    assert set(written) <= {"1 ms"}, "give the row of docs/figures that has it"  # 1 ms is a step's length
 
 
 def words_of(command: str) -> list[str]:

@@ -12,6 +12,7 @@ from tools import pages
 
 ROOT = pages.ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+HOME = ROOT / "docs" / "index.md"
 REPOSITORY = "https://github.com/pinimpact/pinimpact"
 RAW = "https://raw.githubusercontent.com/pinimpact/pinimpact/main/"
 SITE = "https://pinimpact.github.io/pinimpact/"
@@ -47,6 +48,16 @@ def test_the_example_begins_in_contact(tmp_path: Path) -> None:
     robot: Any = names["robot"]
     hand: Any = names["hand"]
     assert abs(hand.gap(robot.model, robot.data, names["q"])) < 1e-11
+
+
+@pytest.mark.slow
+def test_the_picture_shows_the_impact_of_the_example(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    shown, said = pages.run_page(ROOT / "README.md", tmp_path), pages.run_page(HOME, tmp_path / "home")
+    hits: list[Any] = [shown["hit"], said["hit"]]
+    assert hits[0].impulse_world.tolist() == hits[1].impulse_world.tolist()
+    assert pages.pictures_of(HOME) == ["index-impact.png"]
+    assert f"{RAW}docs/figures/pages/index-impact.png" in README
 
 
 def test_the_test_command_is_what_ci_runs() -> None:

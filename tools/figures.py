@@ -1,8 +1,9 @@
 """Put measured figures into the pages, so that each stands in one place: docs/figures.
 
-Tables are marked by the file that has them, ``<!-- speed.txt -->`` … ``<!-- end -->``; a figure in a sentence
-by its file and row, ``<!-- startup: first scene, cold cache -->10 s<!-- end -->``. A figure is the time of its
-row, in two digits; ``| ratio`` after the row takes its ratio to the reference.
+Tables are marked by the file that has them, ``<!-- speed.txt -->`` … ``<!-- end -->``.
+
+A figure in a sentence is marked by its file and row, and is the time of the row in two digits:
+``<!-- startup: first scene, cold cache -->10 s<!-- end -->``.
 
 python -m tools.figures writes them all.
 """
@@ -12,23 +13,21 @@ from __future__ import annotations
 import json
 import math
 import re
-from pathlib import Path
 
 from .pages import DOCS, pages
 
 FIGURES = DOCS / "figures"
 TABLE = re.compile(r"<!-- (\w+\.txt) -->\n.*?<!-- end -->", re.DOTALL)
-FIGURE = re.compile(r"<!-- (\w+): ([^|>]+?)(?: \| (\w+))? -->([^<]*)<!-- end -->")
+FIGURE = re.compile(r"<!-- (\w+): ([^>]+?) -->([^<]*)<!-- end -->")
 UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 
-def figure(file: str, row: str, kind: str | None = None) -> str:
+def figure(file: str, row: str) -> str:
     """Return a figure of docs/figures as it stands in a sentence.
 
     Args:
         file: Name of a JSON file with rows, without its ending.
         row: What its row measures.
-        kind: None for the time, "ratio" for the ratio to the reference.
 
     Raises:
         KeyError: There is no such row, or more than one.
@@ -37,15 +36,19 @@ def figure(file: str, row: str, kind: str | None = None) -> str:
     found = [entry for entry in rows if entry["what"] == row]
     if len(found) != 1:
         raise KeyError(f"{file}.json: {len(found)} rows are called {row!r}")
-    if kind is not None:
-        return digits(found[0][kind])
-    size, unit = next((size, unit) for size, unit in UNITS if found[0]["seconds"] >= 0.9995 * size)
-    return f"{digits(found[0]['seconds'] / size)} {unit}"
+    return time_of(found[0]["seconds"])
 
 
-def digits(number: float) -> str:
-    """Return a positive number in two digits, without an exponent."""
-    return f"{number:.{max(0, 1 - math.floor(math.log10(number)))}f}"
+def time_of(seconds: float) -> str:
+    """Return a time above zero in two digits, with its unit."""
+    size, unit = next((size, unit) for size, unit in UNITS if float(f"{seconds:.1e}") >= size)
+    return f"{two_digits(seconds / size)} {unit}"
+
+
+def two_digits(number: float) -> str:
+    """Return a number above zero in two digits, without an exponent."""
+    rounded = float(f"{number:.1e}")
+    return f"{rounded:.{max(0, 1 - math.floor(math.log10(rounded)))}f}"
 
 
 def refreshed(text: str) -> str:
@@ -56,7 +59,7 @@ def refreshed(text: str) -> str:
         return f"<!-- {mark[1]} -->\n```text\n{rows}\n```\n<!-- end -->"
 
     def number(mark: re.Match[str]) -> str:
-        return mark[0].replace(f"-->{mark[4]}<!--", f"-->{figure(mark[1], mark[2], mark[3])}<!--")
+        return f"<!-- {mark[1]}: {mark[2]} -->{figure(mark[1], mark[2])}<!-- end -->"
 
     return FIGURE.sub(number, TABLE.sub(table, text))
 
