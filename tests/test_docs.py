@@ -166,7 +166,7 @@ def test_every_picture_is_shown() -> None:
 
 def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
     text = scene_keys.PAGE.read_text(encoding="utf-8")
-    assert scene_keys.page(text) == text, "python -m tools.scene_keys makes the tables anew"
+    assert scene_keys.page(text) == text, "python -m tools.scene_keys writes the tables"
     schema = SceneFile.model_json_schema()
     tables = {"Keys of the file": schema} | {
         heading: schema["$defs"][model.__name__]
@@ -179,7 +179,7 @@ def test_the_keys_of_scene_files_are_those_of_the_schema() -> None:
         keys = {key for key in table["properties"] if table is not schema or key not in scene_keys.TABLES}
         assert set(rows) == keys
         for key in set(table.get("required", ())) & keys:
-            assert "**must be given**" in rows[key]
+            assert "**required**" in rows[key]
 
 
 def test_every_example_is_listed() -> None:

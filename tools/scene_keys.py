@@ -44,7 +44,7 @@ def kind_of(annotated: Any) -> str | None:
 
 
 def value_and_kind(annotation: Any) -> tuple[str, str | None]:
-    """Return what a key takes in words, and the kind of quantity if it has one."""
+    """Return the type of a key in words, and its kind of quantity, if any."""
     if typing.get_origin(annotation) is Annotated:
         return value_and_kind(typing.get_args(annotation)[0])[0], kind_of(annotation)
     if annotation in WORDS:
@@ -69,7 +69,7 @@ def value_and_kind(annotation: Any) -> tuple[str, str | None]:
 def default_of(field: FieldInfo) -> str:
     """Return a default as it would stand in a file."""
     if field.is_required():
-        return "**must be given**"
+        return "**required**"
     value = field.default
     if value is None or value in ({}, []):
         return ""
@@ -81,16 +81,16 @@ def default_of(field: FieldInfo) -> str:
 
 
 def table_of(model: type[BaseModel]) -> str:
-    """Return the table of a model's keys; those of the file that are tables of their own are left out.
+    """Return the table of a model's keys; keys that are tables of the file are left out.
 
-    The unit is that of the type, or what stands in brackets at the end of the line on a key.
+    The unit is that of the type, or the text in brackets at the end of the docstring of the key.
     """
     lines = ["| " + " | ".join(HEADS) + " |", "|" + " --- |" * len(HEADS)]
     for name, field in model.model_fields.items():
         if model is scene_file.SceneFile and name in TABLES:
             continue
         if not field.description:
-            raise ValueError(f"{model.__name__}.{name} has no line on what it means")
+            raise ValueError(f"{model.__name__}.{name} has no docstring")
         words, kind = value_and_kind(field.annotation)
         kind = kind or kind_of(field)
         units = list(UNITS[kind]) if kind else []
@@ -103,7 +103,7 @@ def table_of(model: type[BaseModel]) -> str:
 
 
 def section(name: str) -> str:
-    """Return a table of the file with its heading and a line on what it is."""
+    """Return a table of the file with its heading and description."""
     model, heading = TABLES[name]
     about = re.sub(r"^``.+?``: ", "", " ".join((model.__doc__ or "").split()))
     about = re.sub(r"``(.+?)``", r"`\1`", about)
@@ -111,7 +111,7 @@ def section(name: str) -> str:
 
 
 def page(text: str) -> str:
-    """Return a page with what stands between its marks made anew."""
+    """Return a page with the tables between its marks regenerated."""
     made = "\n\n".join(section(name) for name in TABLES)
     return re.sub(
         r"(<!-- keys -->\n).*?(<!-- end -->)", lambda m: f"{m[1]}\n{made}\n\n{m[2]}", text, flags=re.DOTALL

@@ -41,7 +41,7 @@ FrameKey = str | int
 class _Table(BaseModel):
     """A table of the file: unknown keys are refused, and nothing is converted silently.
 
-    What is said of a key stands in docs/scene-files.md too; ``python -m tools.scene_keys`` puts it there.
+    The docstrings of keys are also in docs/scene-files.md; ``python -m tools.scene_keys`` writes them.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
@@ -50,43 +50,42 @@ class _Table(BaseModel):
 class RobotTable(_Table):
     """``[[robot]]``: one or several robots; several need a ``prefix`` each.
 
-    Position and roll, pitch, yaw place the base: for good, or where a free base starts, with these
-    velocities; all in world axes.
+    Position and roll, pitch, yaw are those of the base, at the start if the base is free; in world axes.
     """
 
     name: str | None = None
-    """A robot that comes with pinimpact or with example-robot-data. Give this or ``urdf``."""
+    """Name of a robot of pinimpact or example-robot-data. Give this or ``urdf``."""
     urdf: str | None = None
-    """Path of a URDF file, from the folder of the scene file."""
+    """Path of a URDF file, relative to the folder of the scene file."""
     free_flyer: bool | None = None
-    """Whether the base flies freely. Left out: as the named robot comes, and fixed for a file."""
+    """Whether the base is free. Default: as in the named robot; fixed for a file."""
     prefix: str = ""
-    """Goes before the names of this robot's joints and frames."""
+    """Prefix of the names of this robot's joints and frames."""
     position: tuple[Length, Length, Length] | None = None
-    """Where the base stands, or starts. Left out: as the robot comes."""
+    """Position of the base. Default: that of the robot."""
     rpy: tuple[Angle, Angle, Angle] | None = None
     """Roll, pitch and yaw of the base."""
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
-    """Of a free base at the start."""
+    """Initial linear velocity of a free base, in world axes."""
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
-    """Of a free base at the start."""
+    """Initial angular velocity of a free base, in world axes."""
 
 
 class SurfaceTable(_Table):
-    """What every surface has; see `Surface`."""
+    """Keys of all surfaces; see `Surface`."""
 
     kind: ClassVar[type[Surface]]
 
 
 class MovingTable(SurfaceTable):
-    """What a surface has whose material can move."""
+    """Keys of surfaces that can move within themselves."""
 
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
-    """Of the surface's material at its point or centre, within the surface: a belt."""
+    """Velocity of the material at the point or centre, within the surface: a belt."""
     angular_velocity: tuple[AngularSpeed, AngularSpeed, AngularSpeed] = (0.0, 0.0, 0.0)
-    """Of the surface's material: a turntable, a ball that spins."""
+    """Angular velocity of the material: a turntable, a spinning sphere."""
     body: FrameKey | None = None
-    """Frame that carries the surface, by name or number. Left out: the world."""
+    """Frame to which the surface is attached, by name or id. Default: the world."""
 
 
 class PlaneTable(MovingTable):
@@ -96,135 +95,134 @@ class PlaneTable(MovingTable):
     point: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     """A point of the plane, in world axes or those of ``body``."""
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Points from the surface into free space; any length but zero."""
+    """Normal from the surface into free space; any length but zero."""
 
 
 class SphereTable(MovingTable):
-    """``[sphere.NAME]``: a ball or the head of a post; see `Sphere`."""
+    """``[sphere.NAME]``: a sphere; see `Sphere`."""
 
     kind = Sphere
     center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    """Its centre, in world axes or those of ``body``."""
+    """Centre, in world axes or those of ``body``."""
     radius: Length
-    """Above zero."""
+    """Radius, above zero."""
 
 
 class BoxTable(SurfaceTable):
-    """``[box.NAME]``: a box, which contacts with ``geometry`` or ``links`` meet; see `Box`."""
+    """``[box.NAME]``: a box, for contacts with ``geometry`` or ``links``; see `Box`."""
 
     kind = Box
     size: tuple[Length, Length, Length]
     """Lengths of its sides, above zero."""
     center: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    """Its centre, in world axes or those of ``body``."""
+    """Centre, in world axes or those of ``body``."""
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of its sides, about the same axes."""
+    """Roll, pitch and yaw, about the same axes."""
     body: FrameKey | None = None
-    """Frame that carries the box, by name or number. Left out: the world."""
+    """Frame to which the box is attached, by name or id. Default: the world."""
 
 
 class ShapeTable(SurfaceTable):
-    """``[shape.NAME]``: a collision shape that contacts with ``geometry`` or ``links`` meet; see `Shape`."""
+    """``[shape.NAME]``: a collision shape, for contacts with ``geometry`` or ``links``; see `Shape`."""
 
     kind = Shape
     geometry: str
-    """Its name among the collision shapes of the robots."""
+    """Name of the collision shape."""
     rim_points: int | None = None
-    """Points that stand for each rim of a cylinder or cone, at least 3; must be given for these."""
+    """Number of points of each rim of a cylinder or cone, at least 3; required for these."""
 
 
 class ContactTable(_Table):
-    """``[[contact]]``: a point or a collision shape of a robot and the surface it may meet; see `Contact`.
+    """``[[contact]]``: a point or a collision shape of a robot, and a surface; see `Contact`.
 
-    Without a name it is called "frame on surface", by their names in the file. Give one of ``frame``,
+    The default name is "frame on surface". Give one of ``frame``,
     ``geometry`` and ``links``.
     """
 
     frame: FrameKey | None = None
-    """Frame that carries the point, by name or number."""
+    """Frame of the contact point, by name or id."""
     geometry: str | None = None
     """Collision shape, by name; see [Contact from geometry](geometry.md)."""
     links: str | list[str] | None = None
-    """``"all"``, or names of the links all of whose collision shapes may meet the surface."""
+    """``"all"``, or names of links: contacts of all their collision shapes."""
     rim_points: int | None = None
-    """Points that stand for each rim of a cylinder or cone, at least 3. Left out: smooth rims that roll and
-    meet planes alone."""
+    """Number of points of each rim of a cylinder or cone, at least 3. Default: smooth rims, which touch
+    with planes only."""
     plane: str
-    """Name of the surface, a plane, sphere, box or shape."""
+    """Name of the surface: a plane, sphere, box or shape."""
     friction: float = 0.0
-    """Coulomb coefficient of impacts, at least 0; of sustained contact too, without the next key."""
+    """Coulomb coefficient of impacts, at least 0."""
     sliding_friction: float | None = None
-    """Coulomb coefficient of sustained contact, slip and stick. Left out: ``friction``."""
+    """Coulomb coefficient of sustained contact, slip and stick. Default: ``friction``."""
     restitution: float = 0.0
-    """Coefficient of the law, from 0 to 1."""
+    """Coefficient of restitution, from 0 to 1."""
     law: str = "poisson"
-    """``"poisson"``, ``"energetic"`` or ``"newton"``."""
+    """Restitution law: ``"poisson"``, ``"energetic"`` or ``"newton"``."""
     stiffness: float = 1.0
-    """Relative normal stiffness, above 0; counts where several contacts collide at one instant."""
+    """Relative normal stiffness, above 0, for simultaneous impacts."""
     offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    """Of the point from the frame's origin, in the frame's axes."""
+    """Position of the point relative to the origin of the frame, in its axes."""
     radius: Length = 0.0
-    """Of a ball around the point that touches in its stead, such as a foot or a fingertip."""
+    """Radius of a sphere about the point, such as a foot or a fingertip."""
     name: str | None = None
-    """How reports call the contact."""
+    """Name in reports."""
     held: bool = False
-    """Whether the contact holds throughout, in both directions: a grasp, a bolted foot."""
+    """Whether the contact is a bilateral constraint: a grasp, a bolted foot."""
 
 
 class StartTable(_Table):
-    """``[start]``: whole vectors q and v, or joints by name; the others are as the robot comes, at rest."""
+    """``[start]``: q and v as vectors, or joints by name; other joints are as in the robot, at rest."""
 
     q: list[float] | None = None
-    """The whole configuration, in Pinocchio's order [m, rad]."""
+    """Configuration, in Pinocchio's order [m, rad]."""
     v: list[float] | None = None
-    """All velocities, in Pinocchio's order [m/s, rad/s]."""
+    """Velocities, in Pinocchio's order [m/s, rad/s]."""
     joints: dict[str, float | str] = {}
-    """``[start.joints]``: where each joint that is named stands [rad (deg), or m (cm, mm) if prismatic]."""
+    """``[start.joints]``: positions of joints by name [rad (deg), or m (cm, mm) if prismatic]."""
     speeds: dict[str, float | str] = {}
-    """``[start.speeds]``: the speed of each joint that is named [rad/s (deg/s, rpm), or m/s (cm/s, mm/s)]."""
+    """``[start.speeds]``: velocities of joints by name [rad/s (deg/s, rpm), or m/s (cm/s, mm/s)]."""
 
 
 class ControlTable(_Table):
-    """``[control]``: what the motors do; those of a free base are never driven.
+    """``[control]``: forces of the joints; a free base has no actuator.
 
-    Stiffness and damping act on every joint alike, up to the largest effort. With a period they are sampled
-    and held, and act late by the delay.
+    Stiffness, damping and largest effort are the same for all joints.
     """
 
     cancel_gravity: bool = False
-    """Whether the motors cancel gravity, Coriolis and centrifugal forces."""
+    """Whether the control compensates gravity, Coriolis and centrifugal forces."""
     stiffness: Annotated[float, Field(ge=0.0)] = 0.0
-    """Towards the configuration at the start [N m/rad or N/m]."""
+    """Stiffness towards the initial configuration [N m/rad or N/m]."""
     damping: Annotated[float, Field(ge=0.0)] = 0.0
-    """Against motion [N m s/rad or N s/m]."""
+    """Damping [N m s/rad or N s/m]."""
     largest_effort: Annotated[float, Field(gt=0.0)] | None = None
-    """Which no motor exceeds [N m or N]. Left out: there is no limit."""
+    """Limit of the force of each joint [N m or N]. Default: none."""
     period: Time | None = None
-    """Between two samples of the control. Left out: it is continuous."""
+    """Sampling period of the control. Default: continuous."""
     delay: Annotated[float, _of("time"), Field(ge=0.0)] = 0.0
-    """From a sample to when its forces act; needs ``period``."""
+    """Time from a sample until its forces act; needs ``period``."""
 
 
 class OutputTable(_Table):
-    """``[output]``: what `run` writes beside the trajectory."""
+    """``[output]``: files that `run` writes in addition to the trajectory."""
 
     replay: bool = True
     """Whether to write the replay, an HTML file."""
     replay_speed: Annotated[float, Field(gt=0.0)] = 1.0
-    """Seconds of motion per second of replay; 0.1 is slow motion."""
+    """Seconds of motion per second of replay."""
     plots: bool = True
-    """Whether to draw energy, forces and the strongest impact."""
+    """Whether to plot energy, forces and the impact with the largest impulse."""
 
 
 class SceneFile(_Table):
     """The whole file; these keys come before any table."""
 
     title: str = ""
-    """Stands above pictures."""
+    """Title of plots."""
     duration: Time
-    """How long to simulate."""
+    """Simulated time."""
     gravity: tuple[Acceleration, Acceleration, Acceleration] | None = None
-    """In world axes. Left out: the model's, as a rule (0, 0, −9.81)."""
+    """Gravity in world axes. Default: that of the model, usually (0, 0, −9.81)."""
     control: ControlTable | None = None
     robot: list[RobotTable]
     plane: dict[str, PlaneTable] = {}
@@ -234,23 +232,23 @@ class SceneFile(_Table):
     contact: list[ContactTable] = []
     start: StartTable = StartTable()
     locked: list[str] = []
-    """Joints whose velocity no impact changes, as under stiff position control."""
+    """Joints whose velocity impacts do not change, as with stiff position control."""
     limit_restitution: float = 0.0
     """Restitution of the joint limits, from 0 to 1."""
     simultaneous: str = "propagate"
-    """Policy for contacts and joint limits that collide or rest at one instant: ``"propagate"``,
+    """Policy for simultaneous impacts of contacts and joint limits: ``"propagate"``,
     ``"sequence"``, ``"together"``, ``"reflect"`` or ``"any"``."""
     resting_speed: Speed | None = None
-    """A bounce slower than this is taken as rest. Left out: 10⁻⁴ √(g L), with the size L of the robot; see
+    """Speed below which a bounce is taken as rest. Default: 10⁻⁴ √(g L), with the size L of the robot; see
     [Impacts and rest](scenes.md#impacts-and-rest)."""
     without: list[str] = []
-    """Effects to leave out, by their names in the plan; see [Effects](effects.md)."""
+    """Effects to switch off, by name; see [Effects](effects.md)."""
     rtol: Annotated[float, Field(gt=0.0)] = 1e-8
     """Relative tolerance of each step."""
     atol: Annotated[float, Field(gt=0.0)] = 1e-10
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
     max_impacts: Annotated[int, Field(gt=0)] = 100_000
-    """At how many instants to resolve impacts before giving up."""
+    """Largest number of instants with impacts."""
     output: OutputTable = OutputTable()
 
     @property
