@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 import pinimpact
-from pinimpact import Contact, Plane, Scene, SimulationError, simulate
+from pinimpact import Contact, Plane, Scene, SimulationError, load_robot, simulate
 
 from .scene_models import UP, G, ball, free_body, pendulum, run, slider, unbounded
 
@@ -377,3 +377,21 @@ def test_energy_counts_the_rotor_inertia_of_a_slanted_axis():
         0.5 * whole * np.square([rate, left]), rel=1e-7
     )
     assert abs(trajectory.energy.residual[-1]) < 1e-7
+
+
+def test_an_arm_with_rotors_keeps_its_energy():
+    robot = load_robot("two_link_arm")
+    model = robot.model
+    unbounded(model)
+    model.armature = np.array([0.3, 0.2])
+    trajectory = simulate(Scene(model), [0.4, 0.7], [0.0, 1.0], 1.0, rtol=1e-10)
+    data = model.createData()
+    for k in (0, -1):
+        q, v = trajectory.q[k], trajectory.v[k]
+        mass = np.triu(pin.crba(model, data, q))
+        mass += np.triu(mass, 1).T
+        assert trajectory.energy.kinetic[k] == pytest.approx(0.5 * v @ mass @ v, rel=1e-12)
+        height = pin.computePotentialEnergy(model, data, q)
+        assert trajectory.energy.potential[k] == pytest.approx(height, rel=1e-12, abs=1e-12)
+    assert np.ptp(trajectory.energy.potential) > 0.1
+    assert np.abs(trajectory.energy.residual).max() < 1e-7

@@ -211,7 +211,9 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
         if stepped is not None:
             return stepped
     if lost:
-        plastic = _together(inputs._replace(restitution=np.zeros(n)), record)
+        plastic, off = _all_at_once(inputs._replace(restitution=np.zeros(n)))
+        if off > MISSED:  # an approach that only impulses beyond their cones stop
+            _refuse(inputs)
         text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
         return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, text))
     notes = _of_law(inputs)
@@ -448,6 +450,11 @@ def without_end(count: int, last: Sequence[str]) -> str:
 
 
 def _together(inputs: ManyInputs, record: bool) -> ManySolution:
+    return _all_at_once(inputs)[0]
+
+
+def _all_at_once(inputs: ManyInputs) -> tuple[ManySolution, float]:
+    """Return the solution of (14.7), and by what part of the velocities it misses Coulomb's law."""
     from ._kernels.plastic import impulses_together
 
     if inputs.law != "poisson" and inputs.restitution.any():
@@ -477,7 +484,8 @@ def _together(inputs: ManyInputs, record: bool) -> ManySolution:
         works[:, 2] += powers[:, 0] + powers[:, 1]
     total = compression + restitution
     notes = () if missed <= 1e-9 else (f"Coulomb's law is met to {missed:.1e} of the velocities only.",)
-    return _answer(inputs, ("together", "poisson"), after, total, works, (2, 2), notes=notes)
+    found = _answer(inputs, ("together", "poisson"), after, total, works, (2, 2), notes=notes)
+    return found, missed
 
 
 def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:

@@ -612,7 +612,7 @@ def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) 
 
 
 def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
-    """Return ½ vᵀ M v [J]; leaves the placements of q in the data.
+    """Return ½ vᵀ M v [J].
 
     Pinocchio's own sum leaves out the rotor inertia of joints about slanted axes, which its M has.
     """

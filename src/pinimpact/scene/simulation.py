@@ -385,7 +385,7 @@ class Motion:
         kinetic, potential = np.empty((2, len(rows)))
         for k, (_, at, moving, *_) in enumerate(rows):
             kinetic[k] = kinetic_energy(self.model, self.data, at, moving)
-            potential[k] = pin.computePotentialEnergy(self.model, self.data)  # at the same placements
+            potential[k] = pin.computePotentialEnergy(self.model, self.data, at)
         impacts_work = np.array([row[4] for row in rows])
         energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
         modes = self.state.modes.ended[:intervals] + [
