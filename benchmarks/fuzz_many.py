@@ -92,8 +92,9 @@ def check(seed: int) -> tuple[list[str], str, int, float]:
         > 10.0 * rounding,
     }
     ended = "by itself" if not solution.notes else solution.notes[-1].split(" ")[0]
-    told = {"by itself": ended, "After": "at a bound, and told"}.get(ended, "all at once, and told")
-    return [what for what, wrong in checks.items() if wrong], told, solution.events // len(p), taken
+    kinds = {"by itself": ended, "After": "at a bound, noted", "Events": "by short steps, noted"}
+    kind = kinds.get(ended, "all at once, noted")
+    return [what for what, wrong in checks.items() if wrong], kind, solution.events // len(p), taken
 
 
 def main() -> None:

@@ -70,8 +70,8 @@ def laws() -> list[dict]:
     times = {name: sum(best[one] for one in best if one[0] == name) / count for name in ways}
     rows = [
         row("energetic law, mean", times["energetic"], 1.5, "Poisson's", times["poisson"]),
-        row("works of a batch", times["works"] - times["poisson"], 1e-6),
-        row("works of a batch, energetic law", times["works, energetic"] - times["energetic"], 1e-6),
+        row("work of a batch", times["works"] - times["poisson"], 1e-6),
+        row("work of a batch, energetic law", times["works, energetic"] - times["energetic"], 1e-6),
     ]
 
     singles = []

@@ -1,7 +1,7 @@
-"""An arm whose motors give up falls: its hand on a block, its elbow on the floor, found by geometry alone.
+"""An unactuated arm falls onto a block and the floor; contacts from collision shapes.
 
-No contact point is written down: every collision shape of the arm may meet the floor, a plane, and those of
-the forearm and of the hand the block, convex shape against convex shape.
+All collision shapes of the arm can make contact with the floor, a plane; those of the forearm and the hand
+also with the block, convex shape against convex shape.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Newton's cradle and a billiard break: one blow, and the waves that it sends through balls that touch.
+"""Newton's cradle and a billiard break: simultaneous impacts of balls in contact.
 
-No robot is needed to resolve an impact at 31 contacts at once; masses, places and directions are enough.
+The break has 31 contacts. No robot is needed: masses, positions and contact directions define the problem.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def rack() -> np.ndarray:
     return np.array([(-1.0, 0.0), *rows])
 
 
-def blow(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManySolution]:
+def strike(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManySolution]:
     """Return the velocities (16, 2) after the cue ball strikes at an angle, and the solution.
 
     A ball has a mass and a diameter of one, and slides and turns on the table, (vx, vy, ω).
@@ -63,7 +63,7 @@ def main() -> None:
     places = rack()
     figure, axes = plt.subplots(1, 2, figsize=(9, 4.2))
     for ax, title, side in zip(axes, ("straight on", "at 20°"), (0.0, np.radians(20.0)), strict=True):
-        velocity, solution = blow(places, side)
+        velocity, solution = strike(places, side)
         left = 1.0 + solution.work.total.sum() / 0.5
         print(
             f"break, {title}: {len(solution.impulse)} contacts, {solution.events} events, "

@@ -2,9 +2,8 @@
 
 python examples/comparing_laws.py
 
-The hand of a Panda strikes a table, and Kane's double pendulum a rough floor. Where slip keeps its
-direction the laws agree; where it turns around, Newton's asks for energy that was not there. The picture is
-comparing_laws.png.
+The hand of a Panda strikes a table, and Kane's double pendulum a rough floor. The laws agree if slip keeps
+its direction; if it reverses, Newton's law can create energy. The plot is comparing_laws.png.
 """
 
 import matplotlib.pyplot as plt

@@ -2,9 +2,9 @@
 
 python examples/control_loop.py
 
-A UR5 follows a line down to a table by inverse kinematics, touches, and slides along it. The loop is one's
-own: fixed steps, `pin.aba`, and one call where the gap closes; as long as the tool then stays on the table,
-the same call with e = 0 keeps it from sinking in.
+A UR5 follows a line down to a table by inverse kinematics, makes contact and slides along it. The loop has
+fixed steps with `pin.aba`, and calls `impact` when the gap closes; while the tool stays on the table,
+the same call with e = 0 prevents penetration.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A quadruped lands flat on four feet, and tilted by a thousandth: two impacts, or one with four contacts.
+"""A quadruped lands flat on four feet, and with a tilt of 0.001 rad.
 
 Its motors hold the legs. The flat landing is one impact at four contacts. Tilted, the feet touch one after
 another, half a millisecond apart: each is an impact of its own, at which the feet on the ground take part.

@@ -1,4 +1,4 @@
-"""An environment in the manner of Gymnasium around a `Stepper`, and a random policy in it.
+"""An environment as in Gymnasium around a `Stepper`, with a random policy.
 
 python examples/gym_style_loop.py
 
@@ -35,7 +35,7 @@ class Hop:
         )
 
     def reset(self, seed=None):
-        """Begin anew, the joints disturbed a little; return observation and info."""
+        """Restart with random joint positions; return observation and info."""
         random = np.random.default_rng(seed)
         v = np.zeros(self.model.nv)
         v[6:] = 0.1 * random.standard_normal(self.model.nv - 6)

@@ -1,4 +1,4 @@
-"""A robot of your own strikes an inclined wall: how the blow depends on the wall's tilt.
+"""A robot of your own strikes an inclined wall: the impact over the tilt of the wall.
 
 python examples/inclined_wall.py [robot.urdf [tip_frame]]
 
@@ -40,7 +40,7 @@ def mode(solution):
 
 
 def main(urdf=Path(__file__).parent / "arm.urdf", frame="tip"):
-    """Sweep the tilt, print where the contact changes its mind, draw the sweep."""
+    """Vary the tilt, print where the contact mode changes, and plot."""
     robot = pinimpact.load_robot(urdf)
     solutions = [strike(robot, frame, tilt).solution for tilt in TILTS]
     degrees = np.degrees(TILTS)

@@ -1,7 +1,7 @@
 """Kane's puzzle of dynamics: the same fall of a double pendulum under three restitution laws.
 
-The friction turns the slip around during the impact. Newton's law looks only at the normal velocity
-before and after, and so asks for more energy than there was; Poisson's and the energetic law do not.
+Friction reverses the slip during the impact. Newton's law, which relates only the normal velocities before
+and after, creates energy; Poisson's and the energetic law do not.
 """
 
 import numpy as np

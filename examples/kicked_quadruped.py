@@ -1,7 +1,8 @@
-"""A standing quadruped is kicked: what its feet do at that instant, free to lift and slip, or held.
+"""A standing quadruped is kicked: impulses of its feet, unilateral or held.
 
-A plate that moves at 1 m/s strikes the trunk from the side. The feet are at rest and feel it: some are
-pressed, some lift, some slip. `held=` glues them to the ground, where they may pull.
+A plate that moves at 1 m/s strikes the trunk from the side. The feet are at rest and take part in the
+impact: some take up an impulse, some lift off, some slip. With `held=` they are bilateral
+constraints and can pull.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def panda_strikes() -> pinimpact.Hit:
 
 
 def planar_jam() -> pinimpact.ImpactProblem:
-    """A planar impact in Routh's sense: friction drives the surface in before slip stops."""
+    """A planar impact in Routh's sense: the normal acceleration is negative until slip stops."""
     delassus = np.array([[1.2, 0.0, 0.9], [0.0, 1.0, 0.0], [0.9, 0.0, 1.0]])
     return pinimpact.ImpactProblem(delassus, (0.8, 0.0, -1.0), friction=1.3, restitution=0.6)
 

@@ -1,4 +1,4 @@
-"""A quadruped stands under joint PD, is pushed until its feet slip, and recovers; its forces are drawn.
+"""A quadruped with joint PD control is pushed until its feet slip, and recovers; plot of the contact forces.
 
 python examples/push_recovery.py [out]
 """

@@ -1,8 +1,8 @@
-"""A quadruped drops onto its feet; the forces under them, from first touch to standing.
+"""A quadruped lands on its feet; the contact forces from touchdown to standing.
 
 python examples/quadruped_landing.py
 
-It prints the hardest impact of each foot and the load that it bears in the end, and draws the forces as
+It prints the largest impulse and the final normal force of each foot, and plots the forces to
 quadruped_landing.png.
 """
 

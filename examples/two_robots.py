@@ -1,9 +1,9 @@
-"""Two robots collide: a UR5 strikes a plate that a Panda holds. Both feel the blow.
+"""Two robots collide: a UR5 strikes a plate that a Panda holds.
 
 python examples/two_robots.py
 
-Both stand in one Pinocchio model; the plate is a `Plane` whose `body` is a frame of the Panda. What impulse
-one robot gets the other one gives, and the energy that both lose is the work of the contact.
+Both robots are in one Pinocchio model; the plate is a `Plane` whose `body` is a frame of the Panda. The
+impulses on the robots are opposite, and the energy that both lose is the work of the contact.
 """
 
 import numpy as np

@@ -45,7 +45,7 @@ def test_demo(robot: str, tmp_path: Path) -> None:
         "Joint velocities",
         "Segments",
         "Impulse",
-        "sum of the works",
+        "total work",
         "Effects computed",
     ):
         assert text in result.output

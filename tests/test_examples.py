@@ -200,7 +200,7 @@ def test_a_break_is_its_own_mirror_image_and_loses_energy(tmp_path, monkeypatch,
     assert out.count("31 contacts") == 2
     table = example("billiard_break")
     places = table.rack()
-    velocity, solution = table.blow(places, 0.0)
+    velocity, solution = table.strike(places, 0.0)
     image = [int(np.argmin(np.linalg.norm(places - place * [1, -1], axis=1))) for place in places]
     assert velocity[image] * [1, -1] == pytest.approx(velocity, abs=1e-11)
     assert velocity.sum(axis=0) == pytest.approx([1.0, 0.0], abs=1e-12)  # momentum

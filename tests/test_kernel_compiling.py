@@ -351,7 +351,7 @@ def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
     edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=int)")
     with pytest.raises(subprocess.CalledProcessError) as raised:
         python(team)
-    assert "shifted: returns float64, not int64 as told ahead" in raised.value.stderr
+    assert "shifted: returns float64, not int64 as declared" in raised.value.stderr
 
 
 def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:

@@ -1,7 +1,7 @@
-"""What happens to a robot in the instant in which it hits something with friction.
+"""Rigid-body impacts of robots with friction, and simulation of motions with contact.
 
-A URDF goes in through Pinocchio; out come the post-impact velocity, the impulse, and the story in
-between: slip, stick, slip that turns or resumes, compression, restitution, and where every joule went.
+`impact` returns the joint velocities after an impact, the impulse, the segments of slip and stick, and the
+work; `simulate` the motion of a `Scene`; `solve_impact` solves an impact without a robot.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class LawError(PinimpactError, ValueError):
 
 
 class SimulationError(PinimpactError, RuntimeError):
-    """A simulation that cannot go on; ``partial`` holds the trajectory computed until then.
+    """A simulation that cannot continue; ``partial`` holds the trajectory computed until then.
 
     Args:
         message: Why it stopped and what would help.

@@ -77,7 +77,7 @@ class Flag(enum.IntFlag):
 
 
 _FLAG_TEXTS = {
-    Flag.JAM: "Friction drove the surface in for a while (jam).",
+    Flag.JAM: "The normal acceleration was negative during slip (jam).",
     Flag.IMPACT_WITHOUT_COLLISION: "The contact did not approach; friction alone made the impact.",
     Flag.SECOND_COMPRESSION: "The normal velocity fell back to zero and a second compression followed.",
     Flag.STICK: "The contact came to stick.",

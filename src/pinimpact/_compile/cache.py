@@ -178,7 +178,7 @@ class KernelCache(NullCache):
     def save_overload(self, sig: Any, cres: Any) -> None:
         told, found = result_ahead(self._kernel, tuple(sig)), cres.signature.return_type
         if told not in (None, found):
-            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as told ahead")
+            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as declared")
         self._find().save_overload(sig, cres)
         if company.present is not None:
             company.present.release(self._job(sig))

@@ -64,7 +64,7 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Tell of warnings in a line each, without the place in the source that gives them."""
+    """Print each warning in one line, without its place in the source."""
 
     def tell(message: Warning | str, *_: Any, **__: Any) -> None:
         click.echo(f"Warning: {message}", err=True)
@@ -94,7 +94,7 @@ class _Shown(logging.Handler):
 
 @contextmanager
 def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
-    """Hand what is told of the compiling of kernels to `show`, and to nobody else, if a terminal shows it."""
+    """Pass messages on the compiling of kernels to `show` only, if the console is a terminal."""
     if not console.is_terminal:
         yield
         return

@@ -82,7 +82,7 @@ class Demo:
         contacts: What may touch the table; the first one strikes.
         trajectory: The motion, with the impact.
         frozen: Joints that move no inertia, so that nothing can be said of their motion; they are held.
-        stopped: Why the motion after the impact could not go on, or None.
+        stopped: Why the motion after the impact could not continue, or None.
         turned: Whether the table faces another way than up, since what strikes cannot move down.
     """
 
@@ -387,7 +387,7 @@ def _scene(model: pin.Model, contacts: Sequence[Contact]) -> Scene:
 
 
 def _run(scene: Scene, q: Array, v: Array, duration: float) -> tuple[Trajectory, str | None]:
-    """Return the motion, and why it could not go on, if it could not.
+    """Return the motion, and why it could not continue, if it could not.
 
     Raises:
         KeyboardInterrupt: It was interrupted.

@@ -77,7 +77,7 @@ def impact_report(
 
 
 def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> dict[str, Any]:
-    """Return an impact as plain data: what `impact_report` tells, in SI units and contact axes t₁, t₂, n."""
+    """Return an impact as plain data: as in `impact_report`, in SI units and contact axes t₁, t₂, n."""
     solution, work = impact.solution, impact.solution.work
     return {
         "time": impact.time,
@@ -161,7 +161,7 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
-    """Return what `robot_facts` has to tell as tables.
+    """Return `robot_facts` as tables.
 
     Args:
         facts: Of the robot.
@@ -205,7 +205,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
         parts.append(_columns("Frames", ("id", "frame", "joint", "kind"), rows))
     else:
         names = dict.fromkeys(frame["name"] for frame in facts["frames"][1:])
-        parts.append(Text(f"All frames (--all tells more of them): {', '.join(names)}"))
+        parts.append(Text(f"All frames (--all for details): {', '.join(names)}"))
     return Group(*parts)
 
 
@@ -253,7 +253,7 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
     work = impact.solution.work
     rows = [("kinetic energy before", kinetic[0])]
     rows += [(cause, getattr(work, cause)) for cause in CAUSES if cause != "surface" or work.surface != 0.0]
-    rows += [("sum of the works", work.total), ("kinetic energy after", kinetic[1])]
+    rows += [("total work", work.total), ("kinetic energy after", kinetic[1])]
     names, values = zip(*rows, strict=True)
     return _columns("Energy [J]", ("", "J"), zip(names, rounded(values), strict=True))
 

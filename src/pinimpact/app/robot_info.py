@@ -96,7 +96,7 @@ def free_base(model: pin.Model) -> bool:
 
 
 def frame_label(model: pin.Model, i: int) -> str | int:
-    """Return what a `Contact` is told of a frame: its name, or its id where others bear the name too."""
+    """Return the key of a frame for a `Contact`: its name, or its id if the name is not unique."""
     name = model.frames[i].name
     return str(name) if sum(frame.name == name for frame in model.frames) == 1 else i
 

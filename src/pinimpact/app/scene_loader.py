@@ -155,7 +155,7 @@ def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> Lo
 
 
 def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict[str, Any]:
-    """Return what a scene is told of its control."""
+    """Return the arguments of a scene for its control."""
     if table is None:
         return {}
     if table.delay > 0.0 and table.period is None:

@@ -103,8 +103,8 @@ def solve_impacts(
         velocity_scale: Sizes of the numbers that the velocities were formed from, a number or (N,); see
             `ImpactProblem`.
         threads: How many threads share the rows. The answers are the same to the bit, whatever their number.
-        work: Whether the works are wanted: they are then found on the way, and not by solving once more when
-            they are asked for.
+        work: Whether to compute the work with the solution; else it is computed by solving again when it is
+            read.
 
     Returns:
         A `BatchSolution`. A row whose numbers are unusable gets its status and NaN, and spoils no other.

@@ -127,7 +127,7 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
 
 
 def swept_radius(solid: Any) -> float:
-    """Return the radius of the sphere that coal sweeps around a shape [m]."""
+    """Return the radius of the sphere of the swept sphere of a shape in coal [m]."""
     return float(solid.getSweptSphereRadius()) if hasattr(solid, "getSweptSphereRadius") else 0.0
 
 
@@ -218,7 +218,7 @@ def remembered(
         memory: Where.
         shapes: The collision shapes.
         name: Of one of them.
-        points: (m, 3) its vertices now; where they have changed it is made anew.
+        points: (m, 3) its vertices now; where they have changed it is remade.
         make: Makes it.
     """
     key = id(shapes)

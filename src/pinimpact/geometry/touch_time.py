@@ -6,7 +6,7 @@ least
     min_a (n·a + h (n·a)˙) − max_b (n·b + h (n·b)˙) − r − ½ h² β
 
 over the vertices a and b of the cores, with r the radius around both. This is concave in h, so its root is a
-time until which nothing touches; there n is taken anew. Ω is such that all vertices that are foremost, those
+time until which nothing touches; there n is recomputed. Ω is such that all vertices that are foremost, those
 of a face or an edge, rise alike: the normal goes with what is about to touch. So as the gap closes each step
 leaves its square, and the last one comes to touch to rounding, from the one side: no touch is missed, however
 short. With α the largest acceleration of a point of the one shape against a point of the other, and v and l

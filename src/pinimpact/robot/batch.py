@@ -88,7 +88,7 @@ class Hits:
         return len(self.v)
 
     def __getitem__(self, row: int) -> Hit:
-        """Return the `Hit` of a row, resolved anew; raise what `impact` raises where there is none."""
+        """Return the `Hit` of a row, solved again; raise what `impact` raises if there is none."""
         try:
             i = range(len(self))[row]
         except (TypeError, IndexError):
@@ -140,7 +140,7 @@ def impacts(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what may change is told in `contact_matrices`.
+        data: Its data; `contact_matrices` lists the fields that change.
         q: (N, nq) configurations, or (nq,) one for all rows.
         v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
         contact: The contact that collides.
@@ -163,7 +163,7 @@ def impacts(
         ModelError: The mass matrix is not positive definite.
 
     Warns:
-        JointLimitWarning: A q lies beyond joint limits, as one in degrees does; told once for each Data.
+        JointLimitWarning: A q is outside the joint limits, perhaps in degrees; given once for each Data.
     """
     model = model_of(model)
     cache = data_cache(model, data)

@@ -68,7 +68,7 @@ class DataCache:
         return self._tree
 
     def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a call that, when it is made first, tells where Pinocchio finds joints of another kind."""
+        """Return a call that, when it is made first, shows where Pinocchio stores joints of another kind."""
 
         def checked(model: pin.Model, data: pin.Data, *arguments: Any) -> Any:
             try:
@@ -125,7 +125,7 @@ class DataCache:
 
 
 class _Tree(NamedTuple):
-    """What does not change about a model and can be told from its Data.
+    """What does not change about a model and can be read from its Data.
 
     Attributes:
         model: A weak reference to it.
@@ -160,7 +160,7 @@ def _tree(model: pin.Model) -> _Tree:
 
 
 def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
-    """Refuse what are not the Data of a model, as far as Data tell: by sizes, tree, axes; see `_first`."""
+    """Refuse what are not the Data of a model, as far as Data show it: by sizes, tree, axes; see `_first`."""
     if not isinstance(data, pin.Data):
         raise InputError(
             f"data: {type(data).__name__} given, pinocchio Data expected: model.createData(), or a "

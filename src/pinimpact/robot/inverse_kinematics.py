@@ -26,7 +26,7 @@ SHORTEST_PART = 0.01
 LONGEST_STEP = 0.5
 """Of a coordinate in one step, but for the place of a free base, which makes the problem no less linear."""
 STARTS = 8
-"""How often the search begins anew, further and further away, where it comes to an end without contact."""
+"""How often the search restarts, further and further away, where it comes to an end without contact."""
 SETTLED = 1e-7
 """A step shorter than this brings the configuration no closer to the given one."""
 
@@ -51,7 +51,7 @@ def place_in_contact(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what changes is told in `contact_matrices`.
+        data: Its data; `contact_matrices` lists the fields that change.
         q: (nq,) configuration to keep close to. A joint beyond its limits is brought within them.
         contacts: One or several; what they touch may be carried by bodies. Feet of a free base can be
             brought to the ground together.
@@ -60,7 +60,7 @@ def place_in_contact(
         (nq,) with gaps of rounding size.
 
     Raises:
-        InputError: No such configuration is found; the message tells the gap that is left. No contacts, or a
+        InputError: No such configuration is found; the message has the remaining gap. No contacts, or a
             q of the wrong length, not finite or not normalised.
         UnknownNameError: A frame that the model does not have.
     """

@@ -18,7 +18,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
     """Return the robot of an MJCF file.
 
     Its ``q0`` is the key called "home", or else the first key, or else that of the joints as they stand. A
-    warning tells of equality constraints, which are left out, and of meshes that are not found.
+    warning names equality constraints, which are left out, and of meshes that are not found.
 
     Args:
         path: The file.

@@ -4,12 +4,12 @@ An impact takes microseconds and kernels evaluate dynamics thousands of times, s
 results in place and take several of them from one call. That presumes:
 
 - `crba` and `aba` in the world convention leave ``data.J`` and ``data.oMi`` behind, `aba` also ``data.ov``
-  and ``data.oa_gf``, and `computeMinverse` without a configuration goes on from there;
+  and ``data.oa_gf``, and `computeMinverse` without a configuration continues from there;
 - a result stays at one address as long as its Data live, and the placements and motions of the joints stand
   one after another in memory;
 - a Python object is called by its address and that of its tuple of arguments;
 - placements and inertias of a model's joints stand one after another in memory, and what its joints do is
-  told by their names and axes.
+  identified by their names and axes.
 
 None of it is promised. Once for each model it is compared with what documented calls give on Data of their
 own; addresses are compared for each Data before anything is read by them. Where anything disagrees, as it
@@ -659,7 +659,7 @@ def _by_row(array: Array) -> bool:
 def _rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
     """Return (n, 12) placements or (n, 6) motions of a Data in place.
 
-    The first two elements and the last one tell where all are, for those of a vector stand one after another.
+    The first two elements and the last one show where all are, for those of a vector are contiguous.
 
     Args:
         items: The elements of one of Pinocchio's vectors.

@@ -200,7 +200,7 @@ def impact(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data; what may change is told in `contact_matrices`.
+        data: Its data; `contact_matrices` lists the fields that change.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
         contact: The contact that collides, or a list of those that are closed at this instant. Of a collision
@@ -226,7 +226,7 @@ def impact(
         LawError: The restitution law cannot be met.
 
     Warns:
-        JointLimitWarning: The q lies beyond joint limits, as one in degrees does; told once for each Data.
+        JointLimitWarning: The q is outside the joint limits, perhaps in degrees; given once for each Data.
     """
     robot = model
     if type(model) is not _Model:

@@ -37,7 +37,7 @@ class Struck(NamedTuple):
 
 
 def strike(cache: DataCache, model: pin.Model, data: pin.Data, contact: Contact) -> Struck:
-    """Return what kernels take of a contact, made on the first call and anew when the model has grown."""
+    """Return what kernels take of a contact, made on the first call and again when the model has grown."""
     if model.njoints != cache.njoints:
         raise outdated(model, data)
     if model.nframes != cache.frames_seen or len(cache.struck) >= MOST:

@@ -29,7 +29,7 @@ def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) ->
 
     Args:
         robot: The RobotWrapper.
-        data: Its data; what changes is told in `Contact.gap`.
+        data: Its data; `Contact.gap` lists the fields that change.
         q: (nq,) configuration.
         contact: The contact.
     """
@@ -48,7 +48,7 @@ def check_rims(model: pin.Model, data: pin.Data, q: ArrayLike, contacts: Iterabl
     """Refuse an impact at a rim that lies flat on its plane.
 
     Raises:
-        InputError: See above; the message tells what does.
+        InputError: See above; the message has the contact.
     """
     rims = [contact for contact in contacts if contact.rim > 0.0]
     if not rims:
@@ -73,7 +73,7 @@ def tilt_of_rim(model: pin.Model, data: pin.Data, contact: Contact) -> Array:
 def flat_rim(contact: Contact) -> str:
     """Return what is wrong with a rim that lies flat."""
     return (
-        f"{contact.label!r} lies flat on its surface: a smooth rim that touches all round has no contact "
+        f"{contact.label!r} lies flat on its surface: a smooth rim then has no unique contact "
         "point; give points that it stands on, rim_points= of a collision shape or contacts of their own"
     )
 

@@ -32,7 +32,7 @@ LEAST = 1e-6
 
 
 def check_chatter(control: Control, model: pin.Model, steps: Sequence[DenseStep]) -> None:
-    """Refuse to go on where a control jumps in one of the last steps after the other.
+    """Raise an error if a control jumps in one of the last steps after the other.
 
     Each step is looked at from its start along its tangent, on which its first stages lie: whether its dense
     output crosses the jump depends on the stages.

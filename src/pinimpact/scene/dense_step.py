@@ -12,7 +12,7 @@ from ._kernels import dense_output
 Array = NDArray[np.float64]
 
 WORKS = 4
-"""Works that are integrated along: of the control, in the joints, of sliding friction, of moving surfaces."""
+"""Work integrated with the motion: of control, joints, sliding friction and moving surfaces."""
 
 
 SLOPES = dense_output.BASIS * np.arange(1.0, 1.0 + len(dense_output.BASIS))
@@ -69,7 +69,7 @@ class DenseStep:
         return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 
     def works(self, t: float) -> Array:
-        """Return the works w at a time within the step."""
+        """Return the work w at a time within the step."""
         increment = np.empty(len(self.w))
         coefficients = self.coefficients[:, -len(self.w) :]
         dense_output.interpolate(coefficients, (t - self.start) / self.h, increment)

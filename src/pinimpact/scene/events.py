@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 Guard = Callable[[float, Array, Array], float]
 """guard(t, q, v) -> a number whose sign counts."""
 Callback = Callable[[float, Array, Array], ArrayLike | None]
-"""callback(t, q, v) -> (nv,) velocity to go on with, or None to leave it."""
+"""callback(t, q, v) -> (nv,) velocity after the event, or None to keep it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event:
-    """Something that happens where a function of time and state changes its sign.
+    """A user event: it occurs when a function of time and state changes sign.
 
     The guard is evaluated where steps begin and end, in their middle, and as often in between that a quarter
     of `Scene.time_scale` does not go by; its change of sign is then located on the motion within the step to
@@ -37,8 +37,8 @@ class Event:
 
     Attributes:
         guard: guard(t, q, v) -> number, with q (nq,) and v (nv,).
-        callback: callback(t, q, v), called where the event happens; it returns None, or the velocity (nv,) to
-            go on with, as after a blow. What it lets approach collides.
+        callback: callback(t, q, v), called at the event; it returns None, or the velocity (nv,)
+            after the event. Contacts that approach with it collide.
         terminal: Whether the event ends the run, after the callback; a number: whether its n-th time does.
         direction: 1: only changes from negative to positive count; -1: only the others; 0: both.
         name: What it is called in the trajectory; None for the name of the guard.
@@ -113,11 +113,11 @@ def as_events(events: Any) -> tuple[Event, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """An event after which the motion does not go on as it was.
+    """An event that changes or ends the motion.
 
     Attributes:
         time: When [s].
-        velocity: (nv,) to go on with, or None for the one there is.
+        velocity: (nv,) after the event, or None for no change.
         ended_by: Name of the event if it ends the run, else None.
     """
 
@@ -146,7 +146,7 @@ class EventWatch:
         self._happened: set[int] = set()
 
     def copy(self) -> EventWatch:
-        """Return a watch that goes on from here on its own."""
+        """Return an independent watch in the same state."""
         twin = EventWatch(self._events, self._every)
         twin.records, twin._signs, twin._times = self.records.copy(), self._signs.copy(), self._times.copy()
         twin._instant, twin._happened = self._instant, self._happened.copy()

@@ -217,7 +217,7 @@ class _Last(Generic[K, V]):
         self._known: tuple[K, V] | None = None
 
     def of(self, key: K, make: Callable[[K], V]) -> V:
-        """Return what `make` makes of a key, made anew where it is not the last one."""
+        """Return what `make` makes of a key, remade where it is not the last one."""
         if self._known is None or self._known[0] != key:
             self._known = key, make(key)
         return self._known[1]

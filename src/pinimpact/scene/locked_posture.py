@@ -18,7 +18,7 @@ CARRIED = 1e-6
 """Part of the contact's acceleration that it has at least in the direction in which nothing moves it."""
 
 REAL = 1e-6
-"""Imaginary part of a root that counts as none, and by how much its equation may be missed."""
+"""Imaginary part of a root that is taken as zero, and by how much its equation may be missed."""
 
 
 def locked_direction(
@@ -35,7 +35,7 @@ def locked_direction(
         delassus: (3, 3) W of the contact.
         acceleration: (3,) a⁰, without contact forces, of a contact at rest.
         friction: Coefficient of friction.
-        alone: Whether it is the only thing that touches, and no joint can rest by dry friction.
+        alone: Whether it is the only closed contact, and no joint can rest by dry friction.
 
     Returns:
         (3,) u in contact axes, u₃ > 0; None wherever a force may exist.

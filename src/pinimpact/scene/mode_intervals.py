@@ -40,7 +40,7 @@ class ModeIntervals:
         self._last = b""
 
     def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
-        """Take what holds from t on: some intervals end, others begin.
+        """Take the modes from t: some intervals end, others begin.
 
         Args:
             t: Time [s].
@@ -65,7 +65,7 @@ class ModeIntervals:
             self.present.setdefault(source, (mode, t))
 
     def take_over(self, other: ModeIntervals) -> None:
-        """Go on from the modes of another run of the same scene."""
+        """Continue from the modes of another run of the same scene."""
         self.ended, self.present, self._last = other.ended.copy(), other.present.copy(), other._last
 
     def _drive(self, velocity: int) -> str:

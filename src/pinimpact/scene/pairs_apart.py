@@ -20,7 +20,7 @@ from .layout import SceneLayout
 Array = NDArray[np.float64]
 
 SHORTEST = 1.0 / 65.0
-"""Part of a step below which conservative advancement goes on."""
+"""Part of a step below which conservative advancement continues."""
 
 _ONE, _FIRST = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""What there is to tell of a run: its impacts, the modes of its contacts, its energy, and remarks."""
+"""Records of a run: impacts, contact modes, energy, events and notes."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ class Energy:
         )
 
     def works(self) -> dict[str, Array]:
-        """Return the works (m,) by what does them."""
+        """Return the work (m,) by cause [J]."""
         return {
             cause: getattr(self, cause) for cause in ("control", "joints", "friction", "surface", "impacts")
         }
@@ -243,5 +243,5 @@ class Energy:
 
     @property
     def residual(self) -> Array:
-        """(m,) change of the total energy less all works: zero to the tolerance of the run."""
+        """(m,) change of the total energy minus all work: zero to the tolerance of the run."""
         return self.total - self.total[0] - sum(self.works().values())

@@ -199,7 +199,7 @@ class Scene:
             )
 
     def _check_names(self, labels: list[str]) -> None:
-        """Refuse names that stand for two things in what is told of a run."""
+        """Refuse names that stand for two things in reports of a run."""
         limits = {limit.name for limit in self.layout().limits}
         rubbing = {
             name
@@ -255,7 +255,7 @@ class Scene:
         return f"Scene({', '.join([*parts, *given])})"
 
     def layout(self) -> SceneLayout:
-        """Return what a run needs of the scene, made anew if the model has changed since it was."""
+        """Return what a run needs of the scene, remade if the model has changed."""
         known: SceneLayout | None = vars(self).get("_layout")
         if known is None or not known.holds_for(self.model):
             limited = "joint limits" not in self.without
@@ -362,7 +362,7 @@ def numbered(labels: Sequence[str], default: Sequence[bool]) -> list[str]:
 
 
 def _named(contacts: Sequence[Contact]) -> list[Contact]:
-    """Return contacts with labels that tell them apart, as far as they have no names of their own."""
+    """Return contacts with unique labels; names that are given are kept."""
     for contact, count in Counter(contacts).items():
         if count > 1:
             raise InputError(

@@ -45,10 +45,10 @@ ROUNDING = 1e-12
 """Part of the shapes' size by which a point may be beyond its face or edge through rounding."""
 
 AHEAD = 1e-6
-"""Part of the shapes' size by which they go on before it is seen what touches after a point has left."""
+"""Part of the shapes' size by which they move before it is seen what touches after a point has left."""
 
 TURNED = 0.1
-"""Part of the angle between two edges by which they turn before bounds are taken anew."""
+"""Part of the angle between two edges by which they turn before bounds are computed again."""
 
 SUNK = 1e-6
 """Part of the shapes' size by which they never overlap, but for a fault."""

@@ -129,7 +129,7 @@ def simulate(
         InputError: A start below a surface or beyond a joint limit, a held contact that moves or is further
             from its surface than a thousandth of the robot's size, numbers of the wrong shape or range.
         ModelError: A joint that cannot be integrated.
-        SimulationError: A run that cannot go on; its ``partial`` is the trajectory until then. A control, or
+        SimulationError: A run that cannot continue; ``partial`` is the trajectory until then. A control, or
             the guard or callback of an event, that fails or returns nonsense, impacts beyond `max_impacts`,
             an impact without an answer.
     """

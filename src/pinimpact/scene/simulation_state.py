@@ -226,7 +226,7 @@ class SimulationState:
         slips = self._slipping(touching)
         if jammed >= 0 and (stop or len(touching) == 1):
             self.note(
-                f"Slip at {self.names[jammed]} drives the surface in and no force holds it: "
+                f"Slip at {self.names[jammed]} has a negative normal acceleration and no admissible force: "
                 f"an impact without collision{', which stops it' if stop else ''}."
             )
             impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
@@ -238,8 +238,8 @@ class SimulationState:
             return []
         self.change_velocity(v)
         self.note(
-            f"Slip at {self._names(touching, slips)} drives the surface in and no forces hold what touches: "
-            "an impact without collision."
+            f"Slip at {self._names(touching, slips)} has a negative normal acceleration and no admissible "
+            "forces: an impact without collision."
         )
         return self._take_over_group(group)
 
@@ -311,8 +311,8 @@ class SimulationState:
             raise LockedPostureError(
                 f"contacts: at t = {self.t:.6g} s {contact.label!r} is locked by friction: in this posture "
                 f"nothing moves it along ({x:.3g}, {y:.3g}, {z:.3g}), its friction of {friction:g} holds it "
-                "there, and the motion carries it on, so rigid bodies have neither forces nor impulses; "
-                f"friction below {least:.3g}, or a joint limit short of this posture, lets it go on",
+                "there against the motion, so rigid bodies have neither forces nor impulses; "
+                f"friction below {least:.3g}, or a joint limit short of this posture, avoids this",
                 field="contacts",
                 value=contact,
             )

@@ -17,12 +17,11 @@ Array = NDArray[np.float64]
 
 
 class Stepper:
-    """A scene in motion, taken on by `step` with generalized forces that are held over each step.
+    """Simulate a scene step by step, with generalized forces that are constant during each step.
 
-    It is `simulate` in pieces: a run in steps is the run of a control that is sampled where they start. Steps
-    of any length may follow one another. What happens within a step (impacts, slip that ends, events of one's
-    own) happens at its exact time. A terminal event ends the step early: `t` tells, and the next step goes on
-    from there.
+    The motion is that of `simulate` with a control that is sampled at the starts of the steps. Steps can have
+    different lengths. Impacts, changes of contact modes and user events are located at their exact times
+    within a step. A terminal event ends a step early, at the time `t`; the next step continues from there.
 
     Args:
         scene: The scene, without a control of its own.
@@ -61,7 +60,7 @@ class Stepper:
         self.reset(q0, v0)
 
     def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
-        """Begin anew at t = 0 in another state; the motion until now is forgotten.
+        """Restart at t = 0 in another state; the motion until now is discarded.
 
         Raises:
             InputError: As of `simulate`; the stepper is then as it was.
@@ -70,7 +69,7 @@ class Stepper:
         self._begun = self._failed = False
 
     def copy(self) -> Stepper:
-        """Return a stepper that goes on from here on its own."""
+        """Return an independent stepper in the same state."""
         twin = copy(self)
         twin._motion = self._motion.copy()
         return twin
@@ -85,8 +84,7 @@ class Stepper:
         Raises:
             InputError: Forces of the wrong shape or not finite, a time that is not above zero or too small to
                 change `t`; nothing has moved then.
-            SimulationError: The motion cannot go on; ``partial`` is the trajectory until then. Only `reset`
-                helps.
+            SimulationError: The motion cannot continue; ``partial`` is the trajectory so far; use `reset`.
         """
         motion = self._motion
         tau = finite_array("tau", tau, (motion.model.nv,))
@@ -100,7 +98,7 @@ class Stepper:
             )
         if self._failed:
             raise SimulationError(
-                f"scene: the motion has stopped at t = {motion.state.t:.6g} s; reset(q, v) begins anew",
+                f"scene: the motion has stopped at t = {motion.state.t:.6g} s; reset(q, v) restarts",
                 field="scene",
             )
         self._failed = True

@@ -119,7 +119,7 @@ class Trajectory:
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
 
     def works(self, t: float, side: Literal["left", "right"] = "right") -> Array:
-        """Return the works of control, joints, sliding friction and surfaces up to a time, (4,) [J].
+        """Return the work of control, joints, sliding friction and surfaces up to a time, (4,) [J].
 
         They are those of `energy` in between its samples. Raises what `at` does.
         """

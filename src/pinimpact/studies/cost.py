@@ -45,7 +45,7 @@ STYLES: dict[str, dict[str, Any]] = {
 """How methods, and other models, are drawn."""
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-"""Errors that a summary tells the cost of."""
+"""Errors for which a summary names the fastest method."""
 
 BATCH = 2e-4
 """Seconds that one timing lasts at least; shorter calls are repeated."""

@@ -109,7 +109,7 @@ def replay(
 ) -> Replay:
     """Write a motion, or what happens within one impact, to one HTML file that opens offline in any browser.
 
-    The page shows the robot, the surfaces, the ways of the contact points, and the forces of sustained
+    The page shows the robot, the surfaces, the paths of the contact points, and the forces of sustained
     contact; collision shapes are lit while they touch. At an impact the film slows down and stands still
     while the impulse grows: arrows show the impulse, the contact velocity before and after, and the friction
     cone. The keys n and p, and the marks on the bar, lead from impact to impact; the speed and the

@@ -65,7 +65,7 @@ def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) 
 
 
 def _joined(intervals: list[tuple[float, float]]) -> list[list[float]]:
-    """Return intervals of time without those that lie within others or go on where others end."""
+    """Return intervals of time without those that lie within others or continue others."""
     joined: list[list[float]] = []
     for start, end in sorted(intervals):
         if joined and start <= joined[-1][1]:

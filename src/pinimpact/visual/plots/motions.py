@@ -109,7 +109,7 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw how kinetic and potential energy together change from the start on, and what each cause did to it.
 
-    The works are those that are integrated along with the motion, between its samples too.
+    Work is integrated with the motion, between samples too.
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)

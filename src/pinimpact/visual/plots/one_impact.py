@@ -123,8 +123,8 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
 
     Behind it stand the flow of slip dv_t/dP₃ = b − μ A v_t/|v_t|, the invariant directions, in which slip
     does not turn (solid where its neighbours turn towards it, dashed where away), and, shaded, the directions
-    in which slip drives the surface in, dv₃/dP₃ < 0 (jam). An impact at many contacts has none of them; there
-    a thin line shows where others push.
+    in which the normal acceleration is negative, dv₃/dP₃ < 0 (jam). An impact at many contacts has none of
+    them; there a thin line shows the impulses of other contacts.
 
     Args:
         impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved; a `ManyHit` or a

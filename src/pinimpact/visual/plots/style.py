@@ -1,4 +1,4 @@
-"""Colours that colour-blind readers tell apart (Okabe and Ito's), axes on demand, and legends beside them."""
+"""Colours for colour-blind readers (Okabe and Ito's), axes on demand, and legends beside them."""
 
 from __future__ import annotations
 

@@ -1,0 +1,150 @@
+"""The words of docs, help, messages, public docstrings and names: none of those that are retired."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import pinimpact
+from tools import pages
+
+ROOT = pages.ROOT
+RETIRED = {
+    r"what (?:is closed|rests|holds)\b": "active contacts, sticking contacts",
+    r"\b(?:go|goes|going|went|gone) on\b": "keeps sliding, continues",
+    r"\blets? go\b": "releases, separates",
+    r"\b(?:in )?vain\b": "rejected candidate",
+    r"\b(?:throws?|thrown|threw)\b": "accelerated by an impulse",
+    r"\bdr(?:ive|ives|iven|ove) the (?:surface|point) in\b": "negative normal acceleration",
+    r"\bsweeps?\b": "projected Gauss–Seidel iterations",
+    r"(?<!lemke )(?<!lemke's )\bpivots\b": "Lemke pivots",
+    r"(?<!constraint )\bdrifts?\b": "constraint drift",
+    r"\b(?:the|all|their|its|by) works\b|\bworks (?:of|that|add)\b": "work, energy dissipated",
+    r"\bways? of (?:a|the|each|these|contact) (?:contact )?points?\b": "path",
+    r"\bno way goes\b": "no admissible continuation",
+    r"\btell(?:s|ing)?\b|\btold\b": "reports; is given, is declared",
+    r"\bcompany\b": "worker pool",
+    r"\blent\b": "borrowed",
+    r"\banew\b": "recomputed, regenerated",
+    r"\bthat which\b|(?:^|[.;] )(?:By|Of|In) which\b": "recast the sentence",
+    r"\byours to know\b": "you supply",
+    r"\b(?:where )?every joule\b": "energy dissipated",
+    r"\bnever guessed\b": "raises an error",
+    r"\baslant\b": "obliquely",
+    r"\bin (?:its|their) stead\b": "instead",
+    r"\bhonest limits\b|\bwhat you will miss\b": "Limitations",
+    r"\bfrom install to\b": "Tutorial",
+    r"\b(?:not|un)[ -]?accounted for\b": "energy residual",
+    r"\bhas no such (?:option|key)\b": "unknown option, unknown key",
+    r"\bshapes to show\b": "visual shapes",
+    r"\bthat touches\b": "in contact",
+    r"\bgives? impacts only\b": "use impact(), not a scene",
+    r"\bcounts? as none\b": "is taken as zero",
+    r"\bfeels? the blow\b|\bblows?\b": "impact, impulse",
+    r"\bpython names\b": "API reference",
+    r"\bglue[sd]?\b": "bilateral constraint",
+}
+"""What is no longer said, as a regular expression, and what is said instead."""
+
+FOUND = {pattern: re.compile(pattern, re.IGNORECASE) for pattern in RETIRED}
+
+
+def retired(text: str) -> list[str]:
+    """Return the retired words of a text with what is around them, and what to say."""
+    text = " ".join(text.split())
+    return [
+        f"…{text[max(0, hit.start() - 40) : hit.end() + 40]}… → {RETIRED[pattern]}"
+        for pattern, words in FOUND.items()
+        for hit in words.finditer(text)
+    ]
+
+
+def strings_of(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the string literals of a module, docstrings among them, with their lines."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def docstrings_of(tree: ast.Module) -> set[int]:
+    """Return the ids of the literals of a module that are docstrings, of attributes too."""
+    return {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+
+
+def messages_of(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the string literals of a module that are no docstrings, with their lines."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docstrings = docstrings_of(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield node.lineno, node.value
+
+
+def public_docstrings() -> Iterator[tuple[str, str]]:
+    """Yield the docstrings of public names and of their public attributes."""
+    plots = pinimpact.visual.plots
+    for module, names in ((pinimpact, pinimpact.__all__), (plots, plots.__all__)):
+        for name in names:
+            item = getattr(module, name)
+            if inspect.isclass(item) or inspect.isroutine(item):
+                yield name, inspect.getdoc(item) or ""
+            if inspect.isclass(item) and item.__module__.startswith("pinimpact"):
+                for key, attribute in vars(item).items():
+                    if not key.startswith("_"):
+                        yield f"{name}.{key}", inspect.getdoc(attribute) or ""
+
+
+SOURCES = sorted(path for path in (ROOT / "src").rglob("*.py") if "_kernels" not in path.parts)
+"""Modules that have messages: kernels have none."""
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+UNREAD = {"theory", "hard-cases", "architecture"}
+"""Pages that still use retired words."""
+PAGES = [page for page in [*pages.pages(), ROOT / "CONTRIBUTING.md"] if page.stem not in UNREAD]
+MODULE_NAMES = re.compile(r"benchmarks\.sweeps")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_pages(page: Path) -> None:
+    assert retired(MODULE_NAMES.sub("", page.read_text(encoding="utf-8"))) == []
+
+
+def test_messages_and_help() -> None:
+    literals = [(path, *literal) for path in SOURCES for literal in messages_of(path)]
+    literals += [
+        (path, *literal) for path in SOURCES if path.parent.name == "app" for literal in strings_of(path)
+    ]
+    literals += [(path, *literal) for path in EXAMPLES for literal in strings_of(path)]
+    assert len(literals) > 1000  # the walk has found them
+    found = [f"{path.name}:{line} {word}" for path, line, text in literals for word in retired(text)]
+    assert found == []
+
+
+def test_public_docstrings_and_names() -> None:
+    found = [f"{name}: {word}" for name, text in public_docstrings() for word in retired(text)]
+    found += [name for name, _ in public_docstrings() if retired(name.replace("_", " "))]
+    assert found == []
+
+
+def test_scene_files_and_notebooks() -> None:
+    for path in sorted((ROOT / "examples").rglob("*.toml")):
+        assert retired(path.read_text(encoding="utf-8")) == [], path.name
+    for path in sorted((ROOT / "examples").rglob("*.ipynb")):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        assert retired(" ".join("".join(cell["source"]) for cell in cells)) == [], path.name
+
+
+@pytest.mark.parametrize(
+    "text", ["Slip goes on.", "It is told ahead.", "a rejected\nimpulse, made anew", "Of which two are left"]
+)
+def test_a_retired_word_is_found(text: str) -> None:
+    assert len(retired(text)) == 1
