@@ -63,10 +63,10 @@ def test_a_urdf_without_shapes_is_replayed_in_lines(tmp_path: Path) -> None:
     result = call("demo", written(tmp_path, PENDULUM), "-o", str(tmp_path / "out"))
     assert result.exit_code == 0, result.output
     assert re.search(
-        r"The table faces \(-?1, 0, 0\): from here it cannot be struck from above", result.output
+        r"Normal of the table: \(-?1, 0, 0\); the frame cannot move down in this posture", result.output
     )
     assert not re.search(r"e-1[4-9]", result.output)  # what is zero to rounding
-    assert "Held as they are, since they move no inertia: idle." in result.output
+    assert "Joints without inertia are fixed: idle." in result.output
     assert (tmp_path / "out" / "replay.html").stat().st_size > 100_000
 
 

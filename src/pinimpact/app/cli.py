@@ -29,12 +29,10 @@ OUT = click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Folder for the files, made if need be.  [default: out, or out-2 and so on where that is taken]",
+    help="Output folder; created if missing.  [default: out, or out-2, out-3, … if it exists]",
 )
-FORCE = click.option("-f", "--force", is_flag=True, help="Write over files of earlier runs.")
-JSON = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object, in SI units, and no tables."
-)
+FORCE = click.option("-f", "--force", is_flag=True, help="Overwrite existing files.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON, in SI units, instead of tables.")
 QUIET = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
 VECTOR = (float, float, float)
 
@@ -44,7 +42,7 @@ COST_FILES = ("cost.png", "cost.json")
 
 
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Say what is wrong with the input, or with a file, in one message without a traceback."""
+    """Print errors of input and files as one message, without a traceback."""
 
     @functools.wraps(command)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
@@ -113,7 +111,7 @@ def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[No
 
 @contextmanager
 def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
-    """Show on a terminal that something takes time, and what is compiled meanwhile.
+    """Show progress on a terminal, and which kernels are compiled.
 
     Returns:
         What prints a line on how far it has come.
@@ -131,7 +129,7 @@ def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
 
 
 def _tell(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
-    """Print what has come out: as JSON, as tables or text, or not at all."""
+    """Print a result as JSON, as tables or text, or not at all."""
     if quiet:
         return
     if as_json:
@@ -186,10 +184,11 @@ def demo(
     quiet: bool,
     **how: Any,
 ) -> None:
-    """Compute an impact of a robot with a table: print it, write a replay and a hodograph.
+    """Compute an impact of a robot with a table.
 
-    ROBOT is a name (`pinimpact robots` lists them) or the path of a file; panda if it is left out. A fixed
-    base swings what strikes onto the table, a free one falls onto it.
+    Prints the impact and writes a replay and a hodograph. ROBOT is a name (see `pinimpact robots`) or the
+    path of a URDF or MJCF file; the default is panda. A robot with a fixed base swings the frame onto the
+    table, one with a free base falls onto it.
     """
     from ..visual.html_replay import replay
     from ..visual.plots import impact_figure, save_figure
@@ -203,12 +202,14 @@ def demo(
     impact, contact = shown.impact, shown.contact
     remarks = []
     if shown.frozen:
-        remarks.append(f"Held as they are, since they move no inertia: {', '.join(shown.frozen)}.")
+        remarks.append(f"Joints without inertia are fixed: {', '.join(shown.frozen)}.")
     if shown.turned:
         x, y, z = (round(float(component), 3) + 0.0 for component in contact.plane.axes[2])
-        remarks.append(f"The table faces ({x:g}, {y:g}, {z:g}): from here it cannot be struck from above.")
+        remarks.append(
+            f"Normal of the table: ({x:g}, {y:g}, {z:g}); the frame cannot move down in this posture."
+        )
     if shown.stopped is not None:
-        remarks.append(f"The motion after the impact stops early: {shown.stopped}")
+        remarks.append(f"The simulation after the impact ended early: {shown.stopped}")
     title = (
         f"{Path(robot).stem}: {contact.label}, μ = {contact.friction:g}, e = {impact.problem.restitution:g}"
     )
@@ -228,7 +229,7 @@ def demo(
     )
     if not (as_json or quiet):
         click.echo(f"Hodograph: {picture}")
-        click.echo(f"Replay (five times slower, open in a browser): {page}")
+        click.echo(f"Replay (slowed down five times; open in a browser): {page}")
 
 
 @main.command()
@@ -236,7 +237,10 @@ def demo(
 @click.argument("word", required=False)
 @plain_errors
 def robots(word: str | None, as_json: bool) -> None:
-    """List the robots that can be named, or those with WORD in their names."""
+    """List the robots that can be loaded by name.
+
+    With WORD, only names that contain it.
+    """
     from ..robot.loading import named_robots
 
     found = {
@@ -265,7 +269,10 @@ def robots(word: str | None, as_json: bool) -> None:
 @JSON
 @plain_errors
 def info(robot: str, every: bool, as_json: bool) -> None:
-    """Show the joints of a robot with their limits, its frames, and which of them may make contact."""
+    """Show joints, limits and frames of a robot.
+
+    Also shows its collision shapes and suggests frames for contacts.
+    """
     from ..robot.loading import load_robot
     from .report import robot_report
     from .robot_info import robot_facts
@@ -279,7 +286,11 @@ def info(robot: str, every: bool, as_json: bool) -> None:
 @JSON
 @plain_errors
 def plan(scene: Path, as_json: bool) -> None:
-    """Print which effects a scene file calls for, and why each other one is left out."""
+    """List the effects computed for a scene file.
+
+    Gives the reason for each effect, computed or not. SCENE is the path of a scene file, or the name of one
+    that is part of pinimpact.
+    """
     from .scene_loader import load_scene
 
     found = load_scene(scene).scene.plan()
@@ -296,9 +307,11 @@ def _plain(text: str) -> float | str:
 
 @main.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--period", help="Sample the control so often, in place of what the file says: '2 ms', or [s].")
-@click.option("--delay", help="Let a sampled control act so late, likewise.")
-@click.option("--all", "every", is_flag=True, help="Show every impact, mode and note.")
+@click.option(
+    "--period", help="Sampling period of the control, instead of that of the file: '2 ms', or a number [s]."
+)
+@click.option("--delay", help="Delay of the sampled control, likewise.")
+@click.option("--all", "every", is_flag=True, help="Show all impacts, modes and notes.")
 @OUT
 @FORCE
 @JSON
@@ -314,9 +327,11 @@ def run(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Simulate a scene file: print what happened, write trajectory, replay and pictures.
+    """Simulate a scene file.
 
-    Ctrl-C ends the run early, with exit status 130; what was computed until then is written all the same.
+    Prints impacts, contact modes and the energy balance, and writes the trajectory, a replay and plots. SCENE
+    is the path of a scene file, or the name of one that is part of pinimpact. Ctrl-C ends the run early, with
+    exit status 130; results up to then are written.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -357,41 +372,41 @@ def run(
 @QUIET
 @plain_errors
 def warmup(quiet: bool) -> None:
-    """Compile all kernels now, so that no later call on this machine waits for them.
+    """Compile all kernels in advance.
 
-    They are kept in the folder that NUMBA_CACHE_DIR names, else beside the package, for all processes that
-    use the same folder, Python, numba and kind of processor. For an image or a cluster: set NUMBA_CACHE_DIR
-    to a folder that all see, and run this once.
+    They are cached in the folder NUMBA_CACHE_DIR, or in that of the package if it is not set, for all
+    processes with the same folder, Python, numba and type of processor. For a container image or a cluster,
+    set NUMBA_CACHE_DIR to a shared folder and run this once.
     """
     with _working(quiet, "compiling kernels"):
         from .warmup import warm_up
 
         folder = warm_up()
     if folder is None:
-        message = "no folder is writable, so every process compiles its own; set NUMBA_CACHE_DIR"
+        message = "no folder for the cache is writable, so all processes compile again; set NUMBA_CACHE_DIR"
         raise click.ClickException(message)
     if not quiet:
-        click.echo(f"All kernels are compiled, in {folder}.")
+        click.echo(f"All kernels are compiled and cached in {folder}.")
 
 
 @main.command()
 @click.option(
-    "--robot", help="Measure the demo's impact of this robot, not the standard classes of problems."
+    "--robot", help="Measure the impact of `demo` with this robot instead of the standard problems."
 )
 @click.option(
-    "--target", type=click.FloatRange(min=0.0, min_open=True), help="Name the cheapest way to this error."
+    "--target", type=click.FloatRange(min=0.0, min_open=True), help="Name the fastest method for this error."
 )
 @click.option(
-    "--method", "methods", multiple=True, help="A method to measure; may be repeated. [default: all]"
+    "--method", "methods", multiple=True, help="Method to measure; can be repeated.  [default: all]"
 )
 @click.option(
     "--time-cap",
     type=click.FloatRange(min=0.0, min_open=True),
     default=2.0,
     show_default=True,
-    help="Seconds.",
+    help="Skip settings that take longer than this [s].",
 )
-@click.option("--all", "every", is_flag=True, help="Print every point that was measured.")
+@click.option("--all", "every", is_flag=True, help="Print all measured points.")
 @OUT
 @FORCE
 @JSON
@@ -408,7 +423,10 @@ def cost(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Benchmark accuracy against run time, method by method: a summary, a plot, the raw figures."""
+    """Benchmark accuracy against run time.
+
+    Prints a summary for each method, and writes a plot and the measurements as JSON.
+    """
     from ..contact_space.methods import find_method
     from ..studies.cost import run_cost
 

@@ -1,4 +1,4 @@
-"""Impacts, runs and robots in words and tables, for the terminal, and as plain data, for JSON."""
+"""Reports of impacts, runs and robots: tables for the terminal, plain data for JSON."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
         _columns(
             "Joints, with their limits [rad or m]", ("joint", "kind", "velocities", "lower", "upper"), joints
         ),
-        Text("Frames that may touch something: " + (", ".join(suggested) or "none, for no joint moves")),
+        Text("Suggested contact frames: " + (", ".join(suggested) or "none (no joint moves)")),
         Text("Collision shapes: " + (", ".join(facts["collision_shapes"]) or "none")),
     ]
     if at_joint:
