@@ -236,7 +236,7 @@ def test_meshes_are_found_where_one_is_told(urdf, tmp_path):
     (package / "box.obj").write_text(OBJ)
     path = urdf(visual=MESH)
     assert pinimpact.load_robot(path, package_dirs=[package.parent]).visual_model.ngeoms == 1
-    with pytest.warns(UserWarning, match=r"package://shapes/box\.obj; package_dirs"):
+    with pytest.warns(UserWarning, match=r"package://shapes/box\.obj; set package_dirs"):
         assert pinimpact.load_robot(path).visual_model.ngeoms == 0
 
 
