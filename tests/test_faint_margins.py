@@ -8,7 +8,7 @@ import pytest
 
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.scene._kernels.contact_forces import STICK
-from pinimpact.scene.simulation import Motion
+from pinimpact.scene.motion import Motion
 
 from . import random_control, random_scenes
 from .lawful import lost, unlawful

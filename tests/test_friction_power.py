@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact.scene.simulation import Motion
+from pinimpact.scene.motion import Motion
 
 from .scene_models import G, slider, unbounded
 

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.geometry.surfaces import contact_axes
+from pinimpact.scene.motion import Motion
 from pinimpact.scene.scene_impacts import _growing
-from pinimpact.scene.simulation import Motion
 
 from .random_scenes import draw, unaccounted
 from .scene_models import UP, G, free_body, run, unbounded

@@ -18,8 +18,8 @@ from pinimpact import Box, Contact, InputError, Plane, Scene, Shape, SimulationE
 from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
+from pinimpact.scene.motion import Motion
 from pinimpact.scene.pairs_apart import PairsApart
-from pinimpact.scene.simulation import Motion
 
 from .scene_models import G, run, shaped_body
 

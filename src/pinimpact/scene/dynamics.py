@@ -72,6 +72,7 @@ class SceneDynamics:
         contacts: All contacts of the scene, held ones last.
         limits: The joint limits.
         work: All that the kernels share.
+        driven: Whether there are drives.
     """
 
     def __init__(
@@ -102,8 +103,8 @@ class SceneDynamics:
         calls[: 2 * len(self._calls)] = call_addresses(self._calls)
         dry = scene.joint_friction * ("joint friction" not in without)
         damping = scene.joint_damping * ("joint damping" not in without)
-        self._driven = len(motors.velocity) > 0
-        stiff = self._driven or layout.rate_of_damping(damping) > STIFF
+        self.driven = len(motors.velocity) > 0
+        stiff = self.driven or layout.rate_of_damping(damping) > STIFF
         rough = any(contact.sustained_friction != 0.0 for contact in self.contacts)
         alone = len(contacts) + len(limits) < 2
         _compile(rough, stiff, None if alone else scene.simultaneous)  # before anything else calls kernels
@@ -266,7 +267,7 @@ class SceneDynamics:
 
     def set_saturation(self, q: Array, v: Array) -> None:
         """Tell which drives are at the bounds of their efforts at a state."""
-        if self._driven:
+        if self.driven:
             drives.set_saturation(self.work, q, v)
 
     def change_side(self, index: int) -> None:

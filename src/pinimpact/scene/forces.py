@@ -150,8 +150,8 @@ class EvaluatedForces:
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
         """See `ForceSource`."""
         closed = step.closed
-        if closed is None:
-            return None
+        if closed is None or isinstance(closed, Forces):  # those of a time step are constant over it
+            return closed
         dynamics = self._dynamics
         work = dynamics.work
         dynamics.make_room(closed.modes[: work.contacts])
@@ -214,7 +214,11 @@ class TabulatedForces:
         if isinstance(source, cls):
             return source
         count = len(source.contacts)
-        closed = [step.closed.modes[:count] for step in steps if step.closed is not None]
+        closed = [
+            step.closed.world.any(axis=1) if isinstance(step.closed, Forces) else step.closed.modes[:count]
+            for step in steps
+            if step.closed is not None
+        ]
         used = np.flatnonzero(np.any(closed, axis=0)) if closed else np.zeros(0, dtype=np.int64)
         rows: list[int] = []
         found: list[list[Forces]] = []

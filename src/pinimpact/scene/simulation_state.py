@@ -211,6 +211,25 @@ class SimulationState:
             resolved += struck
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
+    def collide(self, touching: float, slowest: float) -> None:
+        """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
+
+        Args:
+            touching: The distance [m].
+            slowest: The speed [m/s].
+        """
+        resolved: list[dict[str, Any]] = []
+        while self.names:
+            gaps, rates = self.dynamics.gaps_at(self.q, self.v).T
+            near = gaps <= touching
+            near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
+            i = int(np.argmin(np.where(near, rates, math.inf)))
+            if not (near[i] and rates[i] < -slowest):
+                break
+            self._where[:] = np.where(near, ARRIVING, APART)
+            resolved += self._strike(i, -float(rates[i]), resolved)
+        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
     def _without_forces(self, v: Array, jammed: int, stop: bool) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.
 

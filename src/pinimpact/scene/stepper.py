@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
+from .motion import Motion, check_numbers
 from .scene import Scene
-from .simulation import Motion, check_numbers
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
 from ..._compile.jit import jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
@@ -56,23 +56,42 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
         assign(work.solution, admissible)
         apply_forces(work, out[: len(v)], out[len(v) + 2 :])
     index, found = work.closed_index, work.contact_force
+    axes = np.empty((len(index), 3, 3))
+    place = np.empty((len(index), 3))
+    places_of_contacts(work, index, axes, place)
     for m in range(len(index)):
         i = index[m]
-        k, tip = work.contact_constants[i], work.placements[work.contact_joints[i, 0]]
-        base = work.placements[work.contact_joints[i, 1]]
-        _, n1, n2, n3, p1, p2, p3 = contact_kinematics.at_contact(tip, base, k)
-        points[i, 0], points[i, 1], points[i, 2] = p1, p2, p3
-        normals[i, 0], normals[i, 1], normals[i, 2] = n1, n2, n3
-        _, _, _, x1, x2, x3 = contact_kinematics.relative(tip, base, k)
-        _, l1, l2, l3 = contact_kinematics.distance(tip, base, k, x1, x2, x3)
-        a1, a2, a3, b1, b2, b3 = contact_kinematics.carried_axes(k, l1, l2, l3)
-        f1, f2, f3 = found[m, 0], found[m, 1], found[m, 2]
-        forces[i, 0], forces[i, 1], forces[i, 2] = rotate(
-            base, f1 * a1 + f2 * b1 + f3 * l1, f1 * a2 + f2 * b2 + f3 * l2, f1 * a3 + f2 * b3 + f3 * l3
-        )
+        for d in range(3):
+            points[i, d], normals[i, d] = place[m, d], axes[m, 2, d]
+            forces[i, d] = (
+                found[m, 0] * axes[m, 0, d] + found[m, 1] * axes[m, 1, d] + found[m, 2] * axes[m, 2, d]
+            )
     velocity, scalar = work.scalar_velocity, work.scalar_force
     for m in range(len(velocity)):
         joints[velocity[m]] += scalar[m]
     for j in range(len(joints)):
         joints[j] -= work.sliding_friction[j]
     return work.forces_unique
+
+
+@ahead(SceneWorkspace, INTEGERS, FLOAT_STACK, FLOAT_ROWS)
+@jit
+def places_of_contacts(work, index, axes, points):
+    """Fill where contacts are at the kinematics last computed, in world axes.
+
+    Args:
+        work: The workspace.
+        index: (k,) which contacts.
+        axes: (k, 3, 3) takes t₁, t₂ and n of each, as rows.
+        points: (k, 3) takes the contact points [m].
+    """
+    for m in range(len(index)):
+        k, tip = work.contact_constants[index[m]], work.placements[work.contact_joints[index[m], 0]]
+        base = work.placements[work.contact_joints[index[m], 1]]
+        _, _, _, _, points[m, 0], points[m, 1], points[m, 2] = contact_kinematics.at_contact(tip, base, k)
+        _, _, _, x1, x2, x3 = contact_kinematics.relative(tip, base, k)
+        _, n1, n2, n3 = contact_kinematics.distance(tip, base, k, x1, x2, x3)
+        a1, a2, a3, b1, b2, b3 = contact_kinematics.carried_axes(k, n1, n2, n3)
+        axes[m, 0, 0], axes[m, 0, 1], axes[m, 0, 2] = rotate(base, a1, a2, a3)
+        axes[m, 1, 0], axes[m, 1, 1], axes[m, 1, 2] = rotate(base, b1, b2, b3)
+        axes[m, 2, 0], axes[m, 2, 1], axes[m, 2, 2] = rotate(base, n1, n2, n3)

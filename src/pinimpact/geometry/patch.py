@@ -1,0 +1,152 @@
+"""The patch in which two convex shapes face each other: its corners, each with its own gap.
+
+Where a face is the reference, the corners are those of the other shape's face, clipped by the sides of the
+reference face (Sutherland and Hodgman 1974), and their gaps are heights over its plane: they vary smoothly as
+the faces tilt. Where only edges, points or round shapes are nearest, the points in which they are nearest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .convex_pair import gap, touches
+from .convex_shape import PlacedShape, cross
+
+Array = NDArray[np.float64]
+
+FACE = 1.0 - 1e-6
+"""Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,
+wide enough for normals that GJK finds, and far below the angle between two faces."""
+
+NEAREST = 4e-12
+"""Part of the shapes' size by which points that are nearest together may differ."""
+
+
+PARALLEL = 1e-12
+"""Squared sine of the angle between edges below which any of their points are nearest."""
+
+COINCIDE = 1e-9
+"""Part of a shape's size within which corners of a patch are one."""
+
+
+class Patch(NamedTuple):
+    """Points of two shapes that face each other.
+
+    Attributes:
+        normal: (3,) from the second shape to the first.
+        points: (k, 3) of the first shape [m].
+        others: (k, 3) of the second, opposite to them.
+        gaps: (k,) between them along the normal [m], negative where the shapes overlap.
+    """
+
+    normal: Array
+    points: Array
+    others: Array
+    gaps: Array
+
+
+def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
+    """Return where two shapes are nearer than a distance, None where they are not.
+
+    Args:
+        a: The first shape.
+        b: The second.
+        within: The distance [m].
+    """
+    found = gap(a, b)
+    if found.value > within:
+        return None
+    normal = found.normal
+    facing_a = -a.normals @ normal if len(a.shape.faces) else np.zeros(0)
+    facing_b = b.normals @ normal if len(b.shape.faces) else np.zeros(0)
+    best_a, best_b = facing_a.max(initial=0.0), facing_b.max(initial=0.0)
+    if max(best_a, best_b) >= FACE:
+        if best_b >= best_a:
+            face = int(np.argmax(facing_b))
+            return _on_face(a, b, face, within, facing_a)
+        mirrored = _on_face(b, a, int(np.argmax(facing_a)), within, facing_b)
+        if mirrored is None:
+            return None
+        return Patch(-mirrored.normal, mirrored.others, mirrored.points, mirrored.gaps)
+    if len(a.shape.edges) and len(b.shape.edges):
+        near = [_nearest_of_edges(_foremost_edge(a, -normal), _foremost_edge(b, normal))]
+    else:  # a ball against anything
+        size = a.shape.reach + b.shape.reach
+        found_points = touches(a, b, normal, NEAREST * size + abs(found.value))
+        near = [(touch.point, touch.other) for touch in found_points]
+    if not near:
+        return None
+    points = np.array([point for point, _ in near]) - a.shape.radius * normal
+    others = np.array([other for _, other in near]) + b.shape.radius * normal
+    return Patch(normal, points, others, (points - others) @ normal)
+
+
+def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
+    """Return the ends (2, 3) of the edge that lies farthest along a direction."""
+    heights = shape.vertices @ direction
+    edges = shape.shape.edges
+    return shape.vertices[edges[int(np.argmax(heights[edges].sum(axis=1)))]]
+
+
+def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the nearest points of two segments, each (2, 3)."""
+    u, w, r = first[1] - first[0], second[1] - second[0], first[0] - second[0]
+    uu, uw, ww, ur, wr = u @ u, u @ w, w @ w, u @ r, w @ r
+    determinant = uu * ww - uw * uw
+    s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > PARALLEL * uu * ww else 0.5
+    t = min(max((uw * s + wr) / ww, 0.0), 1.0)
+    s = min(max((uw * t - ur) / uu, 0.0), 1.0)
+    return first[0] + s * u, second[0] + t * w
+
+
+def _on_face(a: PlacedShape, b: PlacedShape, face: int, within: float, facing: Array) -> Patch | None:
+    """Return the patch of a shape over a face of another.
+
+    Args:
+        a: The shape.
+        b: The other.
+        face: The number of its face.
+        within: The largest gap [m].
+        facing: How much each face of `a` faces that face; empty where `a` has none.
+    """
+    normal = b.normals[face]
+    plane = float(b.offsets[face]) + b.shape.radius
+    polygon = a.vertices[a.shape.faces[int(np.argmax(facing))]] if len(facing) else a.vertices
+    corners = b.vertices[b.shape.faces[face]]
+    sides = cross(np.roll(corners, -1, axis=0) - corners, normal)
+    for side, corner in zip(sides, corners, strict=True):
+        polygon = _clipped(polygon, side, float(side @ corner))
+        if not len(polygon):
+            return None
+    apart = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1) > COINCIDE * a.shape.reach
+    polygon = polygon[apart] if apart.any() else polygon[:1]
+    points = polygon - a.shape.radius * normal
+    gaps = points @ normal - plane
+    near = gaps <= within
+    if not near.any():
+        return None
+    points, gaps = points[near], gaps[near]
+    return Patch(normal, points, points - gaps[:, None] * normal, gaps)
+
+
+def _clipped(polygon: Array, outward: Array, offset: float) -> Array:
+    """Return the part of a polygon, a segment or a point on the inner side of a plane."""
+    heights = polygon @ outward - offset
+    inside = heights <= 0.0
+    if inside.all():
+        return polygon
+    if not inside.any():
+        return polygon[:0]
+    kept: list[Array] = []
+    count = len(polygon)
+    for k in range(count):
+        following = (k + 1) % count
+        if inside[k]:
+            kept.append(polygon[k])
+        if inside[k] != inside[following] and not (count == 2 and k == 1):
+            share = heights[k] / (heights[k] - heights[following])
+            kept.append(polygon[k] + share * (polygon[following] - polygon[k]))
+    return np.array(kept)

@@ -1,0 +1,716 @@
+"""A motion: smooth up to the next event, what happens there, and so on."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from types import ModuleType
+from typing import Any, NoReturn
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array, real_number
+from ..errors import InputError, PinimpactError, SimulationError
+from ..robot.data_cache import checked_configuration, data_cache
+from ..robot.pinocchio_bridge import kinetic_energy
+from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
+from ._kernels.events.consequences import ARRIVAL
+from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
+from ._kernels.slip import CERTAIN
+from .chatter import check_chatter
+from .controls import Control, JointPD, SampledControl
+from .dense_step import WORKS, DenseStep
+from .dynamics import SceneDynamics
+from .events import EventWatch, Interruption, as_events
+from .forces import ClosedSet, EvaluatedForces, directions_within
+from .mode_intervals import drive_name
+from .records import Energy, ImpactRecord, ModeInterval
+from .scene import STANDARD_GRAVITY, Scene
+from .shape_watch import Meeting
+from .simulation_state import SINGULAR, Arriving, SimulationState
+from .trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, float], None]
+"""progress(t, duration), called after every step."""
+
+DIRECTED = 1e-3
+"""Part of the speed of sticking below which slip has no direction but the one last known."""
+
+CROWD = 10
+"""How often slip ends within the time in which gravity changes a velocity by the speed of sticking, after
+which it counts as none below that: where its ends accumulate, as in a spiral, it comes to rest."""
+
+MAX_STALLED = 200
+"""Steps without progress in time, after which a jam is looked for, or a simulation gives up."""
+
+LOOK_EVERY = 1000
+"""Steps from one look for chatter to the next."""
+
+JAMS = 3
+"""How often slip may jam again at one instant before it is left to go on."""
+
+NEARLY_SINGULAR = 1e-4
+"""The part to which the effects of forces cancel where their growth lets no step be short enough."""
+
+UNSETTLED = 1e-3
+"""The same where slip or dry joints turn back again and again, however short the steps: no way goes on."""
+
+MOST_HALVED = 6
+"""How often a step in which friction does positive work is halved before modes are set anew; where that does
+not help either it is taken, and told."""
+
+RUBBING = 2
+"""Which of the works is that of sliding friction."""
+
+BRIEF = 1000.0
+"""Steps of fewer units in the last place of time are not asked for."""
+
+FALSE_ALARM = 0.2
+"""Part of a step to try next where forces have left their bounds only by its error."""
+
+HIGH_ORDER = 10
+"""Steps for which the order stays high where a low one has not been accurate enough."""
+
+SEEN_EVERY = 0.25
+"""The part of the scene's time scale after which functions of the user's own are asked again: a smooth force
+that comes after a long time without one is seen, unless it is over within some hundredth of that scale."""
+
+LARGEST_RTOL = 0.1
+"""The largest relative tolerance of a step: beyond it the error estimate says nothing."""
+
+STALLED = 1e-8
+"""Time [s] that is no progress, or that part of a duration below 1 s."""
+
+ACCELERATED = 1e-3
+"""The part of the velocity whose change is progress: near a jam forces grow and do much in no time."""
+
+
+ROUNDING = 1e-15
+"""A sample of a control closer to the end of a run than this part of its time is at the end."""
+
+
+def check_numbers(**numbers: float) -> None:
+    """Refuse what is not above zero, not finite where it is a time to cover, or too large for a tolerance.
+
+    Raises:
+        InputError: A number out of its range, or none.
+    """
+    for name, value in numbers.items():
+        number = real_number(name, value)
+        if not number > 0.0 or (name in ("duration", "dt") and not math.isfinite(number)):
+            raise InputError(f"{name}: {number!r} given, a number > 0 expected", field=name, value=value)
+        if name == "rtol" and number > LARGEST_RTOL:
+            raise InputError(
+                f"rtol: {number!r} given, a number up to {LARGEST_RTOL} expected", field=name, value=value
+            )
+        if name == "max_impacts" and number != math.inf and number != int(number):
+            raise InputError(
+                f"max_impacts: {number!r} given, a whole number expected", field=name, value=value
+            )
+
+
+def _dynamics_of(*made_of: Any) -> SceneDynamics:
+    """Return the dynamics of a motion of its own."""
+    return Motion(*made_of).dynamics
+
+
+LAST = 5
+"""How many of the last impacts are named where there are too many."""
+
+
+def _sources(impacts: list[ImpactRecord]) -> str:
+    return ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
+
+
+class Motion:
+    """A motion under way, and what there is to tell of it; arguments as in `simulate`.
+
+    Attributes:
+        state: The present state.
+        ended_by: Name of the event that has ended it, or None.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        rtol: float,
+        atol: float,
+        max_step: float | None,
+        max_impacts: int,
+    ) -> None:
+        if not isinstance(scene, Scene):
+            raise InputError(
+                f"scene: {type(scene).__name__} given; a Scene is expected", field="scene", value=scene
+            )
+        self._made_of = scene, q0, v0, rtol, atol, max_step, max_impacts
+        check_numbers(rtol=rtol, atol=atol, max_impacts=max_impacts)
+        # one type of each number, for kernels are compiled by type
+        rtol, atol = float(rtol), float(atol)
+        without = scene.without
+        model = scene.model
+        if "gravity" in without or "rotor inertia" in without:
+            model = model.copy()
+            if "gravity" in without:
+                model.gravity = pin.Motion.Zero()
+            if "rotor inertia" in without:
+                model.armature = np.zeros(model.nv)
+        self.model = model
+        layout = scene.layout()
+        spare = layout.spare_data if model is scene.model else []
+        self.data = spare.pop() if spare else model.createData()
+        weakref.finalize(self, spare.append, self.data).atexit = False
+        try:
+            q = checked_configuration(data_cache(model, self.data), model, q0).copy()
+        except InputError as error:
+            raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
+        v = finite_array("v0", v0, (model.nv,)).copy()
+        self.state = SimulationState(scene, model, self.data, q, v)
+        self.dynamics = self.state.dynamics
+        self.work = self.dynamics.work
+        self.work.rtol, self.work.atol = rtol, atol
+        self.rtol, self.atol = rtol, atol
+        self.largest_drift = self.state.shapes.tolerance = max(self.work.touching_gap, atol)
+        self.switched_off = scene.plan().switched_off if without else ()
+        names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
+        self.sources = (*layout.sources, *names)
+        self.max_impacts = max_impacts
+        self.w = np.zeros(WORKS)
+        self.dense_steps: list[DenseStep] = []
+        self.samples: list[tuple[float, Array, Array, Array, float]] = []
+        self.steps = self.rejected = 0
+        self._mark_progress()
+        self.forces_were_unique = True
+        self.friction_drove = self.forces_beyond = False
+        self.bounce = math.inf
+        self._closed: ClosedSet | None = None
+        seen_every = SEEN_EVERY * scene.time_scale
+        self.events = EventWatch(as_events(scene.events) if "user events" not in without else (), seen_every)
+        self.ended_by: str | None = None
+        self._sampled = None
+        self._continuous: Control | None = None
+        if scene.control is not None and "control" not in without:
+            if scene.period is not None:
+                control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
+                self._sampled = SampledControl(control, scene.period, scene.delay)
+            elif not isinstance(scene.control, JointPD):
+                self._continuous = scene.control
+        if max_step is None:
+            max_step = math.inf if self._continuous is None else seen_every
+        check_numbers(max_step=max_step)
+        self.max_step = float(max_step)
+        self._length = 0.0
+        self._cut_short, self._low_order_from = False, 0
+        self._ahead_at = self._modes_anew_at = self._rested_at = self._all_rested_at = -math.inf
+        self._ahead = 0.0
+        self._ends: dict[int, deque[float]] = {}
+        self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
+        self._struck = 0  # instants with impacts
+        self._sample()
+        self._consistent = self._lengths()
+
+    def begin(self, tau: Array | None = None) -> None:
+        """Let what happens at the start happen, and begin to move, under a constant force (nv,) if given."""
+        if self._sampled is not None:
+            tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
+        if tau is not None:
+            self.work.control_force[:] = tau
+        self.state.settle(starting=True)
+        self._let_events_happen()
+        self._begin_motion()
+        self._length = self.dynamics.first_length(self.rtol, self.atol)
+
+    def advance(self, until: float, progress: Progress | None = None) -> None:
+        """Move on to a time, or until an event ends the motion.
+
+        Args:
+            until: The time [s].
+            progress: Called with the time reached and `until`, after every step.
+        """
+        state, sampled = self.state, self._sampled
+        while state.t < until and self.ended_by is None:
+            stop = until
+            if sampled is not None and sampled.next < until - ROUNDING * until:
+                stop = sampled.next
+            self._mark_progress()
+            while state.t < stop and self.ended_by is None:
+                self._length = self._step(self._length, stop, min(1.0, until))
+                self._consistent = self._lengths()
+                if progress is not None:
+                    progress(state.t, until)
+            if sampled is not None and stop < until and self.ended_by is None:
+                tau = sampled.at(state.t, state.q, state.v)
+                if tau is not None:
+                    self.hold_force(tau)
+
+    def hold_force(self, tau: Array) -> None:
+        """Let a constant force (nv,) act from now on in place of the one that did."""
+        if tau.tobytes() == self.work.control_force.tobytes():
+            return
+        self.work.control_force[:] = tau
+        self._begin_motion()
+        if not smooth_motion.modes_go_on(self.work):
+            self._settle_and_begin()
+
+    def resume(self) -> None:
+        """Go on where an event may have ended the motion; `max_impacts` counts from here."""
+        self._struck = 0
+        if self.ended_by is not None:
+            self.ended_by = None
+            self._settle_and_begin()
+
+    def copy(self) -> Motion:
+        """Return a motion that goes on from here on its own."""
+        twin = Motion(*self._made_of)
+        twin.state.take_over(self.state)
+        twin.work.take_over(self.work)
+        twin.events = self.events.copy()
+        for name in (
+            *(
+                "w",
+                "steps",
+                "rejected",
+                "last_progress",
+                "forces_were_unique",
+                "friction_drove",
+                "forces_beyond",
+                "bounce",
+                "ended_by",
+            ),
+            *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_struck"),
+            *("_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
+        ):
+            setattr(twin, name, getattr(self, name))
+        twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
+        twin._ends = {source: times.copy() for source, times in self._ends.items()}
+        return twin
+
+    def stop(self, error: PinimpactError) -> NoReturn:
+        """Raise what stops the motion, with what there is of it until then."""
+        partial = self.trajectory(f"Stopped: {error}", False)
+        if isinstance(error, SimulationError):
+            error.partial = partial
+            raise error
+        reached = partial.t[-1]
+        raise SimulationError(
+            f"{error.field}: the simulation stops at t = {reached:.6g} s: {type(error).__name__}: {error}",
+            partial=partial,
+            field=error.field,
+            value=error.value,
+        ) from error
+
+    def _lengths(self) -> tuple[Any, ...]:
+        """How much of the run is consistent now; an interrupt falls back to it."""
+        state = self.state
+        return (
+            len(self.dense_steps),
+            len(self.samples),
+            len(state.impacts),
+            len(self.events.records),
+            len(state.modes.ended),
+            dict(state.modes.present),
+            len(state.notes),
+        )
+
+    def trajectory(self, termination: str, complete: bool) -> Trajectory:
+        """Return the motion until now, as far as it is consistent."""
+        dense_steps, samples, impacts, events, intervals, present, notes = self._consistent
+        rows = self.samples[:samples]
+        t = np.array([row[0] for row in rows])
+        q = np.array([row[1] for row in rows])
+        v = np.array([row[2] for row in rows])
+        w = np.array([row[3] for row in rows])
+        kinetic, potential = np.empty((2, len(rows)))
+        for k, (_, at, moving, *_) in enumerate(rows):
+            kinetic[k] = kinetic_energy(self.model, self.data, at, moving)
+            potential[k] = pin.computePotentialEnergy(self.model, self.data, at)
+        impacts_work = np.array([row[4] for row in rows])
+        energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
+        modes = self.state.modes.ended[:intervals] + [
+            ModeInterval(source, mode, start, float(t[-1])) for source, (mode, start) in present.items()
+        ]
+        return Trajectory(
+            self.dense_steps[:dense_steps],
+            self.work.joint_charts,
+            (t, q, v),
+            self.state.impacts[:impacts],
+            self.events.records[:events],
+            modes,
+            energy,
+            self.state.notes[:notes],
+            termination,
+            complete,
+            self.switched_off,
+            {"steps": self.steps, "rejected": self.rejected, "evaluations": self.work.evaluations},
+            self.sources,
+            EvaluatedForces(partial(_dynamics_of, *self._made_of), self.state.names[: self.work.contacts]),
+            (*self._made_of[0].contacts, *self._made_of[0].held),
+        )
+
+    def _sample(self) -> None:
+        state = self.state
+        self.samples.append((state.t, state.q, state.v, self.w, state.impact_energy))
+
+    def _begin_motion(self) -> None:
+        """Begin a smooth motion at the present state."""
+        state, work = self.state, self.work
+        state.review_shapes()
+        error = state.error(state.v)
+        work.certain_speed = min(CERTAIN * error, work.stick_speed)
+        work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
+        work.friction_may_drive = False
+        self.dynamics.set_saturation(state.q, state.v)
+        # no step is taken far beyond the end of a bounce
+        self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
+        if work.flat_bounce > 0.0 and work.resting_speed > 0.0:
+            state.rest_below(work.flat_bounce)
+            self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
+        work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
+        unique = work.forces_unique
+        if self.forces_were_unique and not unique:
+            state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
+        self.forces_were_unique = unique
+        self._closed = ClosedSet.of(work, state.shapes.swapped())
+
+    def _step(self, h: float, stop: float, scale: float) -> float:
+        """Take one accepted step, or a part of it up to an event; return the length to try next.
+
+        Args:
+            h: The length to try.
+            stop: The time at which it ends at the latest.
+            scale: The time of which `STALLED` is a part [s].
+        """
+        state, work, t = self.state, self.work, self.state.t
+        if self.steps - self.last_progress[0] > MAX_STALLED:
+            _, then, velocity = self.last_progress
+            changed = np.abs(state.v - velocity).max() > ACCELERATED * np.abs(velocity).max()
+            if changed or t - then > STALLED * scale:
+                self._mark_progress()
+            else:
+                if self._go_on():
+                    return self.dynamics.first_length(self.rtol, self.atol)
+                raise SimulationError(
+                    f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
+                    "not settle there; a larger resting_speed may help",
+                    field="scene",
+                )
+        left = stop - t
+        natural = h
+        h = min(h, self.max_step, self.bounce)
+        halved = 0
+        while True:
+            trial = left if h > 0.9 * left else h
+            if t + trial <= t:
+                if self._go_on():
+                    return self.dynamics.first_length(self.rtol, self.atol)
+                raise SimulationError(
+                    f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
+                    "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
+                    field="rtol",
+                    value=self.rtol,
+                )
+            method: ModuleType = step_dop853
+            if trial * work.slip_stiffness > step_radau.STIFF:
+                method = step_radau
+            elif trial * work.drive_rate > step_drives.STIFF:
+                method = step_drives
+            cut_short = self._cut_short and trial == left
+            work.low_order = cut_short and method is step_dop853 and self.steps >= self._low_order_from
+            error = method.attempt(work, t, trial, self.rtol, self.atol)
+            self.dynamics.check()
+            if error > 1.0:
+                self.rejected += 1
+                if work.low_order:
+                    self._low_order_from = self.steps + HIGH_ORDER
+                    continue
+                natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                continue
+            if state.rims_jump(work.q0, work.q1):
+                self.rejected += 1
+                h = 0.5 * trial
+                continue
+            directions = directions_within(work) if self._closed is not None and self._closed.slips else None
+            self.dynamics.finish(t, trial, error, method is step_dop853)
+            h = self._believed(t, trial)
+            if h == trial:
+                break
+            self.rejected += 1
+            if work.friction_power > 0.0:
+                halved += 1
+                if halved == MOST_HALVED:
+                    if self._modes_anew_at != t:
+                        self._modes_anew_at = t
+                        state.resolve_jam(UNSETTLED)
+                        self._settle_and_begin()
+                        self._sample()
+                        return h
+                    work.friction_may_drive = True
+        if work.friction_power > 0.0:
+            self._note_driving(work.friction_power)
+        self.steps += 1
+        step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
+        step.closed, step.directions = self._closed, directions
+        self.dense_steps.append(step)
+        if self.steps % LOOK_EVERY == 0:
+            self._check_for_chatter()
+        time, arriving = work.event_time, self._arriving()
+        meeting = None
+        if state.shapes:
+            meeting = state.shapes.within(step, min(time, step.end))
+            if meeting is not None:
+                time, arriving = meeting.time, None
+        if self.events:
+            interruption = self.events.within(step, min(time, step.end))
+            if interruption is not None:
+                self._interrupt(step, interruption, arriving if interruption.time == time else None)
+                return natural
+        if meeting is not None:
+            self._end_at_meeting(step, meeting)
+            return natural
+        if time <= step.end:
+            confirmed = self._end_at_event(step, time, arriving)
+            return natural if confirmed else FALSE_ALARM * trial
+        self.w = self.w + step.coefficients[0, -WORKS:]
+        state.t = step.end = stop if trial == left else step.end
+        state.q, state.v = work.q0.copy(), work.v0.copy()
+        if work.force_bound_ignored and work.end_margin >= 0.0:
+            work.force_bound_ignored = False
+        if self.dynamics.constrained and (work.end_drift > self.largest_drift or work.force_bound_ignored):
+            if work.force_bound_ignored:
+                self._note_beyond(-work.end_margin)
+                self._settle()
+            else:
+                state.correct_drift()
+            self._begin_motion()
+        else:
+            self.bounce = math.inf
+            work.certain_speed = min(CERTAIN * state.error(state.v), work.stick_speed)
+        self._sample()
+        longer = trial * work.growth
+        self._cut_short = trial == left
+        return max(longer, natural) if self._cut_short else longer
+
+    def _believed(self, t: float, trial: float) -> float:
+        """Return the length of the step if what it shows is to be believed, else a shorter one.
+
+        Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
+        goes on beyond a pole, and tells little of what else is seen in it, or of forces at its end; nothing
+        where friction has done positive work until then.
+        """
+        work = self.work
+        if work.event_time < t:
+            return 0.5 * trial
+        if work.event_time > t + trial or not self.dynamics.constrained:
+            return trial
+        margins = work.sample_margins[: work.samples]
+        if margins[0] == -math.inf or not (margins == -math.inf).any():
+            return trial
+        ends = EVENTS[work.event_kind] is force_bound and margins[-1] == -math.inf
+        if ends:
+            step = self.dynamics.dense_step(t, trial, self.state.q, self.state.v, self.w)
+            ends = step.works(work.event_time)[RUBBING] <= self.w[RUBBING]
+        seen = work.event_time > t and 0.5 * trial > BRIEF * math.ulp(t)
+        return 0.5 * trial if seen and not ends else trial
+
+    def _note_driving(self, power: float) -> None:
+        """Tell of friction that does positive work, once."""
+        if not self.friction_drove:
+            self.state.note(
+                f"Friction gives {power:.3g} W, and no shorter step ends that: the motion may be wrong from "
+                "here on; a smaller rtol may help."
+            )
+        self.friction_drove = True
+
+    def _note_beyond(self, excess: float) -> None:
+        """Tell of forces beyond their bounds, by more than the tolerance leaves unknown, once."""
+        unknown = self.rtol * np.abs(self.work.solution).max(initial=0.0)
+        if self.work.forces_unique and excess > unknown and not self.forces_beyond:
+            self.forces_beyond = True
+            beyond = f"Forces leave by {excess:.3g} N or N m what the modes of contact allow"
+            if math.isinf(excess):
+                beyond = "Slip as the modes of contact have it drives a surface in"
+            self.state.note(
+                f"{beyond}, and no other modes were found: the motion may be wrong here; near Painlevé's "
+                "paradox there may be none."
+            )
+
+    def _arriving(self) -> int | None:
+        """Return the contact or, past those, the limit that arrives at the event last found, or None."""
+        event = EVENTS[self.work.event_kind]
+        if event.CONSEQUENCE != ARRIVAL:
+            return None
+        return self.work.event_index + (0 if event is gap else self.work.contacts)
+
+    def _mark_progress(self) -> None:
+        self.last_progress = self.steps, self.state.t, self.state.v
+
+    def _check_for_chatter(self) -> None:
+        if self._continuous is not None:
+            check_chatter(self._continuous, self.model, self.dense_steps)
+
+    def _go_on(self) -> bool:
+        """Find a way on where steps make no progress; False if there is none.
+
+        Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
+        of sticking is taken as at rest, and told: what has come to rest since there was progress, and where
+        that does not help all of it, each once.
+
+        Raises:
+            SimulationError: The control chatters, or a closed rim lies flat.
+        """
+        state, work = self.state, self.work
+        self._check_for_chatter()
+        state.refuse_flat_rims()
+        if not state.resolve_jam(NEARLY_SINGULAR):
+            since = self.last_progress[1]
+            ended = [source for source, times in self._ends.items() if times[-1] >= since]
+            if ended and state.t - self._rested_at > STALLED:
+                work.settling[ended] = 1
+            elif state.t - self._all_rested_at > STALLED:
+                self._all_rested_at = state.t
+                work.settling[:] = 1
+            else:
+                return False
+            self._rested_at = state.t
+            state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
+        self._mark_progress()
+        self._settle_and_begin()
+        self._sample()
+        return True
+
+    def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
+        """End a step at an event of the user's."""
+        state = self.state
+        step.end = state.t = interruption.time
+        state.q, state.v = step.at(state.t)
+        self.w = step.works(state.t)
+        self._sample()
+        self._go_on_after(interruption)
+        if self.ended_by is None:
+            self._settle_and_begin(arriving)
+        if interruption.velocity is not None:
+            self._sample()
+
+    def _go_on_after(self, interruption: Interruption) -> None:
+        """Take over the velocity that an event has set, and whether it ends the run."""
+        if interruption.velocity is not None:
+            self.state.change_velocity(interruption.velocity)
+        self.ended_by = interruption.ended_by
+
+    def _let_events_happen(self) -> None:
+        """Let the events happen whose guards an instant has taken to the other sign."""
+        while self.events and self.ended_by is None:
+            interruption = self.events.at_instant(self.state.t, self.state.q, self.state.v)
+            if interruption is None:
+                return
+            self._go_on_after(interruption)
+            if self.ended_by is None:
+                self._settle_contacts()
+
+    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> bool:
+        """End a step at an event and deal with it: something arrives, or else modes change.
+
+        Returns:
+            Whether it was one: forces that have left their bounds along the step, but are well within them at
+            the same modes found anew, have been off by the error of the step.
+        """
+        state = self.state
+        step.end = state.t = t
+        state.q, state.v = step.at(t)
+        self.w = step.works(t)
+        self._sample()
+        if self.work.end_drift > self.largest_drift:
+            state.correct_drift()
+        if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
+            self.dynamics.change_side(self.work.event_index)
+        bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
+        modes, impacts = self.work.modes.copy(), len(state.impacts)
+        if arriving is None:
+            state.resolve_jam(UNSETTLED if self._ends_again(t) else SINGULAR, leaving=bounded)
+        self._settle_and_begin(arriving)
+        # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
+        # have led back to this instant are none
+        if bounded and self.work.force_bound_ignored:
+            ahead = state.set_modes_ahead(step, self._ahead if self._ahead_at == t else 0.0)
+            if ahead > 0.0:
+                self._ahead_at, self._ahead = t, ahead
+            self._begin_motion()  # with the forces by which the modes were found, if those ahead are the same
+        self._sample()
+        same = len(state.impacts) == impacts and bool((self.work.modes == modes).all())
+        return not (bounded and same and not self.work.force_bound_ignored)
+
+    def _ends_again(self, t: float) -> bool:
+        """Let what comes to rest at the event last found settle, if it does again and again; tell so."""
+        work = self.work
+        if EVENTS[work.event_kind] is slip_end:
+            source = int(work.closed_index[work.event_index])
+        elif EVENTS[work.event_kind] is friction_reversal:
+            source = work.contacts + work.limits + work.event_index
+        else:
+            return False
+        ends = self._ends.setdefault(source, deque(maxlen=CROWD))
+        ends.append(t)
+        again = len(ends) == CROWD and t - ends[0] < self._settling_time
+        work.settling[source] = again
+        return again
+
+    def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
+        """End a step where two shapes touch, or touch elsewhere."""
+        state = self.state
+        step.end = state.t = meeting.time
+        state.q, state.v = step.at(state.t)
+        self.w = step.works(state.t)
+        self._sample()
+        if self.work.end_drift > self.largest_drift:
+            state.correct_drift()
+        self._settle_and_begin(state.shapes_meet(meeting, step))
+        self._sample()
+
+    def _settle_and_begin(self, arriving: Arriving = None) -> None:
+        """Let this instant settle, and begin the smooth motion after it."""
+        self._settle(arriving)
+        self.work.settling[:] = 0
+        self._begin_motion()
+
+    def _settle(self, arriving: Arriving = None) -> None:
+        """Let impacts, modes and the user's events of this instant settle."""
+        self._settle_contacts(arriving)
+        self._let_events_happen()
+
+    def _settle_contacts(self, arriving: Arriving = None) -> None:
+        """Let impacts and modes of this instant settle, at no more instants than may have impacts."""
+        impacts = self.state.impacts
+        before = len(impacts)
+        self.state.settle(arriving)
+        for _ in range(JAMS):
+            if not self.state.resolve_jam():
+                break
+            self.state.settle()
+        if len(impacts) > before:
+            self._count_impacts(before)
+
+    def _count_impacts(self, before: int) -> None:
+        """Count the instant at which the impacts from a number on have taken place.
+
+        Raises:
+            SimulationError: There are too many.
+        """
+        impacts = self.state.impacts
+        self._mark_progress()  # `max_impacts` watches over impacts
+        self._struck += before == 0 or impacts[before - 1].time < self.state.t
+        if self._struck > self.max_impacts:
+            raise SimulationError(
+                f"max_impacts: impacts at {self._struck} instants until t = {self.state.t:.6g} s, "
+                f"the last at {_sources(impacts)}; "
+                "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
+                "otherwise raise max_impacts",
+                field="max_impacts",
+                value=self.max_impacts,
+            )

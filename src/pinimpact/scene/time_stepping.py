@@ -1,0 +1,517 @@
+"""Time stepping: Moreau and Jean's scheme for the same scenes as the event-driven one.
+
+A step takes all sustained contacts, limits and dry joints at once as one cone complementarity problem at the
+midpoint; what closes faster than a step can decide is an impact, by the law of the scene, where it closes
+within the step. (theory.md, section 16)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
+from ._kernels.force_evaluation import places_of_contacts
+from ._kernels.lie_charts import chart_rate
+from ._kernels.step_impulses import step_impulses
+from ._kernels.workspace import DENSE_TERMS
+from .dense_step import WORKS, DenseStep
+from .facing_shapes import FacingShapes
+from .forces import Forces
+from .motion import Motion
+from .scene import Scene
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+TOUCHING = 1e-8
+"""Part of the robot's size within which what approaches takes part in an impact: the drift that the midpoint
+rule leaves in a step of a millisecond, which would otherwise put impacts of one instant one after another."""
+
+USABLE = 1e-8
+"""What the contact problem may miss, in parts of its velocities, before that is noted."""
+
+SLACK = 4.0
+"""What gaps may close by within a step beside their rates, in parts of h² g."""
+
+CORRECTIONS = 1
+"""Of the mean velocity at which velocity-dependent forces are taken: one makes them of second order."""
+
+TOGETHER = 1e-2
+"""Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
+
+MOST_IMPACTS = 20
+"""Instants with impacts in a step; what closes after that does so without restitution."""
+
+SHORTEST = 1e-9
+"""Part of a step below which what is left of it is none."""
+
+STILL = 1e-7
+"""Part of the resting speed below which slip is reported as stick: what the contact problem leaves."""
+
+_NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
+
+
+class _Island(NamedTuple):
+    """Contacts and scalar rows that share moving bodies.
+
+    Attributes:
+        contacts, scalars: Their numbers among the rows.
+        order: The rows of the contacts, three each, then those of the scalars.
+        moves: How many velocities the bodies have.
+    """
+
+    contacts: Integers
+    scalars: Integers
+    order: Integers
+    moves: int
+
+
+class _Rows(NamedTuple):
+    """What a step's contact problem is about: three rows of each contact, then scalar rows.
+
+    The scalar rows are those of held contacts (three each), of joint limits, and of joints with dry friction.
+
+    Attributes:
+        contacts: (nc,) numbers of the contacts.
+        held: (nh,) numbers of the held ones.
+        limits: (nl,) numbers of the limits.
+        dry: (nd,) velocities of the joints with dry friction.
+        jacobian: (n, nv).
+        surface: (nc + nh, 3) velocities of the surfaces [m/s].
+        offset: (n,) what moving surfaces add to jacobian v.
+        acceleration: (nc,) along the normals, without impulses [m/s²].
+        gap: (nc + nl,) of contacts and limits at the midpoint [m or rad].
+        off: (nh,) by how much the held contacts are off their surfaces there [m].
+        friction, compliance: (nc,) of the contacts.
+        bound: (nd,) impulses that dry friction can give.
+    """
+
+    contacts: Integers
+    held: Integers
+    limits: Integers
+    dry: Integers
+    jacobian: Array
+    surface: Array
+    offset: Array
+    acceleration: Array
+    gap: Array
+    off: Array
+    friction: Array
+    compliance: Array
+    bound: Array
+
+    @property
+    def normals(self) -> Integers:
+        """(nc + nl,) The rows along the normals of contacts, and those of limits."""
+        nc, nh = len(self.contacts), len(self.held)
+        return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
+
+    @property
+    def held_normals(self) -> Integers:
+        """(nh,) The rows along the normals of held contacts."""
+        return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
+
+    def bounds(self, active: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return the bounds of the impulses of the scalar rows; zero for limits that take no part.
+
+        Args:
+            active: (nc + nl,) contacts and limits that take part.
+        """
+        unbounded, limits = np.full(3 * len(self.held), math.inf), active[len(self.contacts) :]
+        return (
+            np.concatenate([-unbounded, np.zeros(len(limits)), -self.bound]),
+            np.concatenate([unbounded, np.where(limits, math.inf, 0.0), self.bound]),
+        )
+
+    def islands(self, trees: list[Integers], active: NDArray[np.bool_]) -> list[_Island]:
+        """Return the groups of rows that share trees of joints."""
+        nc = len(self.contacts)
+        moves = np.array([np.abs(self.jacobian[:, tree]).max(axis=1, initial=0.0) > 0.0 for tree in trees]).T
+        items = np.concatenate([moves[: 3 * nc].reshape(nc, 3, len(trees)).any(axis=1), moves[3 * nc :]])
+        items[:nc][~active[:nc]] = False
+        touched = items.any(axis=1)
+        if not touched.any():
+            return []
+        count, size = len(items), len(trees)
+        graph = np.block(
+            [[np.zeros((count, count), dtype=bool), items], [items.T, np.zeros((size, size), bool)]]
+        )
+        _, labels = connected_components(csr_array(graph))
+        widths = np.array([len(tree) for tree in trees])
+        found = []
+        for label in np.unique(labels[:count][touched]).tolist():
+            inside = np.flatnonzero((labels[:count] == label) & touched)
+            contacts, scalars = inside[inside < nc], inside[inside >= nc] - nc
+            order = np.concatenate([(3 * contacts[:, None] + np.arange(3)).ravel(), 3 * nc + scalars])
+            found.append(_Island(contacts, scalars, order, int(widths[labels[count:] == label].sum())))
+        return found
+
+
+class TimeStepping(Motion):
+    """A motion in steps of a given length; see `Motion`.
+
+    Args:
+        scene, q0, v0, max_impacts: As of `simulate`.
+        dt: The length of the steps [s].
+    """
+
+    def __init__(self, scene: Scene, q0: ArrayLike, v0: ArrayLike, dt: float, max_impacts: int) -> None:
+        super().__init__(scene, q0, v0, 1e-8, 1e-10, dt, max_impacts)
+        self._dt = dt
+        model, work = self.model, self.work
+        self._touching = max(work.touching_gap, TOUCHING * scene.extent)
+        self._faces = FacingShapes(model, self.dynamics, scene.layout())
+        self._trees = _trees(model)
+        self._unsolved = 0.0
+        # what has no restitution closes within a step's contact problem, by Moreau's law
+        bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
+        bounces += [scene.limit_restitution > 0.0] * len(self.dynamics.limits)
+        self._bounces = np.array(bounces, dtype=bool)
+        work.sliding_friction[:] = 0.0
+
+    def begin(self, tau: Array | None = None) -> None:
+        """Let what happens at the start happen; see `Motion.begin`."""
+        if self._sampled is not None:
+            tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
+        if tau is not None:
+            self.work.control_force[:] = tau
+        self._collide()
+        self._let_events_happen()
+        self._length = self._dt
+
+    def hold_force(self, tau: Array) -> None:
+        """Let a constant force (nv,) act from now on."""
+        self.work.control_force[:] = tau
+
+    def _settle_contacts(self, arriving: Any = None) -> None:
+        self._collide()
+
+    def _settle_and_begin(self, arriving: Any = None) -> None:
+        self._collide()
+        self._let_events_happen()
+
+    def _step(self, h: float, stop: float, scale: float) -> float:
+        """Take one step, with the impacts in it; return the length of the next."""
+        state = self.state
+        left, struck = min(self._dt, stop - state.t), 0
+        if stop - state.t - left < SHORTEST * self._dt:
+            left = stop - state.t
+        end = state.t + left
+        while left > SHORTEST * self._dt and self.ended_by is None:
+            struck += self._take(left, struck < MOST_IMPACTS)
+            left = end - state.t
+        if self.ended_by is None and abs(end - state.t) <= SHORTEST * self._dt:
+            state.t = self.dense_steps[-1].end = stop if end == stop else end
+        self.steps += 1
+        self._sample()
+        return self._dt
+
+    # ---- one step
+
+    def _take(self, h: float, strikes: bool) -> bool:
+        """Take a step, to the first impact in it at the longest; return whether there was one.
+
+        Args:
+            h: Its length [s].
+            strikes: Whether what closes fast is an impact; else it closes without restitution.
+        """
+        state, model = self.state, self.model
+        t, q, v = state.t, state.q, state.v
+        middle = pin.integrate(model, q, 0.5 * h * v)
+        self._faces.place(middle, v, h)
+        if self.dynamics.driven:
+            self.dynamics.set_saturation(middle, v)
+        rows, acceleration = self._rows(t + 0.5 * h, middle, v, h)
+        softened = self._softening(h)
+        inverse, mass = self._inverse(middle, softened)
+        v_free = v + inverse @ (h * (mass @ acceleration))
+        jacobian, normals, gap, count = rows.jacobian, rows.normals, rows.gap, self.work.contacts
+        u_start, u_free = jacobian @ v + rows.offset, jacobian @ v_free + rows.offset
+        # what is apart and closes faster than the step's own acceleration makes: an impact
+        own = np.abs(u_free[normals] - u_start[normals])
+        own[: len(rows.contacts)] = np.maximum(own[: len(rows.contacts)], h * np.abs(rows.acceleration))
+        before = gap - 0.5 * h * u_start[normals]
+        arrives = (u_start[normals] < -np.maximum(self.work.resting_speed, 2.0 * own)) & strikes
+        arrives &= (before > self._touching) & self._bounces[
+            np.concatenate([rows.contacts, count + rows.limits])
+        ]
+        shift = np.zeros(len(jacobian))
+        shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
+        shift[rows.held_normals] = 2.0 * rows.off / h
+        impulse = self._impulses(inverse, rows, ~arrives, u_free + shift)
+        v_end = v_free + inverse @ (jacobian.T @ impulse)
+        predicted = v
+        for _ in range(CORRECTIONS):
+            predicted, mean = v_end, 0.5 * (v + v_end)
+            acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
+            v_free = v_end + inverse @ (mass @ (h * acceleration - (v_end - v)))
+            free = jacobian @ v_free + rows.offset + shift
+            impulse = self._impulses(inverse, rows, ~arrives, free, impulse)
+            v_end = v_free + inverse @ (jacobian.T @ impulse)
+        u_end = jacobian @ v_end + rows.offset
+        closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
+        share = min(
+            (_touch(before[i] / h, u_start[normals[i]], u_end[normals[i]]) for i in closing), default=1.0
+        )
+        follows = (softened - 0.5 * h * self.work.damping) * (v_end - predicted)
+        step = self._dense(t, h, v_end, rows, impulse, u_start, u_end, follows)
+        step.end = t + share * h
+        step.closed = self._forces(rows, impulse / h)
+        self._report(rows, impulse, u_end)
+        self.dense_steps.append(step)
+        if self.events:
+            interruption = self.events.within(step, step.end)
+            if interruption is not None:
+                self._interrupt(step, interruption, None)
+                return True
+        self.w = step.works(step.end)
+        lost = share * impulse * (u_start + 0.5 * share * (u_end - u_start))
+        state.impact_energy += float(lost[normals].sum())
+        state.t = step.end
+        state.q, state.v = step.at(step.end)
+        if closing:
+            self._sample()
+            rates = -(u_start + share * (u_end - u_start))[normals][closing]
+            self._collide(0.5 * float(rates.min()), TOGETHER * h * float(rates.max()))
+            return True
+        state.v = v_end
+        self._project(step, rows, ~arrives, gap + 0.5 * h * u_end[normals])
+        return False
+
+    def _rows(self, t: float, q: Array, v: Array, h: float) -> tuple[_Rows, Array]:
+        """Return the rows of what may close within a step, and v̇ (nv,) without impulses, at the midpoint."""
+        work, count = self.work, self.work.contacts
+        gaps, rates = self.dynamics.gaps_at(q, v).T
+        near = np.flatnonzero(gaps + 0.5 * h * rates <= SLACK * h * h * self._gravity)
+        contacts = near[near < count]
+        contacts, held = contacts[work.bilateral[contacts] == 0], np.flatnonzero(work.bilateral)
+        limits, dry = near[near >= count] - count, np.flatnonzero(work.dry_friction)
+        every = np.concatenate([contacts, held])
+        free = self.dynamics.free_motion_at(t, q, v, every.tolist())
+        nc, k = len(contacts), 3 * len(every)
+        jacobian = np.zeros((k + len(limits) + len(dry), work.nv))
+        jacobian[:k] = free.jacobian.reshape(k, work.nv)
+        jacobian[k + np.arange(len(limits)), work.limit_v[limits]] = work.limit_sign[limits]
+        jacobian[k + len(limits) + np.arange(len(dry)), dry] = 1.0
+        offset = np.zeros(len(jacobian))
+        offset[:k] = free.velocity.ravel() - jacobian[:k] @ v
+        off = free.gap - work.rest_gap[every]
+        stiffness = np.array([self.dynamics.contacts[i].stiffness for i in contacts.tolist()])
+        rows = _Rows(
+            *(contacts, held, limits, dry, jacobian, free.surface, offset, free.acceleration[:nc, 2]),
+            *(np.concatenate([off[:nc], gaps[count + limits]]), off[nc:], work.friction[contacts]),
+            *(1.0 / stiffness, h * work.dry_friction[dry]),
+        )
+        return rows, free.joints
+
+    @property
+    def _gravity(self) -> float:
+        return float(np.linalg.norm(self.model.gravity.linear))
+
+    def _softening(self, h: float) -> Array:
+        """Return what damping and drives add to M over half a step, (nv,)."""
+        work = self.work
+        added = 0.5 * h * work.damping
+        if self.dynamics.driven:
+            follows = work.drive_side == 0
+            added = added + np.where(
+                follows, 0.5 * h * work.drive_damping + 0.25 * h * h * work.drive_stiffness, 0.0
+            )
+        return added
+
+    def _inverse(self, q: Array, added: Array) -> tuple[Array, Array]:
+        """Return the inverse of M with what is added to its diagonal, and M."""
+        mass = np.array(pin.crba(self.model, self.data, q))
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        inverse = np.zeros_like(mass)
+        for tree in self._trees:
+            block = np.ix_(tree, tree)
+            inverse[block] = np.linalg.inv(mass[block] + np.diag(added[tree]))
+        return inverse, mass
+
+    def _impulses(
+        self, inverse: Array, rows: _Rows, active: NDArray[np.bool_], free: Array, guess: Array | None = None
+    ) -> Array:
+        """Solve the contact problem, island by island.
+
+        Args:
+            inverse: (nv, nv) inverse of what the impulses move.
+            rows: Its rows.
+            active: (nc + nl,) contacts and limits that take part.
+            free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
+            guess: (n,) where to begin; if given, of several solutions that of small compliances is taken.
+        """
+        impulse, (lower, upper) = np.zeros(len(free)), rows.bounds(active)
+        for island in rows.islands(self._trees, active):
+            jacobian = rows.jacobian[island.order]
+            delassus = jacobian @ inverse @ jacobian.T
+            redundant = guess is not None and len(island.order) > island.moves
+            found = np.zeros(len(island.order)) if guess is None or redundant else guess[island.order]
+            off = step_impulses(
+                np.ascontiguousarray(0.5 * (delassus + delassus.T)),
+                free[island.order],
+                rows.friction[island.contacts],
+                lower[island.scalars],
+                upper[island.scalars],
+                rows.compliance[island.contacts] if redundant else _NONE,
+                found,
+            )
+            if guess is not None and off > max(USABLE, self._unsolved):
+                if self._unsolved == 0.0:
+                    self.state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
+                self._unsolved = off
+            impulse[island.order] = found
+        return impulse
+
+    def _dense(
+        self,
+        t: float,
+        h: float,
+        v_end: Array,
+        rows: _Rows,
+        impulse: Array,
+        u_start: Array,
+        u_end: Array,
+        follows: Array,
+    ) -> DenseStep:
+        """Return the step, whose velocity is linear in time, and its works.
+
+        The drives' forces are those at the mean velocity of the prediction, less what `follows` of them.
+        """
+        work, q, v = self.work, self.state.q, self.state.v
+        n, nc, k = len(v), 3 * len(rows.contacts), 3 * (len(rows.contacts) + len(rows.held))
+        change = v_end - v
+        coefficients = np.zeros((DENSE_TERMS, 2 * n + WORKS))
+        rate, mean = np.empty(n), 0.5 * (v + v_end)
+        chart_rate(work.joint_charts, 0.5 * h * mean, mean, rate)
+        coefficients[0, :n] = h * rate
+        coefficients[1, :n] = -0.5 * h * change
+        coefficients[0, n : 2 * n] = change
+        rubbing = impulse[:nc].copy()
+        rubbing[2::3] = 0.0
+        drive = h * work.control_force - follows
+        dry = np.zeros(n)
+        dry[rows.dry] = impulse[k + len(rows.limits) :]
+        by_surface = float(impulse[:k] @ rows.surface.ravel())
+        # powers are linear in time: their mean, and half of their change
+        powers = np.array(
+            [
+                (drive @ v, drive @ v_end),
+                ((dry - h * work.damping * mean) @ v, (dry - h * work.damping * mean) @ v_end),
+                (rubbing @ u_start[:nc], rubbing @ u_end[:nc]),
+                (by_surface, by_surface),
+            ]
+        )
+        coefficients[0, 2 * n :] = powers.mean(axis=1)
+        coefficients[1, 2 * n :] = 0.5 * (powers[:, 0] - powers[:, 1])
+        return DenseStep(t, h, q, v, self.w, coefficients, work.joint_charts)
+
+    def _forces(self, rows: _Rows, force: Array) -> Forces | None:
+        """Return the mean forces of a step at its midpoint, None where nothing acts."""
+        if not force.any():
+            return None
+        work, every = self.work, np.concatenate([rows.contacts, rows.held])
+        k = 3 * len(every)
+        world, points, normals = np.zeros((3, work.contacts, 3))
+        axes, places = np.empty((len(every), 3, 3)), np.empty((len(every), 3))
+        places_of_contacts(work, every, axes, places)
+        world[every] = np.einsum("ki,kij->kj", force[:k].reshape(-1, 3), axes)
+        points[every], normals[every] = places, axes[:, 2]
+        return Forces(world, points, normals, rows.jacobian[k:].T @ force[k:], True)
+
+    def _report(self, rows: _Rows, impulse: Array, u_end: Array) -> None:
+        """Record the modes of the step."""
+        work, nc = self.work, len(rows.contacts)
+        k, still = 3 * (nc + len(rows.held)), STILL * (work.resting_speed or 1.0)
+        modes = work.modes
+        modes[:] = FREE
+        modes[rows.held] = HELD
+        slips = np.hypot(u_end[: 3 * nc : 3], u_end[1 : 3 * nc : 3]) > still
+        pressed = impulse[2 : 3 * nc : 3] > 0.0
+        modes[rows.contacts] = np.where(pressed, np.where(slips | (rows.friction == 0.0), SLIP, STICK), FREE)
+        modes[work.contacts + rows.limits] = impulse[k : k + len(rows.limits)] > 0.0
+        modes[work.contacts + work.limits + rows.dry] = np.abs(u_end[k + len(rows.limits) :]) <= still
+        self.state.modes.update(self.state.t, modes, work.drive_side)
+
+    def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> None:
+        """Take away what overlaps at the end of a step, by the least displacement in the metric of M.
+
+        Args:
+            step: The step, which ends where it is taken away.
+            rows: Its rows.
+            active: (nc + nl,) contacts and limits that took part.
+            gap: (nc + nl,) gaps at the end [m or rad].
+        """
+        off = rows.off
+        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self.largest_drift:
+            return
+        inverse, _ = self._inverse(self.state.q, np.zeros(self.model.nv))
+        normals = np.concatenate([rows.normals[active], rows.held_normals])
+        jacobian, free = rows.jacobian[normals], np.concatenate([gap[active], off])
+        upper = np.full(len(free), math.inf)
+        lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
+        along = rows._replace(
+            contacts=_NO_NUMBERS, held=_NO_NUMBERS, limits=_NO_NUMBERS, jacobian=jacobian, friction=_NONE
+        )
+        correction = np.zeros(self.model.nv)
+        for island in along.islands(self._trees, np.zeros(0, dtype=bool)):
+            part, found = jacobian[island.order], np.zeros(len(island.order))
+            delassus = part @ inverse @ part.T
+            step_impulses(
+                np.ascontiguousarray(0.5 * (delassus + delassus.T)),
+                *(free[island.order], _NONE, lower[island.order], upper[island.order], _NONE, found),
+            )
+            correction += inverse @ (part.T @ found)
+        self.state.q = pin.integrate(self.model, self.state.q, correction)
+        step.coefficients[0, : self.model.nv] += correction
+
+    # ---- impacts
+
+    def _collide(self, slowest: float = 0.0, within: float = 0.0) -> None:
+        """Resolve the impacts of this instant.
+
+        Args:
+            slowest: Speed of approach above which what touches collides [m/s]; at least the resting speed.
+            within: The gap up to which it touches [m]; at least the tolerance of touching.
+        """
+        state, touching = self.state, max(self._touching, within)
+        before = len(state.impacts)
+        self._faces.place(state.q, state.v, 0.0, touching=touching)
+        state.collide(touching, max(self.work.resting_speed, slowest))
+        if len(state.impacts) > before:
+            self._count_impacts(before)
+            self._sample()
+
+
+def _touch(gap: float, first: float, last: float) -> float:
+    """Return the part of a step after which a gap closes, whose rate goes linearly from one to another.
+
+    Args:
+        gap: The gap at the start over the length of the step [m/s].
+        first: Its rate at the start [m/s].
+        last: Its rate at the end [m/s].
+    """
+    # gap + first s + (last − first) s²/2 = 0
+    a, b = 0.5 * (last - first), first
+    root = math.sqrt(max(b * b - 4.0 * a * gap, 0.0))
+    share = 2.0 * gap / (root - b) if root > b else 1.0
+    return min(max(share, 0.0), 1.0)
+
+
+def _trees(model: pin.Model) -> list[Integers]:
+    """Return the velocities of each tree of joints that hangs in the world by itself."""
+    roots: dict[int, int] = {}
+    found: dict[int, list[int]] = {}
+    for joint in range(1, model.njoints):
+        parent = model.parents[joint]
+        roots[joint] = joint if parent == 0 else roots[parent]
+        start = model.idx_vs[joint]
+        found.setdefault(roots[joint], []).extend(range(start, start + model.nvs[joint]))
+    return [np.array(columns) for columns in found.values() if columns]

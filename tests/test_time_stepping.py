@@ -1,0 +1,220 @@
+"""Time stepping against closed forms, the event-driven scheme, and another program's domino waves."""
+
+from __future__ import annotations
+
+import math
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
+from pinimpact.geometry.convex_shape import box
+from pinimpact.geometry.patch import patch
+
+from .scene_models import UP, G, ball, box_on, pendulum, slider, unbounded
+
+FLOOR = Plane()
+
+
+def step(scene, q0, v0, duration, dt, **options):
+    return simulate(scene, q0, v0, duration, scheme="time-stepping", dt=dt, **options)
+
+
+def boxes(count, size, mass, floor=0.5, between=0.5, restitution=0.0):
+    """Free boxes, each on the floor and each on the next."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    size = np.array(size)
+    inertia = mass / 12.0 * np.diag(np.sum(size**2) - size**2)
+    for k in range(count):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box_{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
+    unbounded(model)
+    contacts = [
+        Contact(
+            geometry=f"box_{k}_0", plane=FLOOR, friction=floor, restitution=restitution, name=f"floor {k}"
+        )
+        for k in range(count)
+    ]
+    contacts += [
+        Contact(
+            geometry=f"box_{k + 1}_0",
+            plane=Shape(f"box_{k}_0"),
+            friction=between,
+            restitution=restitution,
+            name=f"pair {k}",
+        )
+        for k in range(count - 1)
+    ]
+    return Scene(pin.RobotWrapper(model, shapes, shapes), contacts)
+
+
+def test_a_bouncing_ball_meets_its_times_and_comes_to_rest():
+    e, height = 0.5, 1.0
+    scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1, restitution=e)])
+    trajectory = step(scene, [0, 0, 0.1 + height, *UP], np.zeros(6), 2.0, 1e-2)
+    time, speed = math.sqrt(2 * height / G), math.sqrt(2 * G * height)
+    for impact in trajectory.impacts[:3]:
+        assert impact.time == pytest.approx(time, abs=1e-9)
+        assert impact.v_after[2] == pytest.approx(e * speed, rel=1e-9)
+        speed *= e
+        time += 2 * speed / G
+    assert trajectory.q[-1, 2] == pytest.approx(0.1, abs=1e-9)
+    assert trajectory.mode_at(trajectory.sources[0], 1.9) == "stick" or trajectory.forces(
+        trajectory.sources[0], 1.9
+    )[2] == pytest.approx(2.0 * G, rel=1e-9)
+
+
+@pytest.mark.parametrize("corners", [3, 4, 8])
+def test_a_box_slides_to_rest_after_its_stopping_distance(corners):
+    mu, speed = 0.5, 1.0
+    model, contacts = box_on(corners, mu=mu)
+    scene, q0 = Scene(model, contacts), [0, 0, 0.1, *UP]
+    errors = []
+    for dt in (4e-3, 2e-3):
+        trajectory = step(scene, q0, [speed, 0, 0, 0, 0, 0], 0.4, dt)
+        moved = np.linalg.norm(trajectory.q[-1, :2] - np.asarray(q0)[:2])
+        errors.append(abs(moved - speed**2 / (2 * mu * G)))
+        assert np.abs(trajectory.v[-1]).max() < 1e-9
+        assert trajectory.energy.friction[-1] == pytest.approx(-trajectory.energy.kinetic[0], rel=1e-6)
+    assert errors[0] < 0.5 * speed * 4e-3
+    assert errors[1] < 0.5 * speed * 2e-3
+
+
+def test_free_flight_is_of_second_order():
+    scene = boxes(1, (0.1, 0.2, 0.3), 1.0)
+    q0, v0 = [0, 0, 5, *UP], [0.5, -0.3, 0.2, 3.0, 2.0, 1.0]
+    exact = simulate(scene, q0, v0, 0.2, rtol=1e-11, atol=1e-13)
+    errors = [np.abs(step(scene, q0, v0, 0.2, dt).q[-1] - exact.q[-1]).max() for dt in (4e-3, 2e-3)]
+    assert errors[1] < 1e-4
+    assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+def test_driven_and_damped_joints_follow_the_other_scheme():
+    model = pendulum()
+    model.damping = np.array([0.2])
+    scene = Scene(model, control=JointPD(kp=200.0, kd=5.0, q_ref=[1.0], limits=15.0))
+    exact = simulate(scene, [0.0], [2.0], 0.5, rtol=1e-10, atol=1e-12)
+    errors = []
+    for dt in (2e-3, 1e-3):
+        trajectory = step(scene, [0.0], [2.0], 0.5, dt)
+        errors.append(np.abs(trajectory.q[-1] - exact.q[-1]).max())
+        assert abs(trajectory.energy.residual[-1]) < 2.0 * dt  # of 20 J that the drive gives and takes
+    assert errors[1] < 1e-3
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_dry_friction_holds_a_joint_up_to_its_bound():
+    for torque, holds in ((0.9, True), (1.1, False)):
+        model = pendulum()
+        model.gravity = pin.Motion.Zero()
+        model.friction = np.array([1.0])
+        scene = Scene(model, control=lambda t, q, v, torque=torque: np.array([torque]))
+        trajectory = step(scene, [0.0], [0.0], 0.5, 1e-3)
+        moved = 0.0 if holds else 0.5 * (torque - 1.0) * 0.5**2
+        assert trajectory.q[-1, 0] == pytest.approx(moved, abs=1e-6)
+
+
+def test_a_joint_limit_bounces_by_its_restitution():
+    model = slider()
+    model.gravity = pin.Motion.Zero()
+    model.lowerPositionLimit[0], model.upperPositionLimit[0] = 0.0, 10.0
+    scene = Scene(model, limit_restitution=0.5)
+    q0, v0 = np.zeros(model.nq), np.zeros(model.nv)
+    q0[0], v0[0] = 0.1, -1.0
+    trajectory = step(scene, q0, v0, 0.3, 7e-3)
+    assert len(trajectory.impacts) == 1
+    assert trajectory.impacts[0].time == pytest.approx(0.1, abs=1e-12)
+    assert trajectory.q[-1, 0] == pytest.approx(0.5 * 0.2, abs=1e-9)
+
+
+def test_a_stack_that_is_aligned_stands_and_shares_its_load_alike():
+    count, mass = 5, 1.0
+    scene = boxes(count, (0.2, 0.2, 0.1), mass)
+    q0 = np.tile([0, 0, 0.05, *UP], count)
+    q0[2::7] += 0.1 * np.arange(count)
+    trajectory = step(scene, q0, np.zeros(6 * count), 0.5, 5e-3)
+    assert np.abs(trajectory.q - q0).max() < 1e-9
+    assert not trajectory.notes
+    corners = [trajectory.forces(f"floor 0 corner {k}", 0.4)[2] for k in (1, 2, 3, 4)]
+    assert sum(corners) == pytest.approx(count * mass * G, rel=1e-9)
+    assert np.ptp(corners) < 1e-3
+
+
+def test_boxes_dropped_together_land_and_stand():
+    count = 3
+    scene = boxes(count, (0.2, 0.2, 0.1), 1.0)
+    q0 = np.tile([0, 0, 0.05, *UP], count)
+    q0[2::7] += 0.1 * np.arange(count) + 0.01 * (1 + np.arange(count))
+    trajectory = step(scene, q0, np.zeros(6 * count), 0.4, 2e-3)
+    np.testing.assert_allclose(trajectory.q[-1, 2::7], 0.05 + 0.1 * np.arange(count), atol=1e-8)
+    assert np.abs(trajectory.v[-1]).max() < 1e-8
+
+
+@pytest.mark.slow
+def test_dominoes_fall_when_another_program_says():
+    # Moreau–Jean steps of 1 ms with coal's patches and Pinocchio's ADMM: times of a lean of 0.3 rad
+    wanted = [0.054, 0.144, 0.206, 0.253, 0.293]
+    thick, wide, high, rate = 0.008, 0.024, 0.048, 6.0
+    scene = boxes(5, (thick, wide, high), 0.01, floor=0.6, between=0.3)
+    q0 = np.tile([0, 0, 0.5 * high, *UP], 5)
+    q0[::7] = 0.028 * np.arange(5)
+    v0 = np.zeros(30)
+    v0[:6] = 0.5 * rate * high, 0, 0.5 * rate * thick, 0, rate, 0
+    trajectory = step(scene, q0, v0, 0.32, 1e-3)
+    leans = 2.0 * np.arctan2(trajectory.q[:, 4::7], trajectory.q[:, 6::7])
+    times = trajectory.t[np.argmax(leans > 0.3, axis=0)]
+    np.testing.assert_allclose(times, wanted, atol=2e-3)
+
+
+def test_a_quadruped_lands_as_in_the_other_scheme():
+    robot = load_robot("solo12")
+    feet = [f"{leg}_FOOT" for leg in ("FL", "FR", "HL", "HR")]
+    floor = [Contact(foot, FLOOR, friction=0.6) for foot in feet]
+    model = robot.model
+    control = JointPD(kp=6.0, kd=0.3, q_ref=robot.q0, limits=5.0)
+    scene = Scene(model, floor, control=control)
+    q0 = pinimpact.place_in_contact(model, robot.data, robot.q0, floor)
+    q0[2] += 0.01
+    exact = simulate(scene, q0, np.zeros(model.nv), 0.15, rtol=1e-9)
+    errors = [
+        np.abs(step(scene, q0, np.zeros(model.nv), 0.15, dt).q[-1] - exact.q[-1]).max() for dt in (2e-3, 5e-4)
+    ]
+    assert errors[1] < 2e-3
+    assert errors[1] < errors[0]
+
+
+def test_an_event_ends_a_run_within_a_step():
+    scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1)])
+    low = Event(lambda t, q, v: q[2] - 1.0, terminal=True, name="low")
+    scene = Scene(ball(), scene.contacts, events=[low])
+    trajectory = step(scene, [0, 0, 2.0, *UP], np.zeros(6), 2.0, 1e-2)
+    assert trajectory.t[-1] == pytest.approx(math.sqrt(2.0 / G), abs=1e-9)
+    assert trajectory.q[-1, 2] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_what_is_no_scheme_or_step_is_refused():
+    scene = Scene(pendulum())
+    with pytest.raises(pinimpact.UnknownNameError, match=r"^scheme: 'stepping'"):
+        simulate(scene, [0.0], [0.0], 0.1, scheme="stepping")
+    with pytest.raises(pinimpact.InputError, match=r"^dt: "):
+        step(scene, [0.0], [0.0], 0.1, 0.0)
+
+
+def test_a_patch_has_the_corners_that_two_faces_share_and_their_gaps():
+    lower, upper = box((2.0, 2.0, 2.0)), box((1.0, 3.0, 1.0))
+    turn = pin.rpy.rpyToMatrix(0.0, 1e-4, 0.0)
+    found = patch(upper.at(turn, np.array([0.7, 0.0, 1.5001])), lower.at(np.eye(3), np.zeros(3)), 0.01)
+    assert found is not None
+    # the edge of the lower box is below the tilted face of the upper one, whose normal counts
+    np.testing.assert_allclose(found.normal, turn[:, 2], atol=1e-12)
+    order = np.lexsort((found.others[:, 1], found.others[:, 0]))
+    corners, gaps = found.others[order], found.gaps[order]
+    np.testing.assert_allclose(corners[:, 0], [0.2, 0.2, 1.0, 1.0], atol=1e-3)
+    np.testing.assert_allclose(corners[:, 1], [-1.0, 1.0, -1.0, 1.0], atol=1e-12)
+    middle = np.array([0.7, 0.0, 1.5001]) - 0.5 * turn[:, 2]  # of the upper box's lower face
+    np.testing.assert_allclose(gaps, (middle - corners) @ turn[:, 2], atol=1e-14)
