@@ -452,7 +452,7 @@ def test_a_browser_plays_it_to_the_end(fall, page) -> None:
 
     _, rows = looked_at(page, "impact=1")
     segment = first.solution.segments[-1]
-    number = f"impact 1 of {len(trajectory.impacts)}, {first.time:.4f} s: tip"
+    number = f"impact 1 of {len(trajectory.impacts)}"
     assert rows[:2] == [f"t = {first.time:.4f} s", f"tip: {segment.mode} in {segment.phase}"]
     whole = first.solution.impulse[2]
     now, of = map(float, re.fullmatch(r"P₃ = (\S+) of (\S+) N s", rows[2]).groups())
@@ -496,6 +496,65 @@ def test_a_browser_shows_robot_surface_and_impact(page, tmp_path: Path) -> None:
     assert colored(before, impulse) < 20
     assert colored(at, impulse) > 100
     assert colored(at, after) > 30
+
+
+@in_a_browser
+def test_the_robot_fills_the_window_beside_the_panels(page, tmp_path: Path) -> None:
+    wide, tall = 800, 500
+    bare = tmp_path / "bare.html"
+    bare.write_text(page.html.replace(".panel {", ".panel { visibility: hidden;"), encoding="utf-8")
+    seen = np.zeros((tall, wide), dtype=bool)
+    for time in (0.0, 0.2, 0.4, 0.6):
+        picture = tmp_path / "page.png"
+        open_page(BROWSER, bare, f"t={time}", size=(wide, tall), screenshot=picture)
+        red, _, blue = np.moveaxis(imread(picture)[..., :3], -1, 0)
+        seen |= (blue > red + 0.2) & (blue > 0.3) & (blue < 0.75)  # the rod
+    rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    left = int(0.27 * wide)
+    assert left < columns[0] < columns[-1] < wide - 1
+    assert 0 < rows[0] < rows[-1] < tall - 57
+    assert max(np.ptp(rows) / (tall - 56), np.ptp(columns) / (wide - left)) > 0.6
+
+
+def test_a_grid_lies_under_a_base_that_would_float() -> None:
+    """A ball of 0.1 m falls from 1 m onto a table at 0.5 m beside a post: the grid is at the lowest point."""
+    robot = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1))
+    robot.visual_model = pin.GeometryModel()
+    post = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.2]))
+    for name, joint, place, solid in (
+        ("ball", 1, pin.SE3.Identity(), coal.Sphere(0.1)),
+        ("post", 0, post, coal.Box(0.1, 0.1, 0.4)),
+    ):
+        robot.visual_model.addGeometryObject(pin.GeometryObject(name, joint, 0, place, solid))
+    for height, grids in ((0.5, True), (0.0, False)):
+        table = pinimpact.Plane(point=(0, 0, height))
+        ball = pinimpact.Contact(robot.model.frames[-1].name, table, radius=0.1, friction=0.5)
+        scene = pinimpact.Scene(robot, [ball])
+        q = np.array([0, 0, 1.0, 0, 0, 0, 1.0])
+        shown = pinimpact.replay(robot, pinimpact.simulate(scene, q, np.zeros(6), 0.4), None)
+        commands = commands_of(shown)
+        (visible,) = [c["value"] for c in commands if c["path"] == "/Grid" and c["type"] == "set_property"]
+        places = [c["matrix"] for c in commands if c["path"] == "/Grid" and c["type"] == "set_transform"]
+        assert visible == grids == (motion_of(shown)["view"]["grid"] > 0.0) == bool(places)
+        for matrix in places:
+            assert np.reshape(matrix, (4, 4)).T[2, 3] == pytest.approx(0.0, abs=1e-9)  # the foot of the post
+    colors = [c["object"]["materials"][0]["color"] for c in commands if c["type"] == "set_object"]
+    assert len(colors) == 2
+    for color in colors:  # both have none of their own
+        red, green, blue = color >> 16, color >> 8 & 255, color & 255
+        assert min(red, green, blue) > 100
+        assert max(red, green, blue) - min(red, green, blue) < 20
+    assert not any(shape.meshColor[:3].any() for shape in robot.visual_model.geometryObjects)  # as it was
+
+
+@in_a_browser
+def test_points_of_the_same_two_bodies_are_named_once(tmp_path: Path) -> None:
+    box = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2))
+    scene = pinimpact.Scene(box).contacts_from_geometry(FLOOR, friction=0.5, restitution=0.0)
+    q = np.array([0, 0, 0.1, 0, 0, 0, 1.0])
+    shown = pinimpact.replay(box, pinimpact.simulate(scene, q, np.zeros(6), 0.1), tmp_path / "box.html")
+    _, rows = looked_at(shown, "t=0.05")
+    assert rows == ["t = 0.0500 s", "thing_0 on plane: stick (4 points)"]
 
 
 @in_a_browser

@@ -6,7 +6,8 @@ import html
 import math
 import os
 import webbrowser
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, finite_array, output_file
 from ..errors import InputError
+from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
 from ..robot.many_impact import ManyHit
@@ -28,10 +30,19 @@ from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
 from .film import frame_times, slowed, width_of_slowness
-from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark, short
+from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark
 from .page_file import Recorder, packed, page
-from .robot_shapes import joint_poses, joints_as_data, send_background, send_meshes, skeleton
-from .shapes_in_contact import contacts_to_draw, lit_shapes
+from .robot_shapes import (
+    extreme,
+    grid_square,
+    joint_poses,
+    joints_as_data,
+    outline,
+    send_background,
+    send_meshes,
+    skeleton,
+)
+from .shapes_in_contact import bodies_of, contacts_to_draw, lit_shapes
 from .surface_shapes import surface_as_data
 
 Array = NDArray[np.float64]
@@ -42,6 +53,11 @@ HOLD_WITHIN = 8.0
 """How long the film of one impact takes [s]."""
 WITHIN = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
 """Settings of the player for one impact."""
+LISTED = 3
+"""Names of an impact at several contacts that are listed; more are counted."""
+LEVEL, NEAR = 0.99, 0.1
+"""A surface is the floor if its normal has this vertical part, at least, and it is this part of the size of
+what is shown above the lowest point, at most."""
 LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.25
 """Lengths of the longest arrows, in parts of the size of what is shown."""
 
@@ -186,6 +202,7 @@ def _motion_page(
     configurations = [trajectory.at(float(t))[0] for t in times]
     data = model.createData()
     by_name = {contact.label: contact for contact in contacts}
+    bodies = {contact.label: bodies_of(contact) for contact in every}
     marks = []
     for records, on in zip(together, slow, strict=True):
         places = {}
@@ -198,11 +215,13 @@ def _motion_page(
         marks.append(
             impact_mark(first, first.source, places, first.time, on)
             if first.group is None
-            else group_mark(records, places, on)
+            else group_mark(
+                records, places, on, _counted(bodies.get(one.source, one.source) for one in records)
+            )
         )
     forces = [_forces(trajectory, contact.label, times) for contact in contacts]
     settings = {"speed": speed, "slowdown": slowdown, "hold": HOLD, "width": width, "within": False}
-    modes = [[mode.source, mode.mode, mode.start, mode.end] for mode in trajectory.modes]
+    modes = [[bodies.get(m.source, m.source), m.mode, m.start, m.end] for m in trajectory.modes]
     lit = lit_shapes(robot, trajectory, [*contacts, *paired])
     solids = dict.fromkeys(contact.pair.plane for contact in paired if contact.pair is not None)
     shown = [solid for solid in solids if not isinstance(solid, Shape)]  # the robot has those itself
@@ -269,12 +288,18 @@ def _page(
     poses = joint_poses(model, configurations)
     ways = np.array([_way(model, configurations, contact) for contact in contacts])
     ways = ways.reshape(len(contacts), len(times), 3)
+    shapes = getattr(robot, "visual_model", None)
+    points = outline(model, shapes, configurations)
+    points = np.vstack(
+        [points, ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
+    )
+    points = extreme(points) if len(points) else np.zeros((1, 3))
+    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
     surfaces = []
     for surface in dict.fromkeys(contact.plane for contact in contacts):
         met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]
-        surfaces.append(surface_as_data(model, surface, poses, met))
-    surfaces += [surface_as_data(model, solid, poses, np.zeros((0, len(times), 3))) for solid in solids]
-    shapes = getattr(robot, "visual_model", None)
+        surfaces.append(surface_as_data(model, surface, poses, met, size))
+    surfaces += [surface_as_data(model, solid, poses, np.zeros((0, len(times), 3)), size) for solid in solids]
     recorder = Recorder()
     links: list[tuple[int, int]] = []
     spots: list[list[float]] = []
@@ -285,8 +310,16 @@ def _page(
     else:
         links, spots = skeleton(model)
         wanted |= set(range(1, model.njoints))
-    send_background(recorder, grid=not surfaces)
-    center, size = _middle(model, configurations, ways, marks)
+    low = float(points[:, 2].min())
+    floor = any(
+        isinstance(plane := contact.plane, Plane)
+        and plane.body is None
+        and plane.axes[2, 2] > LEVEL
+        and plane.point[2] < low + NEAR * size
+        for contact in contacts
+    )
+    grid = 0.0 if floor or not configurations[0].size else grid_square(size)
+    send_background(recorder, low, grid)
     longest = {
         "impulse": max((mark.strength for mark in marks), default=0.0),
         "velocity": max((mark.speed for mark in marks), default=0.0),
@@ -313,7 +346,7 @@ def _page(
         "modes": modes,
         "impacts": [mark.as_data() for mark in marks],
         "scales": {**scales, "longest": longest},
-        "view": {"center": short(center), "size": size, "thickness": 0.006 * size},
+        "view": {"points": packed(points), "size": size, "thickness": 0.006 * size, "grid": grid},
     }
     return page(model.name or "impact", recorder.commands, motion)
 
@@ -362,15 +395,9 @@ def _forces(trajectory: Trajectory, name: str, times: Array) -> Array | None:
     return forces
 
 
-def _middle(
-    model: pin.Model, configurations: Sequence[Array], ways: Array, marks: Sequence[ImpactMark]
-) -> tuple[Array, float]:
-    """Return the centre and the size of the box that the frames and the contacts stay in [m]."""
-    data = model.createData()
-    few = configurations[:: max(1, len(configurations) // 20)]
-    positions = [*ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
-    for q in few:
-        pin.framesForwardKinematics(model, data, q)
-        positions += [placement.translation.copy() for placement in data.oMf]
-    low, high = np.min(positions, axis=0), np.max(positions, axis=0)
-    return 0.5 * (low + high), float(np.linalg.norm(high - low)) or 1.0
+def _counted(names: Iterable[str]) -> str:
+    """Return names with how often each occurs."""
+    counts = Counter(names)
+    if len(counts) > LISTED:
+        return f"{sum(counts.values())} contacts"
+    return " + ".join(name if n == 1 else f"{name} ({n} points)" for name, n in counts.items())

@@ -182,9 +182,16 @@ def impact_mark(
 
 
 def group_mark(
-    impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool
+    impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool, source: str
 ) -> ImpactMark:
-    """Return what a replay shows of the records of an impact at several contacts at once."""
+    """Return what a replay shows of the records of an impact at several contacts at once.
+
+    Args:
+        impacts: One record a contact.
+        places: As of `impact_mark`.
+        slow: As of `impact_mark`.
+        source: What takes part.
+    """
     problems = [impact.problem for impact in impacts]
     marks = [
         contact_mark(impact.source, *places[impact.source], impact.problem, impact.solution, slow)
@@ -193,7 +200,7 @@ def group_mark(
     ]
     return ImpactMark(
         impacts[0].time,
-        " + ".join(impact.source for impact in impacts),
+        source,
         impacts[0].solution.part_of.law,
         _same([problem.restitution for problem in problems]),
         _same([problem.friction for problem in problems]),

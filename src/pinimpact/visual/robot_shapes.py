@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,15 @@ from .page_file import Recorder, packed
 
 Array = NDArray[np.float64]
 
+NEUTRAL = (0.62, 0.64, 0.67)
+"""Colour of shapes without any."""
+OUTLINES = 20
+"""Configurations of a motion that its outline is taken from."""
+BOX = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+"""Directions (26, 3): the corners, edges and sides of a box."""
+VIEWERS_GRID = 0.5
+"""Length of the squares of the viewer's grid [m]."""
+
 
 def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder) -> None:
     """Have the viewer make each shape once, at its place in the axes of its joint ("robot/JOINT")."""
@@ -22,6 +32,7 @@ def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder)
         warnings.simplefilter("ignore", DeprecationWarning)  # meshcat imports a retired module of pyzmq
         import meshcat
         from pinocchio.visualize import MeshcatVisualizer
+    shapes = _colored(shapes)
     view = meshcat.Visualizer(window=recorder)
     number = {shape.name: k for k, shape in enumerate(shapes.geometryObjects)}
 
@@ -41,8 +52,62 @@ def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder)
         view[display.getViewerNodeName(shape, None)].set_transform(place)
 
 
-def send_background(recorder: Recorder, grid: bool) -> None:
-    """Have the viewer show a light background, and its grid at z = 0 if wanted."""
+def _colored(shapes: pin.GeometryModel) -> pin.GeometryModel:
+    """Return shapes with a neutral grey for those without a colour, which Pinocchio reports as black."""
+    colored = pin.GeometryModel()
+    for shape in shapes.geometryObjects:
+        copy = shape.copy()
+        if not np.any(copy.meshColor[:3]):
+            copy.meshColor = np.array([*NEUTRAL, copy.meshColor[3]])
+        colored.addGeometryObject(copy)
+    return colored
+
+
+def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> Array:
+    """Return points (k, 3) in world axes that hold a robot between them, at some of its configurations."""
+    data, found = model.createData(), [np.zeros((0, 3))]
+    solids = [] if shapes is None else list(shapes.geometryObjects)
+    corners = [_moved(shape.placement, _corners(shape.geometry)) for shape in solids]
+    every = max(1, len(configurations) // OUTLINES)
+    for q in [*configurations[::every], *configurations[-1:]] if model.njoints > 1 else ():
+        pin.framesForwardKinematics(model, data, q)
+        found += [
+            _moved(data.oMi[shape.parentJoint], points) for shape, points in zip(solids, corners, strict=True)
+        ]
+        if not solids:
+            found.append(np.array([placement.translation.copy() for placement in data.oMf]))
+    return np.vstack(found)
+
+
+def _corners(solid: Any) -> Array:
+    """Return points (k, 3) that hold a shape between them: of a mesh its own, or else those of its box."""
+    if hasattr(solid, "vertices"):
+        points = np.array(solid.vertices(), dtype=np.float64).reshape(-1, 3)
+        return extreme(points) if len(points) else points
+    solid.computeLocalAABB()
+    low, high = solid.aabb_local.min_, solid.aabb_local.max_
+    return 0.5 * (low + high) + 0.5 * BOX[np.all(BOX != 0.0, axis=1)] * (high - low)
+
+
+def _moved(place: pin.SE3, points: Array) -> Array:
+    moved: Array = points @ place.rotation.T + place.translation
+    return moved
+
+
+def extreme(points: Array) -> Array:
+    """Return those of points (n, 3) that are outermost in one of 26 directions."""
+    return points[np.unique((points @ BOX.T).argmax(axis=0))]
+
+
+def grid_square(size: float) -> float:
+    """Return the length 1, 2 or 5 · 10ⁿ of a grid's squares for what has this size [m]."""
+    least = 0.1 * size
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= least))
+
+
+def send_background(recorder: Recorder, height: float, grid: float) -> None:
+    """Have the viewer show a light background, and a grid [m] at a height; none of zero."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         import meshcat
@@ -50,7 +115,11 @@ def send_background(recorder: Recorder, grid: bool) -> None:
     view["/Background"].set_property("top_color", [0.93, 0.95, 0.97])
     view["/Background"].set_property("bottom_color", [0.75, 0.78, 0.82])
     view["/Axes"].set_property("visible", False)
-    view["/Grid"].set_property("visible", grid)
+    view["/Grid"].set_property("visible", grid > 0.0)
+    if grid > 0.0:
+        place = np.diag([grid / VIEWERS_GRID] * 3 + [1.0])
+        place[2, 3] = height
+        view["/Grid"].set_transform(place)
 
 
 def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:

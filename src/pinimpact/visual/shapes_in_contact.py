@@ -32,6 +32,13 @@ def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> lis
     return kept + list(others.values())
 
 
+def bodies_of(contact: Contact) -> str:
+    """Return the name that all points of contact of the same two bodies share."""
+    if contact.pair is not None:
+        return contact.pair.label
+    return contact.label if contact.shape is None else f"{contact.shape} on {contact.plane.label}"
+
+
 def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) -> list[dict[str, Any]]:
     """Return the collision shapes that touch, as the player draws them, and when they do.
 

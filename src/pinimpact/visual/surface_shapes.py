@@ -18,10 +18,9 @@ from .impact_marks import short
 
 Array = NDArray[np.float64]
 
-MARGIN = 0.15
-"""How far a plate reaches beyond the contacts' way over it [m]."""
-THICKNESS = 0.02
-"""Of a plate [m]."""
+MARGIN, THICKNESS = 0.12, 0.015
+"""How far a plate reaches beyond the paths of the contacts, and how thick it is, in parts of the size of what
+is shown."""
 REACH = 0.2
 """A plate on a body reaches as far as points come within this distance of it [m]."""
 
@@ -34,7 +33,9 @@ def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
     return int(frame.parentJoint), frame.placement
 
 
-def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Array) -> dict[str, Any]:
+def surface_as_data(
+    model: pin.Model, surface: Surface, poses: Array, points: Array, scale: float
+) -> dict[str, Any]:
     """Return a surface as the player draws it.
 
     Its material has the velocity "slide" in the middle of what is drawn and the angular velocity "spin", both
@@ -45,6 +46,7 @@ def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Ar
         surface: What is drawn.
         poses: (frames, joints, 7) of the joints.
         points: (k, frames, 3) where the contacts that may meet it are, in world axes.
+        scale: The size of what is shown [m].
     """
     joint, place = carrier(model, surface)
     views = [
@@ -52,7 +54,7 @@ def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Ar
         for pose in (poses[:, joint] if joint else poses[:1, 0].repeat(poses.shape[0], axis=0))
     ]
     local = np.array([[at.act(p) for at, p in zip(views, way, strict=True)] for way in points]).reshape(-1, 3)
-    kind, size, inner = _SOLIDS[type(surface)](surface, local)
+    kind, size, inner = _SOLIDS[type(surface)](surface, local, scale)
     matrix = place.homogeneous @ inner
     spin = np.asarray(surface.angular_velocity)
     slide = np.asarray(surface.velocity) + np.cross(spin, inner[:3, 3] - np.asarray(surface.origin))
@@ -66,37 +68,38 @@ def surface_as_data(model: pin.Model, surface: Surface, poses: Array, points: Ar
     }
 
 
-def _plate(plane: Plane, points: Array) -> tuple[str, list[float], Array]:
+def _plate(plane: Plane, points: Array, scale: float) -> tuple[str, list[float], Array]:
     """Return the part of a plane that the points come over, as a thin plate with a margin; its place."""
     axes = contact_axes(plane.normal)
     local = (points - np.asarray(plane.point)) @ axes.T
     if plane.body is not None:
         local = np.vstack([local[np.abs(local[:, 2]) < REACH], np.zeros(3)])
-    low, high = local.min(axis=0) - MARGIN, local.max(axis=0) + MARGIN
+    low, high = local.min(axis=0) - MARGIN * scale, local.max(axis=0) + MARGIN * scale
+    thickness = THICKNESS * scale
     matrix = np.eye(4)
     matrix[:3, :3] = axes.T
-    middle = np.array([*(0.5 * (low + high))[:2], -0.5 * THICKNESS])
+    middle = np.array([*(0.5 * (low + high))[:2], -0.5 * thickness])
     matrix[:3, 3] = np.asarray(plane.point) + middle @ axes
-    return "plane", short(np.array([*(high - low)[:2], THICKNESS])), matrix
+    return "plane", short(np.array([*(high - low)[:2], thickness])), matrix
 
 
-def _ball(sphere: Sphere, _: Array) -> tuple[str, list[float], Array]:
+def _ball(sphere: Sphere, *_: Any) -> tuple[str, list[float], Array]:
     """Return a whole sphere, and its place."""
     matrix = np.eye(4)
     matrix[:3, 3] = sphere.center
     return "sphere", [sphere.radius, sphere.radius, sphere.radius], matrix
 
 
-def _block(box: Box, _: Array) -> tuple[str, list[float], Array]:
+def _block(box: Box, *_: Any) -> tuple[str, list[float], Array]:
     """Return a whole box, and its place."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pin.rpy.rpyToMatrix(*box.rpy), box.center
     return "plane", list(box.size), matrix
 
 
-_SOLIDS: dict[type[Surface], Callable[[Any, Array], tuple[str, list[float], Array]]] = {
+_SOLIDS: dict[type[Surface], Callable[[Any, Array, float], tuple[str, list[float], Array]]] = {
     Plane: _plate,
     Sphere: _ball,
     Box: _block,
 }
-"""What each kind of surface is drawn as: (surface, points in its axes) -> kind, size, place."""
+"""What each kind of surface is drawn as: (surface, points in its axes, scale) -> kind, size, place."""

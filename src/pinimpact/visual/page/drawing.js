@@ -4,7 +4,8 @@
 // Okabe and Ito's palette, which colour-blind readers tell apart
 const COLORS = {
   impulse: "#d55e00", before: "#56b4e9", after: "#0072b2", force: "#009e73", cone: "#e69f00", path: "#cc79a7",
-  surface: "#b08d57", link: "#8a8f98", lit: "#f0e442",
+  surface: "#b08d57", link: "#8a8f98", lit: "#f0e442", grid: "#888888",
+  compression: "#d55e00", restitution: "#0072b2",
 };
 
 const Drawing = (() => {
@@ -78,7 +79,7 @@ const Drawing = (() => {
     return mesh;
   }
 
-  // the way of a point as a thin tube, drawn up to one of its points; the whole of it faintly
+  // the path of a point as a thin tube, drawn up to one of its points; the whole of it faintly
   function trail(color, points, radius) {
     const count = points.length / 3, sides = 4;
     const places = new Float32Array(count * sides * 3), index = [];
@@ -189,10 +190,10 @@ const Drawing = (() => {
     return mark[row][i].map((x, k) => (1 - part) * mark[row][i - 1][k] + part * x);
   }
 
-  function label(g, text, x, y, align, color) {
+  function label(g, text, x, y, align, color, widest) {
     g.fillStyle = color || "#111";
     g.textAlign = align || "left";
-    g.fillText(text, x, y);
+    g.fillText(text, x, y, widest);
   }
 
   function line(g, points, color, width, dash) {
@@ -205,19 +206,21 @@ const Drawing = (() => {
     g.setLineDash([]);
   }
 
-  function dot(g, x, y, radius, fill) {
+  function dot(g, x, y, radius, fill, edge) {
     g.beginPath();
     g.arc(x, y, radius, 0, 2 * Math.PI);
     g.fillStyle = fill;
     g.fill();
-    g.lineWidth = 1.2;
-    g.strokeStyle = "#111";
+    g.lineWidth = edge ? 2 : 1.2;
+    g.strokeStyle = edge || "#111";
     g.stroke();
   }
 
+  const TITLES = 48;  // height of what is written above and below a hodograph [px]
+
   // the sliding velocity in the tangential plane: flow of slip, invariant directions, path up to `share`
-  function hodograph(g, x0, y0, size, mark, share, title) {
-    const [w11, w12, w13, , w22, w23] = mark.delassus, mu = mark.mu;
+  function hodograph(g, x0, size, mark, share, name) {
+    const [w11, w12, w13, , w22, w23] = mark.delassus, mu = mark.mu, y0 = TITLES - 16;
     const reach = 1.15 * Math.max(1e-12, ...mark.velocity.map(v => Math.max(Math.abs(v[0]), Math.abs(v[1]))));
     const middle = [x0 + size / 2, y0 + size / 2], scale = size / 2 / reach;
     const to = v => [middle[0] + scale * v[0], middle[1] - scale * v[1]];
@@ -242,20 +245,32 @@ const Drawing = (() => {
     }
     line(g, [to([-reach, 0]), to([reach, 0])], "#888", 0.6);
     line(g, [to([0, -reach]), to([0, reach])], "#888", 0.6);
-    for (const angle of mark.invariant)
-      line(g, [to([0, 0]), to([1.5 * reach * Math.cos(angle), 1.5 * reach * Math.sin(angle)])], "#555", 1, [5, 4]);
+    const kinds = new Set();
+    for (const angle of mark.invariant) {
+      const c = Math.cos(angle), s = Math.sin(angle), along = rate([c, s]);
+      const across = mu * (w11 * s * s - 2 * w12 * s * c + w22 * c * c);
+      const repels = c * along[0] + s * along[1] + across < 0;
+      kinds.add(repels ? "dashed: repelling" : "solid: attracting");
+      line(g, [to([0, 0]), to([1.5 * reach * c, 1.5 * reach * s])], "#333", 1.2, repels ? [5, 4] : []);
+    }
     line(g, mark.velocity.map(to), "#999", 1);
-    const done = mark.velocity.filter((_, i) => mark.clock[i] <= share).concat([along(mark, share, "velocity")]);
-    line(g, done.map(to), COLORS.after, 2.4);
-    dot(g, ...to(mark.velocity[0]), 4, COLORS.before);
-    dot(g, ...to(along(mark, share, "velocity")), 5, COLORS.after);
+    const p3 = i => mark.impulse[i][2], now = along(mark, share, "velocity");
+    const compressed = Math.max(0, ...mark.segments.filter(s => s[1] === "compression").map(s => s[3]));
+    const last = mark.velocity.reduce((found, _, i) => p3(i) <= compressed * (1 + 1e-9) ? i : found, 0);
+    const done = mark.velocity.map((v, i) => [v, i]).filter(([, i]) => mark.clock[i] <= share).concat([[now, Infinity]]);
+    const phases = [["compression", done.filter(([, i]) => i <= last)], ["restitution", done.filter(([, i]) => i >= last)]];
+    if (done[done.length - 2][1] < last) phases[0][1].push([now, 0]);
+    for (const [phase, points] of phases) if (points.length > 1) line(g, points.map(([v]) => to(v)), COLORS[phase], 2.4);
+    dot(g, ...to(mark.velocity[0]), 4, "white", COLORS.compression);
+    dot(g, ...to(now), 5, done[done.length - 2][1] < last ? COLORS.compression : COLORS.restitution);
     g.restore();
     line(g, [[x0, y0], [x0 + size, y0], [x0 + size, y0 + size], [x0, y0 + size], [x0, y0]], "#888", 1);
     g.font = "12px system-ui, sans-serif";
-    label(g, `${title}sliding velocity, ± ${reach.toPrecision(2)} m/s`, x0 + 4, y0 + 14);
-    if (mark.invariant.length) label(g, "dashed: invariant directions", x0 + 4, y0 + size - 6);
+    label(g, name, x0, 12, "left", "#111", size);
+    label(g, `Sliding velocity, ± ${reach.toPrecision(2)} m/s`, x0, name ? 27 : 20, "left", "#111", size);
+    if (kinds.size) label(g, [...kinds].sort().reverse().join(", "), x0, y0 + size + 12, "left", "#111", size);
     label(g, "v₁", x0 + size - 18, middle[1] - 5);
-    label(g, "v₂", middle[0] + 5, y0 + 30);
+    label(g, "v₂", middle[0] + 5, y0 + 14);
   }
 
   // contact velocity over the normal impulse, with a cursor at `share`
@@ -279,6 +294,11 @@ const Drawing = (() => {
       below = Math.max(y, below + 13);
       label(g, name, x0 + width + 4, below, "left", color);
     }
+    const compressed = mark.segments.filter(s => s[1] === "compression").map(s => s[3]);
+    if (compressed.length) {
+      const end = to(Math.max(...compressed), 0)[0];
+      line(g, [[end, y0], [end, y0 + height]], COLORS.compression, 1, [7, 3, 2, 3]);
+    }
     const now = along(mark, share, "impulse")[2];
     line(g, [[to(now, 0)[0], y0], [to(now, 0)[0], y0 + height]], COLORS.after, 1.4);
     line(g, [[x0, y0], [x0 + width, y0], [x0 + width, y0 + height], [x0, y0 + height], [x0, y0]], "#888", 1);
@@ -286,5 +306,5 @@ const Drawing = (() => {
     label(g, `velocity, ${low.toPrecision(2)} to ${high.toPrecision(2)} m/s`, x0, y0 - 5);
   }
 
-  return { arrow, cone, bar, trail, surface, moves, lit, along, hodograph, history };
+  return { arrow, cone, bar, trail, surface, moves, lit, along, hodograph, history, TITLES };
 })();

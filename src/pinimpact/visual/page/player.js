@@ -18,15 +18,20 @@
   // that wants all frames of the film says how many a second, and how large: #frames=25,960,540
   const [place, value, wide, tall] = location.hash.slice(1).split(/[=,]/);
   const room = { get wide() { return Number(wide) || innerWidth; }, get tall() { return Number(tall) || innerHeight; } };
+  const data = JSON.parse(find("motion").textContent);
+  const GAP = 8, BAR = 56;  // between panels, and the height of the bar with its gaps [px]
+  const upright = () => room.wide < room.tall;
+  const sideWidth = () => upright() ? room.wide - 2 * GAP : Math.min(300, Math.max(190, 0.27 * room.wide));
   function fit() {
     document.body.style.width = `${room.wide}px`;
     document.body.style.height = `${room.tall}px`;
-    document.body.style.fontSize = `${Math.min(14, Math.max(8, room.tall / 42))}px`;
+    document.body.style.fontSize = `${Math.min(14, Math.max(8, room.tall / 46))}px`;
+    document.body.className = data.within ? "within" : "";
+    find("side").style.width = `${sideWidth()}px`;
   }
   fit();
 
   const THREE = MeshCat.THREE;
-  const data = JSON.parse(find("motion").textContent);
   const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
   const numbers = (text, kind) => new kind(bytes(text).buffer);
 
@@ -117,26 +122,52 @@
     impulse: put(Drawing.arrow(COLORS.impulse, radius, 23)),
   }));
 
-  const { center, size } = data.view;
+  // the part of the window without panels: its centre and its size [px]
+  function free() {
+    const left = upright() ? 0 : sideWidth() + GAP, right = room.wide - (data.within ? panelWidth() + GAP : 0);
+    const top = upright() ? 0.4 * room.tall : 0, bottom = room.tall - BAR;
+    return { x: 0.5 * (left + right), y: 0.5 * (top + bottom), wide: Math.max(right - left, 50), tall: bottom - top };
+  }
+
+  // the nearest camera, of a given direction, that has all of what moves in the free part of the window
+  const { size } = data.view, outline = numbers(data.view.points, Float32Array);
   function look() {
-    const wide = Math.min(1, room.wide / room.tall);
-    const away = 1.35 * size / (2 * Math.tan(Math.PI / 8)) / wide;
+    const { wide, tall } = free(), back = new THREE.Vector3(0.72, 0.34, 0.6).normalize();
+    const right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
+    const slope = Math.tan(Math.PI / 8), point = new THREE.Vector3(), middle = new THREE.Vector3();
+    let away = 0;
+    for (const [axis, part] of [[right, wide], [up, tall]]) {
+      const half = 0.92 * slope * part / room.tall;
+      let low = Infinity, high = -Infinity;
+      for (let i = 0; i < outline.length; i += 3) {
+        point.set(outline[i], outline[i + 2], -outline[i + 1]);
+        low = Math.min(low, point.dot(axis) - half * point.dot(back));
+        high = Math.max(high, point.dot(axis) + half * point.dot(back));
+      }
+      away = Math.max(away, 0.5 * (high - low) / half);
+      middle.addScaledVector(axis, 0.5 * (high + low));
+    }
+    let depth = 0;
+    for (let i = 0; i < outline.length; i += 3)
+      depth += point.set(outline[i], outline[i + 2], -outline[i + 1]).dot(back) / (outline.length / 3);
     viewer.camera.fov = 45;
     viewer.camera.near = 0.005 * size;
     viewer.camera.far = 100 * size;
-    viewer.controls.target.set(center[0], center[2], -center[1]);
-    viewer.camera.position.set(center[0] + 0.72 * away, center[2] + 0.34 * away, -center[1] + 0.6 * away);
+    viewer.controls.target.copy(middle).addScaledVector(back, depth);  // what the mouse turns it about
+    viewer.camera.position.copy(middle).addScaledVector(back, Math.max(away, depth + 0.1 * size));
     viewer.controls.update();
   }
-  look();
 
-  // beside the pictures of one impact the robot stands in the middle of what is left
+  // what is seen stands in the middle of the free part of the window
   function resize() {
     fit();
     viewer.set_3d_pane_size(room.wide, room.tall);
-    if (data.within)
-      viewer.camera.setViewOffset(room.wide, room.tall, 0.5 * panelWidth(), 0, room.wide, room.tall);
+    const { x, y } = free();
+    viewer.camera.setViewOffset(
+      room.wide, room.tall, 0.5 * room.wide - x, 0.5 * room.tall - y, room.wide, room.tall);
   }
+  resize();
+  look();
 
   // --- film time ---------------------------------------------------------------------------------------------
 
@@ -286,7 +317,7 @@
 
   function panelWidth() {
     return Math.round(data.within
-      ? Math.min(380, 0.4 * room.wide, 0.6 * room.tall) : Math.min(250, 0.4 * room.wide, 0.45 * room.tall));
+      ? Math.min(380, 0.4 * room.wide, 0.55 * room.tall) : Math.min(sideWidth(), 0.31 * room.tall));
   }
 
   const canvas = find("hodograph");
@@ -294,7 +325,7 @@
     canvas.hidden = !mark;
     if (!mark) return;
     const wide = panelWidth();
-    const tall = data.within ? Math.min(wide + 230, room.tall - 70) : wide;
+    const square = wide + Drawing.TITLES, tall = data.within ? Math.min(square + 200, room.tall - 70) : square;
     const dense = window.devicePixelRatio || 1;
     canvas.width = wide * dense;
     canvas.height = tall * dense;
@@ -302,8 +333,8 @@
     canvas.style.height = `${tall}px`;
     const g = canvas.getContext("2d");
     g.setTransform(dense, 0, 0, dense, 0, 0);
-    Drawing.hodograph(g, 8, 8, wide - 16, mark, share, named ? `${mark.name}: ` : "");
-    if (data.within) Drawing.history(g, 8, wide + 22, wide - 40, tall - wide - 46, mark, share);
+    Drawing.hodograph(g, 8, wide - 16, mark, share, named ? mark.name : "");
+    if (data.within) Drawing.history(g, 8, square + 20, wide - 40, tall - square - 42, mark, share);
   }
 
   // --- words -------------------------------------------------------------------------------------------------
@@ -314,9 +345,12 @@
 
   // what is in which mode; where that would be many rows, one row a mode
   function inWords(now) {
-    if (now.length <= MANY) return now.map(([source, mode]) => `${source}: ${mode}`);
+    const points = new Map();
+    for (const [source, mode] of now) points.set(`${source}: ${mode}`, (points.get(`${source}: ${mode}`) || 0) + 1);
+    if (points.size <= MANY)
+      return [...points].map(([text, count]) => count > 1 ? `${text} (${count} points)` : text);
     const byMode = new Map();
-    for (const [source, mode] of now) byMode.set(mode, [...(byMode.get(mode) || []), source]);
+    for (const [source, mode] of now) byMode.set(mode, [...new Set([...(byMode.get(mode) || []), source])]);
     return [...byMode].map(([mode, names]) =>
       `${mode}: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`);
   }
@@ -340,7 +374,8 @@
     const last = piece.impact || past[past.length - 1];
     if (last) {
       const number = data.impacts.indexOf(last) + 1;
-      if (!data.within) lines.push(`impact ${number} of ${data.impacts.length}, ${last.time.toFixed(4)} s: ${last.source}`);
+      if (!data.within) lines.push(piece.impact ? `impact ${number} of ${data.impacts.length}`
+        : `impact ${number} of ${data.impacts.length}, ${last.time.toFixed(4)} s: ${last.source}`);
       const law = last.law === "energetic" ? "energetic law" : `${last.law[0].toUpperCase()}${last.law.slice(1)}'s law`;
       lines.push(`${law}, e ${given(last.e)}, μ ${given(last.mu)}`, energy(last.lost));
     }
@@ -367,6 +402,7 @@
     if (data.surfaces.length)
       rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);
     if (lit.length) rows.push(["lit", "shape in contact"]);
+    if (data.view.grid) rows.push(["grid", `grid of ${digits(data.view.grid)} m`]);
     for (const [name, text] of rows) {
       const row = find("legend").appendChild(document.createElement("div"));
       const swatch = row.appendChild(document.createElement("i"));
@@ -455,7 +491,7 @@
         g.fillStyle = "#111";
         g.textBaseline = "middle";
         g.textAlign = "left";
-        g.fillText(row.textContent, box.left + (swatch ? 29 : 0), box.top + box.height / 2, room.wide);
+        g.fillText(row.textContent, box.left + (swatch ? 24 : 0), box.top + box.height / 2, room.wide);
         if (swatch) {
           const part = swatch.getBoundingClientRect();
           g.fillStyle = swatch.style.background;
