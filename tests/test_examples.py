@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 from pinimpact import load_robot
 
@@ -79,6 +80,30 @@ def test_a_landed_quadruped_bears_its_weight(tmp_path, monkeypatch, capsys) -> N
     assert out.count("N in the end") == 4
     assert float(out.split("sum ")[1].split(" N")[0]) == pytest.approx(weight, rel=1e-3)
     assert (tmp_path / "quadruped_landing.png").is_file()
+
+
+@pytest.mark.slow
+def test_the_feet_of_the_movie_slip_then_stick() -> None:
+    """Forces stay in the friction cone, feet above the floor; the page and the picture are kept."""
+    movie = example("landing_movie")
+    robot, trajectory = movie.landing()
+    times = np.linspace(0.0, trajectory.duration, 400)
+    for contact in trajectory.contacts:
+        modes = [mode.mode for mode in trajectory.modes if mode.source == contact.label]
+        assert "slip" in modes
+        assert modes[-1] == "stick"
+        force = trajectory.forces(contact.label, times)
+        friction = np.hypot(force[:, 0], force[:, 1])
+        assert np.all(friction <= contact.friction * force[:, 2] * (1.0 + 1e-6) + 1e-9)
+        data = robot.model.createData()
+        for time in times:
+            pin.framesForwardKinematics(robot.model, data, trajectory.at(time)[0])
+            assert data.oMf[robot.model.getFrameId(contact.frame)].translation[2] > -1e-5
+    figures = EXAMPLES.parent / "docs" / "figures"
+    with Image.open(figures / "landing.gif") as film:
+        assert film.n_frames > 40
+    assert (figures / "landing.gif").stat().st_size < 2e6
+    assert (figures / "landing.html").stat().st_size < 4e6
 
 
 def test_a_control_loop_touches_down_and_stays_on_the_table(tmp_path, monkeypatch, capsys) -> None:

@@ -58,7 +58,7 @@ LISTED = 3
 LEVEL, NEAR = 0.99, 0.1
 """A surface is the floor if its normal has this vertical part, at least, and it is this part of the size of
 what is shown above the lowest point, at most."""
-LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.25
+LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.4
 """Lengths of the longest arrows, in parts of the size of what is shown."""
 
 

@@ -18,6 +18,8 @@ from .browser import find_browser, open_page
 if TYPE_CHECKING:
     from .html_replay import Replay
 
+COLORS = 128
+"""Of a GIF, as many that cover most of it as that differ most."""
 FILMS = (".mp4", ".webm", ".mkv", ".mov")
 """What ffmpeg is asked for."""
 
@@ -68,7 +70,7 @@ def write_video(
         )
     if kind == ".gif":
         rate = min(rate, 50.0)
-    frames = _frames(replay, browser, rate, size)
+    frames = _frames(replay, browser, rate, size, "png" if kind == ".gif" else "jpeg")
     if kind == ".gif":
         _write_gif(frames, path, rate)
     else:
@@ -77,12 +79,12 @@ def write_video(
     return path
 
 
-def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int]) -> list[bytes]:
-    """Return the pictures of a film as JPEG files."""
+def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int], kind: str) -> list[bytes]:
+    """Return the pictures of a film as files of a kind."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
         page.write_text(replay.html, encoding="utf-8")
-        opened = open_page(browser, page, f"frames={rate:.9g},{size[0]},{size[1]}", size=size)
+        opened = open_page(browser, page, f"frames={rate:.9g},{size[0]},{size[1]},{kind}", size=size)
     found = re.search(r'<pre id="frames">([^<]*)</pre>', opened.dom)
     if found is None:
         raise InputError(
@@ -95,7 +97,18 @@ def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int]) ->
 def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
     from PIL import Image
 
-    pictures = [Image.open(BytesIO(frame)).convert("RGB").quantize(128) for frame in frames]
+    pictures = [Image.open(BytesIO(frame)).convert("RGB") for frame in frames]
+    # the same colours in all of them, without dither, so that a picture holds only what changes
+    some = pictures[:: max(1, len(pictures) // 6)]
+    together = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    for k, picture in enumerate(some):
+        together.paste(picture, (0, k * picture.height))
+    palette = Image.new("P", (1, 1))
+    common, bright = (
+        together.quantize(COLORS, m) for m in (Image.Quantize.MEDIANCUT, Image.Quantize.MAXCOVERAGE)
+    )
+    palette.putpalette([*(common.getpalette() or []), *(bright.getpalette() or [])])
+    pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000.0 / rate, loop=0)
 
 

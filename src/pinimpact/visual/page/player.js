@@ -15,17 +15,17 @@
   window.addEventListener("unhandledrejection", event => fail(String(event.reason)));
 
   // #t=0.25 stands at a time of the motion, #impact=2 at an impact, #film=1.5 at a time of the film; a program
-  // that wants all frames of the film says how many a second, and how large: #frames=25,960,540
-  const [place, value, wide, tall] = location.hash.slice(1).split(/[=,]/);
+  // that wants all frames of the film says how many a second, and how large, and of which kind: #frames=25,960,540,jpeg
+  const [place, value, wide, tall, kind] = location.hash.slice(1).split(/[=,]/);
   const room = { get wide() { return Number(wide) || innerWidth; }, get tall() { return Number(tall) || innerHeight; } };
   const data = JSON.parse(find("motion").textContent);
   const GAP = 8, BAR = 56;  // between panels, and the height of the bar with its gaps [px]
   const upright = () => room.wide < room.tall;
-  const sideWidth = () => upright() ? room.wide - 2 * GAP : Math.min(300, Math.max(190, 0.27 * room.wide));
+  const sideWidth = () => upright() ? room.wide - 2 * GAP : Math.min(300, Math.max(215, 0.27 * room.wide));
   function fit() {
     document.body.style.width = `${room.wide}px`;
     document.body.style.height = `${room.tall}px`;
-    document.body.style.fontSize = `${Math.min(14, Math.max(8, room.tall / 46))}px`;
+    document.body.style.fontSize = `${Math.min(14, Math.max(11, room.tall / 46))}px`;
     document.body.className = data.within ? "within" : "";
     find("side").style.width = `${sideWidth()}px`;
   }
@@ -312,7 +312,8 @@
       drawn.after.set(point, world(mark.axes, Drawing.along(mark, share, "velocity")).multiplyScalar(velocity));
     });
     const height = mark => mark.impulse[mark.impulse.length - 1][2];
-    drawPanel(shown.filter(mark => mark.segments.length).sort((a, b) => height(b) - height(a))[0], share, shown.length > 1);
+    const drawn = data.within || settings.slowdown > 1 ? shown : [];  // time enough to read a hodograph
+    drawPanel(drawn.filter(mark => mark.segments.length).sort((a, b) => height(b) - height(a))[0], share, shown.length > 1);
   }
 
   function panelWidth() {
@@ -467,6 +468,17 @@
     };
   }
 
+  // the words of a text in rows of at most this width, the first of which begins at `start`
+  function wrapped(g, text, width, start) {
+    const rows = [""];
+    for (const word of text.split(" ")) {
+      const longer = rows[rows.length - 1] + (rows[rows.length - 1] && " ") + word;
+      if (g.measureText(longer).width > width - (rows.length > 1 ? 0 : start)) rows.push(word);
+      else rows[rows.length - 1] = longer;
+    }
+    return rows.filter(row => row);
+  }
+
   // the page as one flat picture: the view, the hodograph, the words
   function compose(target) {
     viewer.render();
@@ -491,7 +503,9 @@
         g.fillStyle = "#111";
         g.textBaseline = "middle";
         g.textAlign = "left";
-        g.fillText(row.textContent, box.left + (swatch ? 24 : 0), box.top + box.height / 2, room.wide);
+        const start = swatch ? 24 : 0, rows = wrapped(g, row.textContent, box.width + 1, start);
+        rows.forEach((text, k) =>
+          g.fillText(text, box.left + (k ? 0 : start), box.top + box.height * (k + 0.5) / rows.length));
         if (swatch) {
           const part = swatch.getBoundingClientRect();
           g.fillStyle = swatch.style.background;
@@ -541,7 +555,7 @@
     for (let frame = 0; frame <= Math.round(duration * rate); frame++) {
       show(frame / rate);
       compose(target);
-      pictures.push(target.toDataURL("image/jpeg", 0.92).split(",")[1]);
+      pictures.push(target.toDataURL(`image/${kind}`, 0.92).split(",")[1]);
     }
     list.textContent = pictures.join("\n");
     document.body.textContent = "";
