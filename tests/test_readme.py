@@ -27,7 +27,7 @@ def local_file(link: str) -> Path | None:
             return ROOT / link.removeprefix(start)
     if link.startswith(SITE):
         name = link.removeprefix(SITE).strip("/") or "index"
-        return ROOT / "docs" / f"{name}.md"
+        return ROOT / "docs" / (name if Path(name).suffix else f"{name}.md")
     return None
 
 
