@@ -7,6 +7,7 @@ import re
 import warnings
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -115,6 +116,60 @@ def test_a_free_base_lands_on_its_lowest_foot() -> None:
     assert gaps[0] == pytest.approx(0.0, abs=1e-9)
     assert min(gaps[1:]) > 0.0
     assert np.asarray(shown.impact.problem.velocity) == pytest.approx(FREE_BASE, abs=1e-4)
+
+
+ARMS = ("panda", "ur5", "ur3", "xarm7", "kinova", "z1", "talos_arm", "allegro_left_hand")
+WITH_FREE_BASES = ("solo12", "anymal_c", "talos", "icub", "iris", "hector", "bolt")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in ("ur5", "iris") else pytest.mark.slow) for n in ARMS + WITH_FREE_BASES],
+)
+def test_nothing_is_in_the_table(name: str) -> None:
+    """Distances of the meshes themselves from the plate that the replay shows, by Pinocchio."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # mimic joints
+        shown = run_demo(name)
+    model, q, shapes = shown.robot.model, shown.impact.q, shown.robot.visual_model.copy()
+    page = pinimpact.replay(shown.robot, shown.trajectory, None).html
+    motion = json.loads(re.search(r'<script id="motion" type="application/json">(.*?)</script>', page)[1])
+    (plate,) = motion["surfaces"]
+    place = np.reshape(plate["matrix"], (4, 4)).T
+    size = motion["view"]["size"]
+    box = pin.GeometryObject("plate", 0, 0, pin.SE3(place), coal.Box(*plate["size"]))
+    table = shapes.addGeometryObject(box)
+    for k in range(table):
+        shapes.addCollisionPair(pin.CollisionPair(k, table))
+    distances = shapes.createData()
+    pin.computeDistances(model, model.createData(), shapes, distances, q)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    frame = (
+        shown.contact.frame if isinstance(shown.contact.frame, int) else model.getFrameId(shown.contact.frame)
+    )
+    own = set(model.subtrees[model.frames[frame].parentJoint])
+    others = [
+        result.min_distance
+        for result, shape in zip(distances.distanceResults, shapes.geometryObjects, strict=False)
+        if shape.parentJoint not in own
+    ]
+    assert min(others, default=1.0) > 0.0
+    point = data.oMf[frame].act(np.asarray(shown.contact.offset))
+    assert point == pytest.approx(shown.contact.plane.point, abs=1e-6)
+    nearest = min(
+        float(((np.array(shape.geometry.vertices()) @ at.rotation.T + at.translation) - point)[:, 2].min())
+        for shape in shapes.geometryObjects
+        if shape.parentJoint in own and hasattr(shape.geometry, "vertices")
+        for at in [data.oMi[shape.parentJoint] * shape.placement]
+    )
+    assert abs(nearest) < 2e-3 * size  # it touches where it strikes
+    before = shown.trajectory.at(0.5 * shown.impact.time)
+    assert (
+        0.0
+        < shown.contact.gap(model, data, before[0])
+        < shown.contact.gap(model, data, shown.trajectory.q[0])
+    )
 
 
 def test_what_cannot_strike_says_why(tmp_path: Path) -> None:

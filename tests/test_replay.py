@@ -8,6 +8,7 @@ import html
 import json
 import re
 import shutil
+import warnings
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,7 +21,7 @@ from matplotlib.image import imread
 import pinimpact
 from pinimpact.robot.matrices import contact_geometry
 from pinimpact.visual.browser import find_browser, open_page
-from pinimpact.visual.collada import NAMESPACE, one_material_per_mesh
+from pinimpact.visual.collada import NAMESPACE, for_viewer
 
 from .scene_models import shaped_body
 
@@ -610,7 +611,7 @@ DAE = f"""<COLLADA xmlns="{NAMESPACE}"><library_geometries><geometry id="g"><mes
 
 
 def test_meshes_are_split_by_material() -> None:
-    root = ElementTree.fromstring(one_material_per_mesh(DAE))
+    root = ElementTree.fromstring(for_viewer(DAE))
     tag = f"{{{NAMESPACE}}}"
     pieces = {g.get("id"): [part.get("material") for part in g[0] if part.get("material")] for g in root[0]}
     assert sorted(pieces.values()) == [["a"], ["b"]]
@@ -619,3 +620,51 @@ def test_meshes_are_split_by_material() -> None:
     for instance in instances:
         bound = [binding.get("symbol") for binding in instance.iter(f"{tag}instance_material")]
         assert bound == pieces[instance.get("url").lstrip("#")]
+
+
+def test_all_triangles_have_texture_coordinates_or_none() -> None:
+    """The viewer refuses a mixture; what is added points at zeros, of a source that is long enough."""
+    points = (
+        '<source id="{0}s"><technique_common><accessor count="3" stride="3"/></technique_common></source>'
+    )
+    vertex = '<input semantic="VERTEX" source="#{0}v" offset="1"/>'
+    bare = (
+        f'<geometry id="bare"><mesh>{points}<triangles count="1">{vertex}'
+        "<p>0 2 0 0 0 1</p></triangles></mesh>"
+    )
+    worn = (
+        f'<geometry id="worn"><mesh>{points}<triangles count="1">{vertex}'
+        '<input semantic="TEXCOORD" source="#t" offset="0" set="0"/><p>0 2 0 0 0 1</p></triangles></mesh>'
+    )
+    start, end = f'<COLLADA xmlns="{NAMESPACE}"><library_geometries>', "</library_geometries></COLLADA>"
+    tag = f"{{{NAMESPACE}}}"
+    for shapes, sources in ((f"{bare}</geometry>{worn}</geometry>", 1), (f"{bare}</geometry>", 0)):
+        root = ElementTree.fromstring(for_viewer(start + shapes + end))
+        arrays = {a.get("id"): (a.text or "").split() for a in root.iter(f"{tag}float_array")}
+        assert len(arrays) == sources
+        for part in root.iter(f"{tag}triangles"):
+            inputs = {one.get("semantic"): one for one in part.findall(f"{tag}input")}
+            assert ("TEXCOORD" in inputs) == bool(sources)
+            if sources and inputs["TEXCOORD"].get("source") != "#t":
+                assert arrays[inputs["TEXCOORD"].get("source")[1:] + "-array"] == ["0"] * 6
+                assert inputs["TEXCOORD"].get("offset") == "1"  # the stride remains 2
+
+
+def test_meshes_load_though_warnings_are_errors(monkeypatch) -> None:
+    """Pinocchio warns at Collada meshes since Python 3.12, and leaves out a mesh where that raises."""
+    from pinocchio.visualize import MeshcatVisualizer
+
+    load = MeshcatVisualizer.loadMeshFromFile
+
+    def warns(self, shape):
+        warnings.warn("Testing an element's truth value", DeprecationWarning, stacklevel=1)
+        return load(self, shape)
+
+    monkeypatch.setattr(MeshcatVisualizer, "loadMeshFromFile", warns)
+    robot = pinimpact.load_robot("panda")
+    trajectory = pinimpact.simulate(pinimpact.Scene(robot), robot.q0, np.zeros(9), 0.01)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shown = pinimpact.replay(robot, trajectory, None)
+    drawn = [c for c in commands_of(shown) if c["type"] == "set_object"]
+    assert len(drawn) == robot.visual_model.ngeoms

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,18 +16,23 @@ from ..geometry.plane import Plane
 from ..geometry.surfaces import contact_axes, unit_vector
 from ..robot.contact import Contact
 from ..robot.loading import load_robot
-from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id
+from ..scene.controls import Control, JointPD
 from ..scene.records import ImpactRecord
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
+from ..visual.surface_shapes import MARGIN
+from .posture import TILTS, Body, Strike, arm_posture, bent, landing, soles
 from .robot_info import frame_label, free_base, suggested_frames
 
 Array = NDArray[np.float64]
 
-BEFORE, AFTER = 0.15, 0.35
-"""How long the demo shows before and after the touch [s], at most."""
+BEFORE, AFTER = 0.15, 0.25
+"""How long the demo shows before and after the touch [s], for a robot of 1 m; less for smaller ones."""
+SLIDE = 0.2
+"""How far the striking point moves along the table before and after the touch [m], of a robot of 1 m."""
+FRICTION, RESTITUTION = 0.3, 0.5
 FIXED_BASE, FREE_BASE = (0.5, 0.3, -0.8), (0.6, 0.3, -2.0)
 """Velocity of the contact point at the touch [m/s], in contact axes."""
 TILT = (-0.15, 0.25, 0.0)
@@ -40,37 +44,10 @@ NO_INERTIA = 1e-14
 SINGULAR = 1e-12
 """Least eigenvalue of the mass matrix, scaled to ones on its diagonal, that is not taken for zero."""
 CLEAR = 1e-3
-"""Contacts that could touch later are this far away at the touch [m]."""
-
-
-@dataclass(frozen=True)
-class Swing:
-    """How a robot of the demo strikes.
-
-    Attributes:
-        frame: What strikes; None for the first of the frames that suggest themselves and can move.
-        others: Frames that may touch the table later.
-        pose: Angles of the first joints at the touch [rad]; the others are as the robot comes.
-        friction: Coulomb coefficient.
-        restitution: Coefficient of its law.
-    """
-
-    frame: str | None = None
-    others: tuple[str, ...] = ()
-    pose: tuple[float, ...] = ()
-    friction: float = 0.3
-    restitution: float = 0.5
-
-
-SWINGS = {
-    "panda": Swing("panda_hand_tcp"),
-    "ur5": Swing("tool0", pose=(0.0, -1.2, 1.7, -2.0, -1.57)),
-    "talos_arm": Swing("gripper_left_motor_double_link", pose=(1.05, -0.36, -1.72, -2.14, 0.87, -0.24)),
-    "xarm7": Swing("link_eef", pose=(-1.07, 1.55, -0.03, 2.83, -1.18, 1.84, 1.49)),
-    "z1": Swing("gripperMover", pose=(-1.0, 2.44, -2.37, 0.44, 0.05, -0.52)),
-    "kinova": Swing("j2s6s200_end_effector", pose=(-0.35, 3.38, 1.63, -0.47, 3.47, -0.15)),
-    "solo12": Swing("FL_FOOT", ("FR_FOOT", "HL_FOOT", "HR_FOOT")),
-}
+"""Contacts that could touch later are this far away at the touch, in parts of the robot's size."""
+STIFFNESS, DAMPING, G = 1.0, 0.2, 9.81
+"""Of springs in the joints of a free base, in its weight times its size per rad and √(size/g); g [m/s²]."""
+NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +96,14 @@ class Touch:
     """The instant at which a point strikes the table.
 
     Attributes:
-        frame: The name or id of the frame that strikes.
-        normal: (3,) of the table.
+        joint: The joint that carries the point.
+        contact: The contact that strikes, with its table.
         q: (nq,) configuration.
         v: (nv,) velocity.
     """
 
-    frame: str | int
-    normal: Array
+    joint: int
+    contact: Contact
     q: Array
     v: Array
 
@@ -162,28 +139,28 @@ def run_demo(
     Raises:
         PinimpactError: An unknown robot, or one that cannot strike as it should; the message says why.
     """
-    swing = SWINGS.get(name, Swing())
     robot, frozen = _movable(load_robot(name), name)
-    model = robot.model
-    touch = _touch(robot, name, swing, frame, speed, direction, normal)
-    point = contact_geometry(model, model.createData(), touch.q, Contact(touch.frame, Plane())).point
-    table = Plane(point=tuple(point.tolist()), normal=tuple(touch.normal.tolist()))
-    mu = swing.friction if friction is None else friction
-    e = swing.restitution if restitution is None else restitution
-
-    def contact(key: str | int) -> Contact:
-        label = key if isinstance(key, str) else f"{model.frames[key].name} (frame {key})"
-        return Contact(key, table, mu, e, law, name=f"{label} on table")
-
-    contacts = [contact(touch.frame)]
+    model, body = robot.model, Body(robot)
+    coefficients = (
+        FRICTION if friction is None else friction,
+        RESTITUTION if restitution is None else restitution,
+    )
+    touch = _touch(body, bent(robot), name, frame, speed, direction, normal, (*coefficients, law))
+    contacts = [touch.contact]
     if frame is None and free_base(model):
-        others = swing.others or [frame_label(model, i) for i in suggested_frames(model)]
-        data = model.createData()
-        clear = [contact(key) for key in others if key != touch.frame]
-        contacts += [other for other in clear if other.gap(model, data, touch.q) > CLEAR]
-    start, v, before = _take_back(model, contacts, touch)
-    trajectory, stopped = _run(_scene(model, contacts), start, v, before + AFTER)
-    turned = normal is None and direction is None and not np.allclose(touch.normal, (0.0, 0.0, 1.0))
+        contacts += _other_feet(body, touch)
+    pace = min(1.0, body.size)
+    start, v, before = _take_back(model, contacts, touch, BEFORE * pace)
+    control = _hold_posture(body, touch.q) if free_base(model) else _hold_speeds(model)
+    trajectory, stopped = _run(
+        Scene(model, contacts, control=control, record=True, without=NO_JOINT_EFFECTS),
+        start,
+        v,
+        before + AFTER * pace,
+    )
+    turned = (
+        normal is None and direction is None and not np.allclose(touch.contact.plane.axes[2], (0.0, 0.0, 1.0))
+    )
     demo = Demo(robot, tuple(contacts), trajectory, frozen, stopped, turned)
     if stopped is not None and not any(i.source == demo.contact.label for i in trajectory.impacts):
         raise SimulationError(stopped, partial=trajectory)
@@ -233,30 +210,27 @@ def _idle_joints(model: pin.Model, q: Array) -> set[int]:
 
 
 def _touch(
-    robot: pin.RobotWrapper,
+    body: Body,
+    q0: Array,
     name: str,
-    swing: Swing,
     frame: str | None,
     speed: float | None,
     direction: Sequence[float] | None,
     normal: Sequence[float] | None,
+    law: tuple[float, float, str],
 ) -> Touch:
     """Return how the robot strikes: with the first frame that can move towards the table."""
-    model = robot.model
+    model = body.model
+    free = free_base(model)
     keys: list[str | int]
     if frame is not None:
         keys = [int(frame) if frame.isdigit() else frame]
         frame_id(model, keys[0])
-    elif swing.frame is not None:
-        keys = [swing.frame]
     else:
         keys = [frame_label(model, i) for i in suggested_frames(model)]
         keys += [frame_label(model, i) for i in range(model.nframes - 1, 0, -1)]
-    q = _pose(robot, swing)
-    if frame is None and swing.frame is None and free_base(model):
-        keys = _lowest_first(model, q, keys, np.array((0.0, 0.0, 1.0) if normal is None else normal))
     axes = None if normal is None else contact_axes(unit_vector("normal", normal))
-    default = np.array(FREE_BASE if free_base(model) else FIXED_BASE)
+    default = np.array(FREE_BASE if free else FIXED_BASE)
     size = float(np.linalg.norm(default)) if speed is None else above_zero("speed", speed)
     along = None if direction is None else np.array(unit_vector("direction", direction))
     if axes is not None and along is not None and float(axes[2] @ along) >= 0.0:
@@ -275,12 +249,9 @@ def _touch(
         )
     moves = None
     for key in keys:
-        jacobian = pin.computeFrameJacobian(
-            model, model.createData(), q, frame_id(model, key), pin.LOCAL_WORLD_ALIGNED
-        ).reshape(6, model.nv)[:3]
-        if free_base(model):
-            jacobian = jacobian[:, :3]  # it moves as a whole
-        for tried in _tables(jacobian, axes, along):
+        for tried in _tables(body, q0, frame_id(model, key), axes, along):
+            i, strike = _strike(body, q0, frame_id(model, key), frame is not None, tried)
+            jacobian = _jacobian(body, strike, i)
             wanted = along if along is not None else tried.T @ default
             v = np.zeros(model.nv)
             v[: jacobian.shape[1]] = np.linalg.pinv(jacobian, rcond=1e-3) @ wanted
@@ -292,9 +263,13 @@ def _touch(
             if float(tried[2] @ moves) <= -0.1:
                 scale = size if speed is not None or along is not None else float(np.linalg.norm(default))
                 exact = float(np.linalg.norm(reached - wanted)) < 1e-6 * rate
-                return Touch(
-                    key, tried[2], q, v * (scale / (float(np.linalg.norm(wanted)) if exact else rate))
+                v *= scale / (float(np.linalg.norm(wanted)) if exact else rate)
+                table = Plane(point=tuple(strike.point.tolist()), normal=tuple(tried[2].tolist()))
+                mu, e, kind = law
+                contact = Contact(
+                    plane=table, friction=mu, restitution=e, law=kind, **_place(body, strike.point, i)
                 )
+                return Touch(int(model.frames[i].parentJoint), contact, strike.q, v)
     what = f"frame {frame!r}" if frame is not None else "what could strike"
     if moves is None:
         raise ModelError(
@@ -309,43 +284,92 @@ def _touch(
     )
 
 
-def _tables(jacobian: Array, axes: Array | None, along: Array | None) -> list[Array]:
+def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[int, Strike]:
+    """Return the frame that strikes, and its posture and point.
+
+    Args:
+        body: The robot.
+        q0: (nq,) where it comes.
+        i: The frame that is to strike; a free base lands on what is lowest unless `exact`.
+        exact: Whether the origin of the frame strikes, not what is lowest around it.
+        axes: (3, 3) of the table.
+    """
+    model = body.model
+    joint = int(model.frames[i].parentJoint)
+    origin = model.frames[i].placement.translation
+    if not free_base(model):
+        reach = MARGIN * body.size + SLIDE * min(1.0, body.size)
+        return i, arm_posture(body, q0, joint, origin if exact or body.bare else None, axes, reach)
+    tilted = [_tilted(model, q0, part) for part in TILTS]
+    if exact:
+        body.at(tilted[0])
+        return i, Strike(tilted[0], body.data.oMf[i].translation.copy())
+    feet = {int(model.frames[k].parentJoint): k for k in reversed(suggested_frames(model))}
+    strike, lowest = landing(body, tilted, list(feet), axes[2])
+    part = [k for foot, k in feet.items() if lowest in body.part(foot)]
+    carried = [k for k, frame in enumerate(model.frames) if frame.parentJoint == lowest]
+    return (part or carried)[-1], strike
+
+
+def _jacobian(body: Body, strike: Strike, i: int) -> Array:
+    """Return the (3, n) Jacobian of the striking point; a free base moves as a whole, n = 3."""
+    body.at(strike.q)
+    whole = pin.computeFrameJacobian(body.model, body.data, strike.q, i, pin.LOCAL_WORLD_ALIGNED)
+    whole = whole.reshape(6, body.model.nv)
+    jacobian: Array = whole[:3] - pin.skew(strike.point - body.data.oMf[i].translation) @ whole[3:]
+    return jacobian[:, :3] if free_base(body.model) else jacobian
+
+
+def _place(body: Body, point: Array, i: int, number: int = 1) -> dict[str, Any]:
+    """Return frame, offset and name of a contact at a point (3,) in world axes, where the robot is now."""
+    model, key = body.model, frame_label(body.model, i)
+    label = (key if isinstance(key, str) else f"{model.frames[i].name} (frame {key})") + " on table"
+    offset = body.data.oMf[i].actInv(point)
+    offset = np.where(np.abs(offset) < 1e-12, 0.0, offset)
+    return {
+        "frame": key,
+        "offset": tuple(offset.tolist()),
+        "name": label if number == 1 else f"{label} {number}",
+    }
+
+
+def _other_feet(body: Body, touch: Touch) -> list[Contact]:
+    """Return contacts at the other feet of a free base, and at other points of the one that strikes."""
+    model, first = body.model, touch.contact
+    found = []
+    own = {int(model.frames[i].parentJoint): i for i in suggested_frames(model)}
+    own |= {touch.joint: frame_id(model, first.frame)}
+    for joint, i in own.items():
+        points = soles(body, touch.q, joint, first.plane.axes)
+        contacts = [replace(first, **_place(body, point, i, k + 1)) for k, point in enumerate(points)]
+        found += [one for one in contacts if one.gap(model, body.data, touch.q) > CLEAR * body.size]
+    return found
+
+
+def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | None) -> list[Array]:
     """Return the axes (3, 3) of the tables to try: what is asked for, or z and what can be moved along."""
     if axes is not None:
         return [axes]
     tables = [contact_axes((0.0, 0.0, 1.0))]
     if along is not None:
         return [*tables, contact_axes(-along)]
-    left = np.linalg.svd(jacobian)[0]
+    body.at(q0)
+    left = np.linalg.svd(_jacobian(body, Strike(q0, body.data.oMf[i].translation.copy()), i))[0]
     main = left[:, 0] * (-1.0 if left[int(np.argmax(np.abs(left[:, 0]))), 0] > 0.0 else 1.0)
     return [*tables, contact_axes(-main)]
 
 
-def _pose(robot: pin.RobotWrapper, swing: Swing) -> Array:
-    """Return the configuration at the touch, but for where a free base is."""
-    model = robot.model
-    q = np.array(robot.q0, dtype=float)
-    for joint, angle in enumerate(swing.pose, start=1):
-        coordinates = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-        q[coordinates] = angle if model.nqs[joint] == 1 else (math.cos(angle), math.sin(angle))
-    if free_base(model):
-        root = model.jointPlacements[1].rotation
-        rotation = root.T @ pin.rpy.rpyToMatrix(*TILT) @ root @ pin.XYZQUATToSE3(q[:7]).rotation
-        q[3:7] = pin.Quaternion(rotation).coeffs()
+def _tilted(model: pin.Model, q: Array, part: float) -> Array:
+    """Return a configuration with its free base turned by a part of `TILT`."""
+    root, q = model.jointPlacements[1].rotation, q.copy()
+    tilt = pin.rpy.rpyToMatrix(*(part * np.array(TILT)))
+    q[3:7] = pin.Quaternion(root.T @ tilt @ root @ pin.XYZQUATToSE3(q[:7]).rotation).coeffs()
     return q
 
 
-def _lowest_first(model: pin.Model, q: Array, keys: list[str | int], normal: Array) -> list[str | int]:
-    """Return frames by their height over a table; those that suggest themselves stay before the others."""
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    suggested = {frame_label(model, i) for i in suggested_frames(model)}
-    return sorted(
-        keys, key=lambda key: (key not in suggested, data.oMf[frame_id(model, key)].translation @ normal)
-    )
-
-
-def _take_back(model: pin.Model, contacts: Sequence[Contact], touch: Touch) -> tuple[Array, Array, float]:
+def _take_back(
+    model: pin.Model, contacts: Sequence[Contact], touch: Touch, before: float
+) -> tuple[Array, Array, float]:
     """Return the state from which the motion leads to the touch, and how long before it that is [s].
 
     Joints move at their speeds, and a free base falls; so long that nothing touches before.
@@ -358,7 +382,6 @@ def _take_back(model: pin.Model, contacts: Sequence[Contact], touch: Touch) -> t
         q[:3] += 0.5 * time**2 * fall if free_base(model) else 0.0
         return q
 
-    before = BEFORE
     while any(
         contact.gap(model, data, earlier(time)) <= 0.0
         for contact in contacts
@@ -371,19 +394,18 @@ def _take_back(model: pin.Model, contacts: Sequence[Contact], touch: Touch) -> t
     return earlier(before), v, before
 
 
-def _scene(model: pin.Model, contacts: Sequence[Contact]) -> Scene:
+def _hold_speeds(model: pin.Model) -> Control:
     data = model.createData()
+    return lambda _, q, v: pin.nonLinearEffects(model, data, q, v)
 
-    def hold_speeds(_: float, q: Array, v: Array) -> Any:
-        return pin.nonLinearEffects(model, data, q, v)
 
-    return Scene(
-        model,
-        contacts,
-        control=None if free_base(model) else hold_speeds,
-        record=True,
-        without=("joint limits", "joint damping", "joint friction"),
-    )
+def _hold_posture(body: Body, q: Array) -> JointPD:
+    """Return springs that hold the joints as well as the robot's weight at a fifth of its size asks for."""
+    model = body.model
+    single = [model.idx_vs[j] for j in range(2, model.njoints) if model.nvs[j] == model.nqs[j] == 1]
+    gains = np.zeros(model.nv)
+    gains[single] = STIFFNESS * pin.computeTotalMass(model) * G * body.size
+    return JointPD(gains, DAMPING * np.sqrt(body.size / G) * gains, q)
 
 
 def _run(scene: Scene, q: Array, v: Array, duration: float) -> tuple[Trajectory, str | None]:

@@ -298,4 +298,6 @@ def _is_number(cell: str) -> bool:
 
 
 def _number(value: float) -> str:
-    return f"{value:+.6f}" if value == 0.0 or 1e-4 <= abs(value) < 1e5 else f"{value:+.4e}"
+    if value == 0.0:
+        return "0"
+    return f"{value:+.6f}" if 1e-4 <= abs(value) < 1e5 else f"{value:+.4e}"

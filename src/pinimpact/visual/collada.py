@@ -10,16 +10,18 @@ _TAG = f"{{{NAMESPACE}}}"
 _PRIMITIVES = tuple(_TAG + name for name in ("triangles", "polylist", "polygons", "lines"))
 
 
-def one_material_per_mesh(document: str) -> str:
-    """Return a Collada document with its meshes split by material.
+def for_viewer(document: str) -> str:
+    """Return a Collada document as meshcat's viewer shows it whole.
 
-    Of a mesh with several materials the viewer drops all but one, with the triangles that wear them.
+    Of a mesh with several materials the viewer drops all but one, with the triangles that wear them: meshes
+    are split by material. It fails where only some have texture coordinates: all get some.
     """
     ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(document)
     library = root.find(f"{_TAG}library_geometries")
     if library is None:
         return document
+    _add_texture_coordinates(library)
     pieces: dict[str, list[tuple[str, str | None]]] = {}
     for geometry in list(library):
         mesh = geometry.find(f"{_TAG}mesh")
@@ -54,3 +56,35 @@ def one_material_per_mesh(document: str) -> str:
                             common.remove(binding)
                 node.append(part)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_texture_coordinates(library: ElementTree.Element) -> None:
+    """Add texture coordinates of zero to primitives without any, if others have some."""
+    texture = f"{_TAG}input[@semantic='TEXCOORD']"
+    surfaces = [part for tag in _PRIMITIVES[:3] for part in library.iter(tag)]
+    if not any(part.find(texture) is not None for part in surfaces):
+        return
+    for geometry in library:
+        mesh = geometry.find(f"{_TAG}mesh")
+        bare = [part for part in mesh or () if part in surfaces and part.find(texture) is None]
+        if mesh is None or not bare:
+            continue
+        count = max(int(accessor.get("count", "0")) for accessor in mesh.iter(f"{_TAG}accessor"))
+        name = f"{geometry.get('id')}-zero"
+        source = ElementTree.Element(f"{_TAG}source", id=name)
+        array = ElementTree.SubElement(source, f"{_TAG}float_array", id=f"{name}-array", count=str(2 * count))
+        array.text = "0 0 " * count
+        common = ElementTree.SubElement(source, f"{_TAG}technique_common")
+        accessor = {"source": f"#{name}-array", "count": str(count), "stride": "2"}
+        ElementTree.SubElement(common, f"{_TAG}accessor", accessor)
+        mesh.insert(0, source)
+        for part in bare:
+            vertex = part.find(f"{_TAG}input[@semantic='VERTEX']")
+            if vertex is not None:
+                added = {
+                    "semantic": "TEXCOORD",
+                    "source": f"#{name}",
+                    "offset": vertex.get("offset", "0"),
+                    "set": "0",
+                }
+                part.insert(list(part).index(vertex) + 1, ElementTree.Element(f"{_TAG}input", added))

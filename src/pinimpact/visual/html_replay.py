@@ -295,6 +295,8 @@ def _page(
     )
     points = extreme(points) if len(points) else np.zeros((1, 3))
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+    tips = [part.point + LONGEST_IMPULSE * size * part.axes[2] for mark in marks for part in mark.contacts]
+    points = np.vstack([points, *tips])
     surfaces = []
     for surface in dict.fromkeys(contact.plane for contact in contacts):
         met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]

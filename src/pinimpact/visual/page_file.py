@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .collada import one_material_per_mesh
+from .collada import for_viewer
 
 LARGE = 10_000
 """What is at least as long, a mesh or a texture, is sent once and then named by its number."""
@@ -40,7 +40,7 @@ class Recorder:
             if mesh.get("format") == "dae":
                 document = mesh["data"]
                 if document not in self._split:
-                    self._split[document] = one_material_per_mesh(document)
+                    self._split[document] = for_viewer(document)
                 mesh["data"] = self._split[document]
             for shape in message["object"].get("geometries", ()):
                 if shape["type"] == "_meshfile":  # as the viewer calls it now

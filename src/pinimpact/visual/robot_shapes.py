@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from .impact_marks import short
 from .page_file import Recorder, packed
+from .shapes_in_contact import surface_points
 
 Array = NDArray[np.float64]
 
@@ -20,8 +20,10 @@ NEUTRAL = (0.62, 0.64, 0.67)
 """Colour of shapes without any."""
 OUTLINES = 20
 """Configurations of a motion that its outline is taken from."""
-BOX = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Directions (26, 3): the corners, edges and sides of a box."""
+COUNT = np.arange(200.0)
+TURN, RISE = np.pi * (1.0 + np.sqrt(5.0)) * COUNT, (2.0 * COUNT + 1.0) / len(COUNT) - 1.0
+AROUND = np.column_stack([np.sqrt(1.0 - RISE**2) * np.cos(TURN), np.sqrt(1.0 - RISE**2) * np.sin(TURN), RISE])
+"""Directions (200, 3) that are spread evenly: Fibonacci's spiral on a sphere."""
 VIEWERS_GRID = 0.5
 """Length of the squares of the viewer's grid [m]."""
 
@@ -67,7 +69,7 @@ def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> A
     """Return points (k, 3) in world axes that hold a robot between them, at some of its configurations."""
     data, found = model.createData(), [np.zeros((0, 3))]
     solids = [] if shapes is None else list(shapes.geometryObjects)
-    corners = [_moved(shape.placement, _corners(shape.geometry)) for shape in solids]
+    corners = [_moved(shape.placement, extreme(surface_points(shape.geometry))) for shape in solids]
     every = max(1, len(configurations) // OUTLINES)
     for q in [*configurations[::every], *configurations[-1:]] if model.njoints > 1 else ():
         pin.framesForwardKinematics(model, data, q)
@@ -79,24 +81,14 @@ def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> A
     return np.vstack(found)
 
 
-def _corners(solid: Any) -> Array:
-    """Return points (k, 3) that hold a shape between them: of a mesh its own, or else those of its box."""
-    if hasattr(solid, "vertices"):
-        points = np.array(solid.vertices(), dtype=np.float64).reshape(-1, 3)
-        return extreme(points) if len(points) else points
-    solid.computeLocalAABB()
-    low, high = solid.aabb_local.min_, solid.aabb_local.max_
-    return 0.5 * (low + high) + 0.5 * BOX[np.all(BOX != 0.0, axis=1)] * (high - low)
-
-
 def _moved(place: pin.SE3, points: Array) -> Array:
     moved: Array = points @ place.rotation.T + place.translation
     return moved
 
 
 def extreme(points: Array) -> Array:
-    """Return those of points (n, 3) that are outermost in one of 26 directions."""
-    return points[np.unique((points @ BOX.T).argmax(axis=0))]
+    """Return those of points (n, 3) that are outermost in one of `AROUND`."""
+    return points[np.unique((points @ AROUND.T).argmax(axis=0))]
 
 
 def grid_square(size: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def _triangles(solid: Any) -> Array:
     """Return the surface of a shape, of a mesh that of its convex hull, as corners of triangles (k, 3, 3)."""
     from scipy.spatial import ConvexHull, QhullError
 
-    points = _surface_points(solid)
+    points = surface_points(solid)
     try:
         corners: Array = points[ConvexHull(points).simplices]
     except QhullError:  # flat: it has no inside
@@ -94,7 +95,7 @@ def _triangles(solid: Any) -> Array:
     return corners
 
 
-def _surface_points(solid: Any) -> Array:
+def surface_points(solid: Any) -> Array:
     """Return points (n, 3) whose hull is a shape, or nearly so where it is round."""
     if hasattr(solid, "vertices"):
         return np.array(solid.vertices(), dtype=np.float64)
@@ -107,6 +108,8 @@ def _surface_points(solid: Any) -> Array:
         signs = np.array([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
         return signs * np.asarray(solid.halfSide)
     angles = 2.0 * np.pi * np.arange(ROUND) / ROUND
+    if kind == "Ellipsoid":
+        return np.asarray(solid.radii) * surface_points(coal.Sphere(1.0))
     circle = solid.radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(ROUND)])
     if kind in ("Sphere", "Capsule"):
         heights = np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND // 2 + 1))

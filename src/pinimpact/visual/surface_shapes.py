@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 MARGIN, THICKNESS = 0.12, 0.015
 """How far a plate reaches beyond the paths of the contacts, and how thick it is, in parts of the size of what
 is shown."""
-REACH = 0.2
-"""A plate on a body reaches as far as points come within this distance of it [m]."""
+REACH = 0.1
+"""A plate reaches as far as points come within this distance of it, in parts of the size of what is shown."""
 
 
 def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
@@ -72,8 +72,8 @@ def _plate(plane: Plane, points: Array, scale: float) -> tuple[str, list[float],
     """Return the part of a plane that the points come over, as a thin plate with a margin; its place."""
     axes = contact_axes(plane.normal)
     local = (points - np.asarray(plane.point)) @ axes.T
-    if plane.body is not None:
-        local = np.vstack([local[np.abs(local[:, 2]) < REACH], np.zeros(3)])
+    near = local[np.abs(local[:, 2]) < REACH * scale]
+    local = np.vstack([near, np.zeros(3)]) if plane.body is not None or not len(near) else near
     low, high = local.min(axis=0) - MARGIN * scale, local.max(axis=0) + MARGIN * scale
     thickness = THICKNESS * scale
     matrix = np.eye(4)
