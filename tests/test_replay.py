@@ -652,7 +652,9 @@ def test_all_triangles_have_texture_coordinates_or_none() -> None:
 
 def test_meshes_load_though_warnings_are_errors(monkeypatch) -> None:
     """Pinocchio warns at Collada meshes since Python 3.12, and leaves out a mesh where that raises."""
-    from pinocchio.visualize import MeshcatVisualizer
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # meshcat imports a retired module of pyzmq
+        from pinocchio.visualize import MeshcatVisualizer
 
     load = MeshcatVisualizer.loadMeshFromFile
 

@@ -295,7 +295,13 @@ def _page(
     )
     points = extreme(points) if len(points) else np.zeros((1, 3))
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    tips = [part.point + LONGEST_IMPULSE * size * part.axes[2] for mark in marks for part in mark.contacts]
+    reach = LONGEST_IMPULSE * size
+    tips = [
+        part.point + reach * (part.axes[2] + aside @ part.axes[:2])
+        for mark in marks
+        for part in mark.contacts
+        for aside in 0.6 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    ]
     points = np.vstack([points, *tips])
     surfaces = []
     for surface in dict.fromkeys(contact.plane for contact in contacts):
