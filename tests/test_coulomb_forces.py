@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact.scene._kernels import contact_forces
 from pinimpact.scene._kernels.contact_modes import hold_on
-from pinimpact.scene._kernels.force_cones import forces_by_cones
 from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
 from pinimpact.scene._kernels.lasting_forces import take_lasting
 
@@ -19,7 +19,7 @@ from pinimpact.scene._kernels.lasting_forces import take_lasting
 @numba.njit
 def solve(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
-    return forces_by_cones(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
+    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def contacts_at_rest(seed, contacts, velocities):
@@ -39,7 +39,7 @@ def contacts_at_rest(seed, contacts, velocities):
 def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, velocities):
     delassus, free, mu = contacts_at_rest(seed, contacts, velocities)
     bound = 0.3
-    x = np.empty(3 * contacts + 1)
+    x = np.zeros(3 * contacts + 1)
     accuracy = solve(
         delassus,
         free,
@@ -69,7 +69,7 @@ def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, 
 def forces_at_rest(delassus, free, mu):
     """Solve for contacts that are all at rest; return their forces, and how far these are from the law."""
     contacts = len(mu)
-    x = np.empty(3 * contacts)
+    x = np.zeros(3 * contacts)
     nothing = np.zeros(0)
     accuracy = solve(
         delassus,
@@ -230,7 +230,7 @@ def test_forces_on_contacts_that_slip_are_found_wherever_there_are_any():
         velocity = rng.normal(size=(3, 2))
         free = rng.normal(size=9)
         expected = choices_that_hold(delassus, free, velocity / np.linalg.norm(velocity, axis=1)[:, None], mu)
-        x = np.empty(9)
+        x = np.zeros(9)
         nothing, held = np.zeros(0), np.zeros(3, dtype=np.bool_)
         accuracy = solve(delassus, free, velocity, mu, held, nothing, nothing, x)
         assert (accuracy <= 1e-10) == bool(expected)
@@ -268,7 +268,7 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
     for seed in [*seeds, *range(10)]:
         delassus, free, mu, push = slip_held_by_joints(seed, joints)
         bound = np.random.default_rng(seed).uniform(0.1, 5.0, size=joints)
-        x = np.empty(3 + joints)
+        x = np.zeros(3 + joints)
         accuracy = solve(
             delassus,
             free,

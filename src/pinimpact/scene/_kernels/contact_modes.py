@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
 from ..._compile.jit import inner, jit, separate
-from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale
+from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale, solve_coulomb
 from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
@@ -27,7 +27,6 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .force_cones import forces_by_cones
 from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
 from .slip import CERTAIN, behind
@@ -205,7 +204,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         if converged:
             assign(both, known)
         else:
-            converged = forces_by_cones(delassus, free, slip, mu, least, held, lower, upper, both) <= ACCURACY
+            converged = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, both) <= ACCURACY
         if converged:
             jamming = -1  # what would jam alone is held by others
     if converged:

@@ -20,10 +20,10 @@ from ..._numeric.coulomb_problem import (
     newton,
     residual,
     scale,
+    solve_coulomb,
 )
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, repeated
-from .force_cones import forces_on_path
 
 
 @ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
@@ -63,8 +63,8 @@ def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_no
 def take_lasting(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Replace forces x of a negative determinant by others that last, if such are found.
 
-    Lemke's path leads to a solution of a positive determinant. (M. J. Todd, Mathematics of Operations
-    Research 1, 1976) Else one thing after the other lets go, and Newton's method goes on from there.
+    The method of multipliers is tried from no forces on; then one thing after the other lets go, and Newton's
+    method goes on from there.
     """
     nc, ns, size = len(mu), len(lower), len(x)
     d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
@@ -72,12 +72,10 @@ def take_lasting(delassus, free, velocity, mu, least, held, lower, upper, x):
         return
     if orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f) >= 0:
         return
-    trial = x.copy()
+    trial = np.zeros(size)
     for k in range(-1, nc + 2 * ns):
         if k < 0:
-            worst = forces_on_path(
-                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, d, scale_a, scale_f
-            )
+            worst = solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, trial)
         else:
             assign(trial, x)
             if k < nc:
