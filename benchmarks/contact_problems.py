@@ -1,4 +1,4 @@
-"""Forces by Coulomb's law: how many are found, and in what time, by the chain of scenes and by one solver.
+"""Forces by Coulomb's law: how many are found, and in what time, with sweeps before the solver and without.
 
 Problems recorded in runs are read from a file (arrays one after the other; `contacts` and `scalars` give the
 sizes), others are drawn: four contacts, some of which slip, with and without three dry joints, of full rank,
@@ -20,7 +20,6 @@ import numba
 import numpy as np
 
 from pinimpact._numeric.coulomb_problem import USABLE, solve_coulomb
-from pinimpact.scene._kernels.force_cones import forces_by_cones
 from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
 
 Problem = tuple[Any, ...]
@@ -28,20 +27,20 @@ Problem = tuple[Any, ...]
 
 
 @numba.njit
-def one_solver(delassus, free, velocity, mu, held, lower, upper, x):
+def alone(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
     return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 @numba.njit
-def chain(delassus, free, velocity, mu, held, lower, upper, x):
-    """Sweeps, and what follows where they do not do."""
+def sweeps_first(delassus, free, velocity, mu, held, lower, upper, x):
+    """Go on from sweeps where they do not do, as scenes have it."""
     force, strength = np.zeros((len(mu), 3)), np.zeros(len(lower))
     sweeps, jamming = forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, strength)
     x[: 3 * len(mu)], x[3 * len(mu) :] = force.ravel(), strength
     if sweeps >= 0 and jamming < 0:
         return 0.0
-    return forces_by_cones(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
+    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:
@@ -106,7 +105,7 @@ def main() -> None:
         print("recorded problems are left out: no file is given")
     for kind, problems in kinds.items():
         found = {}
-        for name, solve in (("chain", chain), ("one solver", one_solver)):
+        for name, solve in (("after sweeps", sweeps_first), ("alone", alone)):
             measure(solve, problems[:1])
             found[name], times = measure(solve, problems)
             print(

@@ -37,7 +37,8 @@ PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
 f = y and of u differ by such a one."""
 
 COMPLIANCE = 1e-9
-"""What is added to the diagonal, so that it is definite; Newton's method takes it away."""
+"""What is added to the diagonal, so that it is definite, against the forces of the iteration before: it has
+no part in where the iterations end."""
 
 NEAR = 1e-2
 """Residual from which on Newton's method is tried."""
@@ -81,9 +82,9 @@ def into_cone(x, b, mu, least, directions, slides):
 
 @inner
 def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
-    """Fill x with the minimum over all forces, given those in the cones y, multipliers z and shifts."""
+    """Replace x by the minimum over all forces, given those in the cones y, multipliers z and shifts."""
     for a in range(len(x)):
-        x[a] = z[a] + penalty * y[a] - free[a]
+        x[a] = COMPLIANCE * x[a] + z[a] + penalty * y[a] - free[a]
     for i in range(len(shift)):
         x[3 * i + 2] -= shift[i]
     substitute(lower_factor, x)
@@ -137,7 +138,8 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
     f, y, z, shift = np.empty(size), np.empty(size), np.zeros(size), np.zeros(nc)
     for a in range(size):
-        y[a], rates[a] = x[a] / scale_f[a], scale_a[a] * free[a]
+        y[a] = f[a] = x[a] / scale_f[a]
+        rates[a] = scale_a[a] * free[a]
     factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
     best = math.inf
     for iteration in range(ITERATIONS + 1):

@@ -181,10 +181,8 @@ class SimulationState:
             before, modes, energy = self.v, self.dynamics.work.modes.copy(), self.impact_energy
             present = self.dynamics.slipping()
             jammed = self._set_modes(slow)
-            if jammed < 0 and self._forces_found:
-                reached = self._full_reach(before, modes)
-                if reached is None:
-                    break
+            reached = self._full_reach(before, modes) if jammed < 0 else None
+            if reached is not None:
                 locked, self.q = reached
                 self.v, self.impact_energy = before, energy
                 self.dynamics.work.modes[:] = modes
@@ -193,6 +191,8 @@ class SimulationState:
                 # what forces hold it there are those of rounding
                 if jammed < 0 and self._forces_found and self.dynamics.work.modes[locked] != STICK:
                     break
+            elif jammed < 0 and self._forces_found:
+                break
             jams += 1
             if jams > MOST_IMPACTS:
                 raise SimulationError(
