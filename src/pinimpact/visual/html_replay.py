@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, finite_array, output_file
 from ..errors import InputError
+from ..geometry.collision_shapes import extreme_points
 from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
@@ -33,7 +34,6 @@ from .film import frame_times, slowed, width_of_slowness
 from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark
 from .page_file import Recorder, packed, page
 from .robot_shapes import (
-    extreme,
     grid_square,
     joint_poses,
     joints_as_data,
@@ -293,7 +293,7 @@ def _page(
     points = np.vstack(
         [points, ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
     )
-    points = extreme(points) if len(points) else np.zeros((1, 3))
+    points = extreme_points(points, "outline") if len(points) else np.zeros((1, 3))
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
     reach = LONGEST_IMPULSE * size
     tips = [
