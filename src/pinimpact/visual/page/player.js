@@ -165,9 +165,11 @@
     const { x, y } = free();
     viewer.camera.setViewOffset(
       room.wide, room.tall, 0.5 * room.wide - x, 0.5 * room.tall - y, room.wide, room.tall);
+    if (!turned) look();
   }
+  let turned = false;  // by the user
+  viewer.controls.addEventListener("start", () => { turned = true; });
   resize();
-  look();
 
   // --- film time ---------------------------------------------------------------------------------------------
 
