@@ -617,3 +617,15 @@ def sum_of_minors(matrix, order):
     """Return the sum of all principal minors of an order."""
     chosen = itertools.combinations(range(len(matrix)), order)
     return sum(np.linalg.det(matrix[np.ix_(rows, rows)]) for rows in chosen)
+
+
+@pytest.mark.parametrize("start", [np.nan, np.inf, 1e200])
+def test_where_the_search_for_forces_begins_does_not_matter(start):
+    """Sweeps that diverge leave numbers that are none."""
+    delassus, free, mu = contacts_at_rest(3, 2, 6)
+    held, nothing, velocity = np.zeros(2, dtype=np.bool_), np.zeros(0), np.zeros((2, 2))
+    found, expected = np.full(6, start), np.zeros(6)
+    assert solve(delassus, free, velocity, mu, held, nothing, nothing, found) <= 1e-10
+    assert solve(delassus, free, velocity, mu, held, nothing, nothing, expected) <= 1e-10
+    assert np.abs(expected).max() > 0.0
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)

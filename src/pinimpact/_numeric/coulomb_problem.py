@@ -104,7 +104,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         held: (nc,) contacts without bounds.
         lower: (ns,) least scalar forces, infinite where there is no bound.
         upper: (ns,) largest scalar forces, likewise.
-        x: (3 nc + ns,) where to begin; takes the forces.
+        x: (3 nc + ns,) where to begin, unless none at all are nearer to the law; takes the forces.
 
     Returns:
         How far they are from the law, in parts of u_free; more than `USABLE` where none are found.
@@ -136,7 +136,12 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         low[i] = least[i] / scale_f[3 * i + 2]
     for i in range(ns):
         low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
-    f, y, z, shift = np.empty(size), np.empty(size), np.zeros(size), np.zeros(nc)
+    f, y, z, shift = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(nc)
+    given = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    if not given <= residual(
+        delassus, free, velocity, mu, least, held, lower, upper, f, a_now, scale_a, scale_f
+    ):
+        assign(x, f)
     for a in range(size):
         y[a] = f[a] = x[a] / scale_f[a]
         rates[a] = scale_a[a] * free[a]
@@ -231,6 +236,8 @@ def residual(delassus, free, velocity, mu, least, held, lower, upper, x, acceler
     worst = 0.0
     for a in range(size):
         accelerations[a] += free[a]
+        if not abs(accelerations[a]) < math.inf:
+            return math.inf
     for i in range(nc):
         b = 3 * i
         fn, an = x[b + 2] / scale_f[b], accelerations[b + 2] * scale_a[b]
