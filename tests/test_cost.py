@@ -1,7 +1,9 @@
 """The measurement of accuracy against time, and Pinocchio's solvers beside it; no test looks at a clock."""
 
+import itertools
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +17,16 @@ CLASSES = cost.problem_classes()
 TWO = {name: CLASSES[name] for name in ("smooth slip", "planar")}
 
 
+TICK = 2.0**-20  # sums of it are exact
+
+
 @pytest.fixture(scope="module")
 def report():
-    return cost.run_cost(TWO, methods=("exact", "rk4", "adaptive"), repeats=1, time_cap=0.05)
+    """A report by a clock that advances by the same time whenever it is read."""
+    ticks = itertools.count()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cost, "time", SimpleNamespace(perf_counter=lambda: TICK * next(ticks)))
+        return cost.run_cost(TWO, methods=("exact", "rk4", "adaptive"), repeats=1, time_cap=1.0)
 
 
 def test_classes_are_what_they_are_called():
@@ -41,7 +50,10 @@ def test_every_setting_is_measured(report):
     assert report.problems == tuple(TWO)
     count = 1 + len(cost.SETTINGS["rk4"]) + len(cost.SETTINGS["adaptive"])
     assert len(report.points) == 2 * count
-    assert all(0.0 < p.seconds < math.inf and 0.0 < p.call_seconds < math.inf for p in report.points)
+    per_call = TICK / math.ceil(cost.BATCH / TICK)  # one reading later, over as many calls as fill a batch
+    for point in report.points:
+        assert point.call_seconds == per_call
+        assert point.seconds == per_call
 
 
 def test_errors_are_those_of_the_methods(report):

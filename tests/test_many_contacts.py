@@ -442,7 +442,9 @@ def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
     )
     inverse = np.array([[1.0, 0.2, 0.1], [0.2, 0.7, 0.3], [0.1, 0.3, 0.9]])
     u, normals = np.array([0.3, -1.0, 0.4]), jacobian[2::3]
-    solution, after = collide(jacobian, inverse, u, restitution=e, simultaneous=policy)
+    with pytest.warns(pinimpact.BoundReachedWarning, match="After 400 impacts one after another"):
+        solution, after = collide(jacobian, inverse, u, restitution=e, simultaneous=policy)
+    assert Flag.BOUND_REACHED in solution.flags
     impulse = -np.linalg.solve(normals @ inverse @ normals.T, normals @ u)
     assert solution.impulse[:, 2] == pytest.approx(impulse, rel=1e-8)
     assert after == pytest.approx(u + inverse @ normals.T @ impulse, abs=1e-9)

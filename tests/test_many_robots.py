@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Contact, InputError, Plane, Scene, simulate
+from pinimpact import BoundReachedWarning, Contact, InputError, Plane, Scene, simulate
 from pinimpact.robot._kernels.responses import taking_part
 from pinimpact.robot.matrices import checked_matrices
 
@@ -303,7 +303,9 @@ def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
         for name, wall in zip(("left", "right"), walls, strict=True)
     ]
     scene = Scene(model, contacts=contacts, simultaneous="sequence")
-    motion = simulate(scene, np.zeros(3), [0.3, 0.4, -1.0], 0.01)
+    with pytest.warns(BoundReachedWarning, match="After 400 impacts one after another") as told:
+        motion = simulate(scene, np.zeros(3), [0.3, 0.4, -1.0], 0.01)
+    assert len(told) == 1
     assert motion.v[-1] == pytest.approx([0.0, 0.4, 0.0], abs=1e-9)
     assert len(motion.impacts) == 402
     notes = " ".join(note.text for note in motion.notes)

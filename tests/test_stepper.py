@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Event, InputError, Plane, Scene, SimulationError, Stepper, simulate
+from pinimpact import Box, Contact, Event, InputError, Plane, Scene, SimulationError, Stepper, simulate
 
 from .scene_models import UP, G, ball, pendulum, slider
 
@@ -164,12 +168,20 @@ def test_a_joint_with_dry_friction_holds_and_gives_way_at_the_change():
     assert stepper.v[0] == 0.0
 
 
-def test_copies_go_on_each_on_its_own_and_to_the_same_bit():
+COPIES = {
+    "copy": Stepper.copy,
+    "copy.copy": copy.copy,
+    "copy.deepcopy": copy.deepcopy,
+    "pickle": lambda stepper: pickle.loads(pickle.dumps(stepper)),
+}
+
+
+@pytest.mark.parametrize("kind", COPIES)
+def test_copies_continue_independently_and_to_the_same_bit(kind):
     one = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], [0.2, 0, 0, 1.0, 0, 0])
     for _ in range(30):
         one.step(np.zeros(6), 0.01)
-    other = one.copy()
-    lifted = one.copy()
+    other, lifted = COPIES[kind](one), COPIES[kind](one)
     for _ in range(30):
         lifted.step([0, 0, 30.0, 0, 0, 0], 0.01)
     for _ in range(30):
@@ -181,6 +193,48 @@ def test_copies_go_on_each_on_its_own_and_to_the_same_bit():
     assert np.array_equal(one.trajectory.q, other.trajectory.q)
     assert [i.time for i in one.trajectory.impacts] == [i.time for i in other.trajectory.impacts]
     assert lifted.q[2] > one.q[2]
+
+
+def below(t, q, v):
+    return q[2] - 0.15
+
+
+@pytest.mark.parametrize("kind", COPIES)
+@pytest.mark.parametrize("steps", [0, 12, 60])
+def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps):
+    """A box that tumbles onto a table: before it has begun, in flight, and in contact."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    frame = model.getFrameId("box")
+    shapes.addGeometryObject(
+        pin.GeometryObject("box", joint, frame, pin.SE3.Identity(), coal.Box(0.2, 0.2, 0.1))
+    )
+    table = Box(size=(4.0, 4.0, 0.2), center=(0.0, 0.0, -0.1))
+    contact = Contact(geometry="box", plane=table, friction=0.4, restitution=0.3, name="box")
+    scene = Scene(pin.RobotWrapper(model, shapes), [contact], events=[Event(below, name="below")])
+    one = Stepper(scene, [0, 0, 0.3, *UP], [0.3, 0, 0, 1.0, 2.0, 0])
+    for _ in range(steps):
+        one.step(np.zeros(6), 0.01)
+    other = COPIES[kind](one)
+    for stepper in (one, other):
+        for _ in range(20):
+            stepper.step(np.zeros(6), 0.01)
+    for name in ("t", "q", "v"):
+        assert np.array_equal(getattr(one.trajectory, name), getattr(other.trajectory, name))
+    for record in ("impacts", "events", "modes"):
+        assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
+    assert one.trajectory.modes == other.trajectory.modes
+    assert [i.source for i in one.trajectory.impacts] == [i.source for i in other.trajectory.impacts]
+
+
+def test_a_copy_of_a_stopped_stepper_has_stopped():
+    stepper = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], np.zeros(6), max_impacts=1)
+    with pytest.raises(SimulationError):
+        stepper.step(np.zeros(6), 5.0)
+    with pytest.raises(SimulationError, match="has stopped"):
+        pickle.loads(pickle.dumps(stepper)).step(np.zeros(6), 0.1)
 
 
 def test_reset_begins_anew_as_a_new_stepper_would():

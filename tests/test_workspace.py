@@ -226,7 +226,7 @@ def test_the_values_of_one_are_copied_into_another_but_not_its_addresses():
     one, other = sample(), sample()
     write(one, 2)
     turned, addresses = other.turned, other.integers[[Sample.table.slot, Sample.turned.slot]].copy()
-    other.copy_values(one, but=("marks",))
+    other.set_values(one.copied_values(but=("marks",)))
     assert other.turned is turned
     assert (other.integers[[Sample.table.slot, Sample.turned.slot]] == addresses).all()
     for name in ("active", "total", "factor", "ready", "table", "turned", "front", "square", "blocks"):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .contact_space.solution import Path, Segment, Solution, Work
     from .contact_space.solve import solve_impact
     from .errors import (
+        BoundReachedWarning,
         InputError,
         JointLimitWarning,
         LawError,
@@ -58,6 +59,7 @@ __all__ = [
     "METHODS",
     "POLICIES",
     "BatchSolution",
+    "BoundReachedWarning",
     "Box",
     "Contact",
     "ContactMatrices",
@@ -112,6 +114,7 @@ _HOMES = {
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (
+        "BoundReachedWarning",
         "InputError",
         "JointLimitWarning",
         "LawError",

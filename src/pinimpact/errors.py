@@ -28,6 +28,10 @@ class JointLimitWarning(UserWarning):
     """A configuration lies beyond the limits of a joint, as one in degrees does."""
 
 
+class BoundReachedWarning(UserWarning):
+    """An impact at many contacts reached a bound on steps or events, and its answer is approximate."""
+
+
 class InputError(PinimpactError, ValueError):
     """A value that cannot be used: wrong shape, not finite, out of range."""
 

@@ -59,6 +59,7 @@ class Flag(enum.IntFlag):
     NEAR_STICK_THRESHOLD = 256
     SINGULAR_DELASSUS = 512
     SLIP_TURNED = 1024
+    BOUND_REACHED = 2048
 
     @classmethod
     def _missing_(cls, value: object) -> Any:
@@ -88,6 +89,7 @@ _FLAG_TEXTS = {
     Flag.NEAR_STICK_THRESHOLD: "The friction coefficient is close to the threshold between stick and slip.",
     Flag.SINGULAR_DELASSUS: "The Delassus matrix is singular.",
     Flag.SLIP_TURNED: "The direction of slip turned along the path.",
+    Flag.BOUND_REACHED: "A bound on steps or events was reached, and the answer is approximate.",
 }
 
 EFFECTS = (

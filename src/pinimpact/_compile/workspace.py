@@ -284,15 +284,22 @@ class Workspace(array.array):
             self.integers[self.fields[name].slot] = value
         self.used.clear()
 
-    def copy_values(self, other: Workspace, but: Collection[str] = ()) -> None:
-        """Copy the values of another workspace of the same sizes, all but those of some fields by name."""
-        for name, field in self.fields.items():
-            if name in but:
-                continue
+    def copied_values(self, but: Collection[str] = ()) -> dict[str, Any]:
+        """Return copies of the values by the names of their fields, without the sizes and some fields."""
+        return {
+            name: self.whole(field).copy() if isinstance(field, _Array) else int(self.integers[field.slot])
+            for name, field in self.fields.items()
+            if name not in but and type(field) is not _Size
+        }
+
+    def set_values(self, values: Mapping[str, Any]) -> None:
+        """Set fields to what `copied_values` of a workspace of the same sizes has returned."""
+        for name, value in values.items():
+            field = self.fields[name]
             if isinstance(field, _Array):
-                self.whole(field)[...] = other.whole(field)
-            elif type(field) is not _Size:
-                self.integers[field.slot] = other.integers[field.slot]
+                self.whole(field)[...] = value
+            else:
+                self.integers[field.slot] = value
 
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")

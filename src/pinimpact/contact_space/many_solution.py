@@ -52,12 +52,14 @@ class ManyStory(NamedTuple):
         works: (n, 3) of compression, restitution and friction [J].
         surface_velocity: (n, 3) of the surfaces [m/s].
         singular: Whether W is.
+        bounded: Whether a bound on steps or events was reached.
     """
 
     segments: Callable[[], Segments]
     works: Array
     surface_velocity: Array
     singular: bool
+    bounded: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,7 +104,8 @@ class ManySolution:
     def flags(self) -> Flag:
         """What was special about it."""
         works = self.story.works
-        return flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
+        flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
+        return flags | Flag.BOUND_REACHED if self.story.bounded else flags
 
     @property
     def compression_impulse(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,7 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..checks import finite_array, real_numbers
-from ..errors import InputError, LawError, PinimpactError, UnknownNameError, UnstoppableApproachError
+from ..errors import (
+    BoundReachedWarning,
+    InputError,
+    LawError,
+    PinimpactError,
+    UnknownNameError,
+    UnstoppableApproachError,
+)
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
 from .many_solution import MODES, PHASES, ManyPath, ManySolution, ManyStory, Segments, segments_of
@@ -161,7 +169,10 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
             )
     inputs = many_inputs(problem)
     compile_policy(simultaneous)
-    return policy.run(inputs, record, **options)
+    found = policy.run(inputs, record, **options)
+    if found.story.bounded:
+        warnings.warn(" ".join(found.notes), BoundReachedWarning, stacklevel=3)
+    return found
 
 
 # ---- propagate
@@ -215,7 +226,13 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
         if off > MISSED:  # an approach that only impulses beyond their cones stop
             _refuse(inputs)
         text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
-        return replace(plastic, simultaneous="propagate", law="energetic", notes=(*plastic.notes, text))
+        return replace(
+            plastic,
+            simultaneous="propagate",
+            law="energetic",
+            notes=(*plastic.notes, text),
+            story=plastic.story._replace(bounded=True),
+        )
     notes = _of_law(inputs)
     if ended == 2:
         notes += (
@@ -231,7 +248,9 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
         )
     segments = partial(segments_of, rows[:used].copy(), n)
     names = "propagate", "energetic"
-    return _answer(inputs, names, velocity, impulse, works, (steps, events), segments, notes, story)
+    return _answer(
+        inputs, names, velocity, impulse, works, (steps, events), segments, notes, story, bounded=ended == 2
+    )
 
 
 LONGEST_STEP, MOST_SHORT_STEPS = 8e-3, 1 << 17
@@ -271,9 +290,9 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | N
         f"{missed:.1e} of the largest."
     )
     notes = (*_of_law(inputs), text)
-    return _answer(
-        inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0), notes=notes
-    )
+    names = "propagate", "energetic"
+    bounded = missed > AGREE
+    return _answer(inputs, names, velocity, impulse.ravel(), works, (steps, 0), notes=notes, bounded=bounded)
 
 
 def _extrapolated(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[Array, float, int] | None:
@@ -335,6 +354,7 @@ def _answer(
     segments: Callable[[], Segments] | None = None,
     notes: tuple[str, ...] = (),
     path: ManyPath | None = None,
+    bounded: bool = False,
 ) -> ManySolution:
     """Return the solution that numbers make up.
 
@@ -348,11 +368,12 @@ def _answer(
         segments: Makes those of each contact; None where there is no path.
         notes: What a reader should know.
         path: The recorded path.
+        bounded: Whether a bound on steps or events was reached.
     """
     n = len(inputs.velocity)
     if segments is None:
         segments = partial(tuple, ((),) * n)
-    story = ManyStory(segments, works, inputs.surface_velocity, inputs.singular)
+    story = ManyStory(segments, works, inputs.surface_velocity, inputs.singular, bounded)
     return ManySolution(velocity.reshape(n, 3), impulse.reshape(n, 3), *counts, *names, story, notes, path)
 
 
@@ -435,7 +456,8 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
         )
         notes = (without_end(count, last), *limit.notes)
     parts = partial(tuple, tuple(map(tuple, segments)))
-    return _answer(inputs, (name, inputs.law), velocity, impulse, works, (iterations, count), parts, notes)
+    names, counts, bounded = (name, inputs.law), (iterations, count), bool(notes)
+    return _answer(inputs, names, velocity, impulse, works, counts, parts, notes, bounded=bounded)
 
 
 def without_end(count: int, last: Sequence[str]) -> str:
@@ -484,7 +506,8 @@ def _all_at_once(inputs: ManyInputs) -> tuple[ManySolution, float]:
         works[:, 2] += powers[:, 0] + powers[:, 1]
     total = compression + restitution
     notes = () if missed <= 1e-9 else (f"Coulomb's law is met to {missed:.1e} of the velocities only.",)
-    found = _answer(inputs, ("together", "poisson"), after, total, works, (2, 2), notes=notes)
+    names, bounded = ("together", "poisson"), bool(notes)
+    found = _answer(inputs, names, after, total, works, (2, 2), notes=notes, bounded=bounded)
     return found, missed
 
 

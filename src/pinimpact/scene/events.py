@@ -145,12 +145,16 @@ class EventWatch:
         self._instant = -math.inf
         self._happened: set[int] = set()
 
-    def copy(self) -> EventWatch:
-        """Return an independent watch in the same state."""
-        twin = EventWatch(self._events, self._every)
-        twin.records, twin._signs, twin._times = self.records.copy(), self._signs.copy(), self._times.copy()
-        twin._instant, twin._happened = self._instant, self._happened.copy()
-        return twin
+    def values(self) -> tuple[Any, ...]:
+        """Return the state of the watch, to be pickled or given to `take_over`."""
+        lists = self.records.copy(), self._signs.copy(), self._times.copy()
+        return *lists, self._instant, self._happened.copy()
+
+    def take_over(self, values: tuple[Any, ...]) -> None:
+        """Continue from the `values` of another run of the same scene."""
+        records, signs, times, self._instant, happened = values
+        self.records, self._signs, self._times = records.copy(), signs.copy(), times.copy()
+        self._happened = happened.copy()
 
     def __bool__(self) -> bool:
         return bool(self._events)

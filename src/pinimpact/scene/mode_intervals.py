@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -64,9 +65,14 @@ class ModeIntervals:
         for source, mode in now.items():
             self.present.setdefault(source, (mode, t))
 
-    def take_over(self, other: ModeIntervals) -> None:
-        """Continue from the modes of another run of the same scene."""
-        self.ended, self.present, self._last = other.ended.copy(), other.present.copy(), other._last
+    def values(self) -> tuple[Any, ...]:
+        """Return the modes of the run, to be pickled or given to `take_over`."""
+        return self.ended.copy(), self.present.copy(), self._last
+
+    def take_over(self, values: tuple[Any, ...]) -> None:
+        """Continue from the `values` of another run of the same scene."""
+        ended, present, self._last = values
+        self.ended, self.present = ended.copy(), present.copy()
 
     def _drive(self, velocity: int) -> str:
         """Return the name of a drive."""

@@ -91,6 +91,13 @@ ACCELERATED = 1e-3
 """The part of the velocity whose change is progress: near a jam forces grow and do much in no time."""
 
 
+PLAIN = (
+    *("w", "steps", "rejected", "last_progress", "forces_were_unique", "friction_drove", "forces_beyond"),
+    *("bounce", "ended_by", "_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at"),
+    *("_struck", "_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
+)
+"""Attributes of a motion that are replaced and never changed in place, so that copies share them."""
+
 ROUNDING = 1e-15
 """A sample of a control closer to the end of a run than this part of its time is at the end."""
 
@@ -122,6 +129,19 @@ def _dynamics_of(*made_of: Any) -> SceneDynamics:
 
 LAST = 5
 """How many of the last impacts are named where there are too many."""
+
+
+def _continued(made_of: tuple[Any, ...], values: dict[str, Any]) -> Motion:
+    """Return a motion that continues from the values of another one made of the same arguments."""
+    motion = Motion(*made_of)
+    motion.state.take_over(values["state"])
+    motion.work.take_over(values["work"])
+    motion.events.take_over(values["events"])
+    motion.dense_steps, motion.samples = (list(part) for part in values["steps"])
+    motion._ends = {source: times.copy() for source, times in values["ends"].items()}
+    for name, value in values["plain"].items():
+        setattr(motion, name, value)
+    return motion
 
 
 def _sources(impacts: list[ImpactRecord]) -> str:
@@ -267,30 +287,23 @@ class Motion:
             self._settle_and_begin()
 
     def copy(self) -> Motion:
-        """Return a motion that goes on from here on its own."""
-        twin = Motion(*self._made_of)
-        twin.state.take_over(self.state)
-        twin.work.take_over(self.work)
-        twin.events = self.events.copy()
-        for name in (
-            *(
-                "w",
-                "steps",
-                "rejected",
-                "last_progress",
-                "forces_were_unique",
-                "friction_drove",
-                "forces_beyond",
-                "bounce",
-                "ended_by",
-            ),
-            *("_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at", "_struck"),
-            *("_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
-        ):
-            setattr(twin, name, getattr(self, name))
-        twin.dense_steps, twin.samples = self.dense_steps.copy(), self.samples.copy()
-        twin._ends = {source: times.copy() for source, times in self._ends.items()}
-        return twin
+        """Return an independent motion in the same state."""
+        return _continued(self._made_of, self._values())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the scene and the values reached; workspaces and addresses are made anew."""
+        return _continued, (self._made_of, self._values())
+
+    def _values(self) -> dict[str, Any]:
+        """Return all that the motion has reached, for `_continued`."""
+        return {
+            "state": self.state.values(),
+            "work": self.work.values(),
+            "events": self.events.values(),
+            "steps": (self.dense_steps.copy(), self.samples.copy()),
+            "ends": {source: times.copy() for source, times in self._ends.items()},
+            "plain": {name: getattr(self, name) for name in PLAIN},
+        }
 
     def stop(self, error: PinimpactError) -> NoReturn:
         """Raise what stops the motion, with what there is of it until then."""

@@ -54,9 +54,10 @@ class PairsApart:
         self._directions = np.tile([0.0, 0.0, 1.0], (len(pairs), 1))
         self.bends = np.zeros(len(pairs))
 
-    def take_over(self, other: PairsApart) -> None:
-        """Become what is known of the same pairs elsewhere."""
-        self._directions[:] = other._directions
+    @property
+    def directions(self) -> Array:
+        """(p, 3) the direction of each pair: all that a copy of the motion needs of this object."""
+        return self._directions
 
     def at(self, q: Array) -> Array:
         """Return (p,) by what each pair is apart at a configuration, at the least [m]."""

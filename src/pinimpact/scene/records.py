@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
@@ -15,6 +16,7 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
+from ..errors import BoundReachedWarning
 from ..robot.contact import Contact
 
 Array = NDArray[np.float64]
@@ -35,7 +37,9 @@ class ImpactGroup:
     @cached_property
     def solution(self) -> ManySolution:
         """The solution of all, made on first access."""
-        return solve_impact(self.problem, record=True, simultaneous=self.policy)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", BoundReachedWarning)  # the run has given it
+            return solve_impact(self.problem, record=True, simultaneous=self.policy)
 
     def part(self, place: int) -> ImpactProblem:
         """Return what one contact's own part of the problem is."""

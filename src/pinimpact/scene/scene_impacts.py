@@ -105,12 +105,14 @@ class GroupImpact(NamedTuple):
         struck: What has had an impulse.
         group: What the records of these share.
         notes: What a reader should know of it.
+        bounded: Whether a bound on steps or events was reached.
     """
 
     v: Array
     struck: tuple[Struck, ...]
     group: ImpactGroup
     notes: tuple[str, ...]
+    bounded: bool
 
 
 class Solved(NamedTuple):
@@ -488,7 +490,8 @@ def _group_impact(
         if pressed[place] > least * max(pressed):
             make = partial(_of_group, solved.group, place, impulses[place], axes[place])
             struck.append(Struck(source, place, solved.resting[place], make))
-    return GroupImpact(v + response @ impulses.ravel(), tuple(struck), solved.group, solved.solution.notes)
+    v_after, found = v + response @ impulses.ravel(), solved.solution
+    return GroupImpact(v_after, tuple(struck), solved.group, found.notes, found.story.bounded)
 
 
 def _friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -133,15 +133,26 @@ class ShapeWatch:
     def __bool__(self) -> bool:
         return bool(self._pairs)
 
-    def take_over(self, other: ShapeWatch) -> None:
-        """Become what another watch of the same scene is."""
-        if self._pairs:
-            self._apart.take_over(other._apart)
-        for own, its in zip(self._pairs, other._pairs, strict=True):
-            own.points, own.normals = dict(its.points), dict(its.normals)
-            own.flush = its.flush
-            for i in own.places:
-                self._dynamics.contacts[i] = other._dynamics.contacts[i]
+    def values(self) -> list[tuple[Any, ...]]:
+        """Return the state of every pair, to be pickled or given to `take_over`."""
+        contacts = self._dynamics.contacts
+        return [
+            (
+                *(self._apart.directions[k].copy(), dict(pair.points), dict(pair.normals), pair.flush),
+                [contacts[i] for i in pair.places],
+            )
+            for k, pair in enumerate(self._pairs)
+        ]
+
+    def take_over(self, values: list[tuple[Any, ...]]) -> None:
+        """Continue from the `values` of another run of the same scene."""
+        for k, (pair, (direction, points, normals, flush, contacts)) in enumerate(
+            zip(self._pairs, values, strict=True)
+        ):
+            self._apart.directions[k] = direction
+            pair.points, pair.normals, pair.flush = dict(points), dict(normals), flush
+            for i, contact in zip(pair.places, contacts, strict=True):
+                self._dynamics.contacts[i] = contact
 
     # ---- states
 

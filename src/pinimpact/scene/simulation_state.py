@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
-from ..errors import InputError, LockedPostureError, SimulationError
+from ..errors import BoundReachedWarning, InputError, LockedPostureError, SimulationError
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.matrices import ContactMatrices, contact_matrices
@@ -123,7 +124,7 @@ class SimulationState:
         self._slow = np.zeros(len(self.names), dtype=np.int64)
 
         self._forces_found = True
-        self.impact_energy = 0.0
+        self.impact_energy, self.bound_reached = 0.0, False
         self.impacts: list[ImpactRecord] = []
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
@@ -136,13 +137,20 @@ class SimulationState:
         work = self.dynamics.work
         self.modes.update(self.t, work.modes, work.drive_side)
 
-    def take_over(self, other: SimulationState) -> None:
-        """Become what another state of the same scene is, all but the dynamics."""
-        self.t, self.q, self.v = other.t, other.q, other.v
-        self.impact_energy = other.impact_energy
-        self.impacts, self.notes = other.impacts.copy(), other.notes.copy()
-        self.shapes.take_over(other.shapes)
-        self.modes.take_over(other.modes)
+    def values(self) -> tuple[Any, ...]:
+        """Return the state without the dynamics, to be pickled or given to `take_over`."""
+        return (
+            *(self.t, self.q.copy(), self.v.copy(), self.impact_energy, self.bound_reached),
+            *(self.impacts.copy(), self.notes.copy(), self.shapes.values(), self.modes.values()),
+        )
+
+    def take_over(self, values: tuple[Any, ...]) -> None:
+        """Continue from the `values` of another run of the same scene."""
+        self.t, q, v, self.impact_energy, self.bound_reached, *lists = values
+        impacts, notes, shapes, modes = lists
+        self.q, self.v, self.impacts, self.notes = q.copy(), v.copy(), impacts.copy(), notes.copy()
+        self.shapes.take_over(shapes)
+        self.modes.take_over(modes)
 
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""
@@ -426,6 +434,7 @@ class SimulationState:
                 field="scene",
             )
         self.note(without_end(len(before), [fields["source"] for fields in before]))
+        self._warn_of_bound()
         return self._take_over_group(impact)
 
     def _collide_together(self, first: int, touching: list[int]) -> list[dict[str, Any]]:
@@ -441,6 +450,8 @@ class SimulationState:
         """Take over the velocity after an impact of several; return the fields of records."""
         for text in impact.notes:
             self.note(text)
+        if impact.bounded:
+            self._warn_of_bound()
         contacts, before = len(self.dynamics.contacts), self.v
         self.change_velocity(impact.v)
         found = []
@@ -463,6 +474,16 @@ class SimulationState:
                 }
             )
         return found
+
+    def _warn_of_bound(self) -> None:
+        """Warn once per run that an impact is approximate; its note has been made."""
+        if not self.bound_reached:
+            self.bound_reached = True
+            warnings.warn(
+                f"t = {self.t:.6g} s: {self.notes[-1].text} Further ones are only listed in the notes.",
+                BoundReachedWarning,
+                stacklevel=2,
+            )
 
     def _note_rest(self, i: int) -> None:
         self.note(

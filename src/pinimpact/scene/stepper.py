@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,9 +70,15 @@ class Stepper:
 
     def copy(self) -> Stepper:
         """Return an independent stepper in the same state."""
-        twin = copy(self)
-        twin._motion = self._motion.copy()
+        twin = object.__new__(Stepper)
+        vars(twin).update(vars(self) | {"_motion": self._motion.copy()})
         return twin
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Stepper:
+        """Return `copy()`: a scene does not change, so that both steppers may share it."""
+        return self.copy()
 
     def step(self, tau: ArrayLike, dt: float) -> tuple[Array, Array]:
         """Move on by a time under forces that do not change, and return q (nq,) and v (nv,) at its end.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..._compile.workspace import Workspace, count, flag, integer, integers, real, reals, size
 from ...geometry._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
@@ -21,10 +23,15 @@ class SceneWorkspace(Workspace):
     closed is laid out anew whenever modes change, by `closed_set.close`.
     """
 
-    def take_over(self, other: SceneWorkspace) -> None:
-        """Take over all values of another workspace of the same scene, but what it calls."""
-        self.enlarge({"closable": other.closable, "rows": other.rows})
-        self.copy_values(other, but=("calls",))
+    def values(self) -> dict[str, Any]:
+        """Return all values but the addresses, to be pickled or given to `take_over`."""
+        room = {"closable": self.closable, "rows": self.rows}
+        return {"room": room, "values": self.copied_values(but=("calls",))}
+
+    def take_over(self, values: dict[str, Any]) -> None:
+        """Take over the `values` of another workspace of the same scene."""
+        self.enlarge(values["room"])
+        self.set_values(values["values"])
 
     nq = size("numbers of a configuration")
     nv = size("velocities")
