@@ -14,6 +14,9 @@ from . import random_control, random_scenes
 from .lawful import lost, unlawful
 from .scene_models import G, free_body, run, unbounded
 
+pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
+"""Some of these motions have impacts at bounds; what is checked here holds for them too."""
+
 
 @pytest.mark.parametrize("speed", [3e-7, 1e-5])
 def test_a_frictionless_slider_never_stops(speed):

@@ -170,6 +170,7 @@ def test_forces_keep_to_coulombs_law_along_a_landing():
     assert power.max() <= 1e-9
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.BoundReachedWarning")
 @pytest.mark.parametrize("seed", range(1000020, 1000040))
 def test_no_force_pulls_or_leaves_its_cone_and_friction_takes(seed):
     """At random times of robots that flop about, also where the motion does not determine the forces."""

@@ -473,7 +473,7 @@ def test_fuzz():
     assert [(what, category, law) for what, category, law, _ in report.violations] == []
     assert max(t.iterations for t in report.tallies.values()) <= MOST_ITERATIONS
     seen = {name for t in report.tallies.values() for name, number in t.flags.items() if number}
-    assert seen == {flag.name for flag in Flag if flag}
+    assert seen == {flag.name for flag in Flag if flag} - {"BOUND_REACHED"}  # of many contacts only
 
 
 def test_fuzz_sees_a_wrong_answer(monkeypatch):

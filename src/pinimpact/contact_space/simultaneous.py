@@ -291,7 +291,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | N
     )
     notes = (*_of_law(inputs), text)
     names = "propagate", "energetic"
-    bounded = missed > AGREE
+    bounded = missed > MISSED
     return _answer(inputs, names, velocity, impulse.ravel(), works, (steps, 0), notes=notes, bounded=bounded)
 
 
