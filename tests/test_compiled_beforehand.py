@@ -166,6 +166,10 @@ with event.install_recorder("numba:compile") as record:
         run = p.simulate(p.Scene(model, [floor], simultaneous=policy), [0, 0, 0.3, *UP], v, 0.5)
     assert run.impacts
     run.forces("center on plane", 0.4)
+    q.flags.writeable = v.flags.writeable = False
+    p.impacts(model, model.createData(), q[None], v[None], floor, friction=np.broadcast_to(0.3, 1))
+    p.impact(model, model.createData(), q, v, floor)
+    p.simulate(p.Scene(model, [floor]), q, v, 0.1)
 print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer if one.is_start} or {})
 """
 

@@ -142,7 +142,7 @@ def solve_impacts(
             raise InputError(
                 f"{name}: shape {array.shape} given, a number or ({count},) expected", field=name, value=value
             )
-        coefficients.append(np.ascontiguousarray(np.broadcast_to(array, (count,))))
+        coefficients.append(np.array(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients
     none = np.empty((0, FACTOR))
     inputs = matrices, velocities, mu, e, law_code(law), scales, none

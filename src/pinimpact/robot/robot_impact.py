@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)
 # bound once: an impact takes microseconds, and looking up an attribute of a module is a part of them
 _Model = pin.Model
-_contiguous, _Array = np.ascontiguousarray, np.ndarray
+_Array = np.ndarray
 _empty = np.empty
 _robot_impact = kernel.robot_impact
 SIZE = kernel.SIZE
@@ -249,14 +249,11 @@ def impact(
         check_rims(model, data, q, (contact,))
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
-    if type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape:  # the common case takes no time
-        q_now = _contiguous(q)
-    else:
-        q_now = float_array("q", q, cache.q_shape)
-    if type(v) is _Array and v.dtype == _FLOAT and v.shape == cache.v_shape:
-        v_now = _contiguous(v)
-    else:
-        v_now = float_array("v", v, cache.v_shape)
+    # the common case of what `float_array` returns, in a tenth of its time
+    usual = type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape and q.flags.carray
+    q_now: Array = q if usual else float_array("q", q, cache.q_shape)  # type: ignore[assignment]
+    usual = type(v) is _Array and v.dtype == _FLOAT and v.shape == cache.v_shape and v.flags.carray
+    v_now: Array = v if usual else float_array("v", v, cache.v_shape)  # type: ignore[assignment]
     restitution = contact.restitution
     if callable(restitution):
         restitution = restitution_of_approach(model, data, q_now, v_now, contact)
