@@ -1,4 +1,4 @@
-"""A scene compiles whatever it may need when it is set up, with the types told ahead, and nothing later."""
+"""A scene compiles whatever it may need when it is set up, with the types declared, and nothing later."""
 
 from __future__ import annotations
 
@@ -108,26 +108,26 @@ print({})
 """
 )
 
-TOLD_AHEAD = """
+AS_DECLARED = """
 import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from pinimpact import Contact, Plane, Scene, Sphere, simulate
-from pinimpact._compile.ahead import types_ahead
+from pinimpact._compile.declared import declared_types
 from tests.scene_models import UP, ball
 
 floor = Contact("center", Plane(), radius=0.1, friction=0.3, restitution=0.5)
 simulate(Scene(ball(), [floor]), [0, 0, 1.0, *UP], np.zeros(6), 1e-6)
 kernels = {item for name, module in sys.modules.items() if name.startswith("pinimpact.")
-           for item in vars(module).values() if isinstance(item, Dispatcher) and hasattr(item, "ahead")}
+           for item in vars(module).values() if isinstance(item, Dispatcher) and hasattr(item, "declared")}
 assert len(kernels) > 20
-print({one.py_func.__qualname__: set(one.overloads) - {types_ahead(one)}
-       for one in kernels if set(one.overloads) - {types_ahead(one)}})
+print({one.py_func.__qualname__: set(one.overloads) - {declared_types(one)}
+       for one in kernels if set(one.overloads) - {declared_types(one)}})
 """
 
 
 @pytest.mark.parametrize(
-    "code", [RUNS, LISTS, GROUPS, TOLD_AHEAD], ids=["nothing later", "lists", "groups", "as told"]
+    "code", [RUNS, LISTS, GROUPS, AS_DECLARED], ids=["nothing later", "lists", "groups", "as told"]
 )
 def test_what_is_compiled(code):
     done = subprocess.run(

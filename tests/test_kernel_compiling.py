@@ -20,26 +20,26 @@ from numba.core.runtime import _nrt_python, rtsys
 from rich.console import Console
 
 import pinimpact
-from pinimpact._compile import company
 from pinimpact._compile import jit as decorators
+from pinimpact._compile import pool
 from pinimpact._compile.borrowing import borrowed
-from pinimpact._compile.jit import inner, jit, separate
+from pinimpact._compile.jit import external, inlined, jit
 from pinimpact._compile.waiting import reached
 from pinimpact.app.cli import compiling_shown
 
 SOURCE = Path(pinimpact.__file__).parent / "_compile"
 
 LEAF = '''"""A leaf."""
-from ..._compile.jit import inner, separate
+from ..._compile.jit import external, inlined
 FACTOR = 2.0
 
 
-@inner
+@inlined
 def scaled(x):
     return FACTOR * x
 
 
-@separate
+@external
 def shifted(x):
     """Shift."""
     return scaled(x) + 1.0
@@ -173,10 +173,10 @@ def test_a_source_edited_after_its_import_leaves_no_stale_kernel(package: Path) 
 
 TEAM = """
 import os, sys, time
-from pinimpact._compile import company, jit
+from pinimpact._compile import pool, jit
 jit.WORTH_HELP = -1.0
-company.possible_helpers = lambda: 1
-share = company.Company.share
+pool.possible_helpers = lambda: 1
+share = pool.WorkerPool.share
 
 def wait_for(condition):
     def waiting(self, jobs):
@@ -187,20 +187,20 @@ def wait_for(condition):
     return waiting
 """
 HELPER_DOES_ALL = """
-company.Company.share = wait_for(lambda team, job: team._is_claimed(job) and team._is_over(job))
+pool.WorkerPool.share = wait_for(lambda team, job: team._is_locked(job) and team._is_over(job))
 """
 HELPER_DIES = """
-company._HELP = '''
+pool._HELP = '''
 import os, pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
-from {} import Company
+from {} import WorkerPool
 _, folder, _ = pickle.load(sys.stdin.buffer)
 for job in pickle.load(sys.stdin.buffer):
-    Company(folder).claim(job)
+    WorkerPool(folder).lock(job)
 os._exit(3)
 '''
-claimed = wait_for(lambda team, job: team._is_claimed(job))
-company.Company.share = lambda self, jobs: (claimed(self, jobs), share(self, jobs))
+claimed = wait_for(lambda team, job: team._is_locked(job))
+pool.WorkerPool.share = lambda self, jobs: (claimed(self, jobs), share(self, jobs))
 """
 NOBODY_IS_LEFT = """
 try:
@@ -212,10 +212,10 @@ except ChildProcessError:
 
 @pytest.fixture
 def team(package: Path) -> Path:
-    """The package, with types of arguments told ahead, and a folder for what is temporary."""
-    told = "from ..._compile.ahead import ahead\n\n\n@ahead(float)\n"
+    """The package, with types of arguments declared, and a folder for what is temporary."""
+    told = "from ..._compile.declared import declared\n\n\n@declared(float)\n"
     edit(package / "scene" / "_kernels" / "entry.py", "@jit\ndef first", f"{told}@jit\ndef first")
-    edit(package / "scene" / "_kernels" / "leaf.py", "@separate", f"{told}@separate")
+    edit(package / "scene" / "_kernels" / "leaf.py", "@external", f"{told}@external")
     (package.parent / "temporary").mkdir()
     return package
 
@@ -251,7 +251,7 @@ def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> Non
     assert answers == [7.0, 130.0, -3.0]
     assert sorted(made) == ["first", "scaled", "second", "shifted", "third"]
     shutil.rmtree(team.parent / "cache")
-    fails = "company._HELP = 'raise SystemExit(1)'\n"
+    fails = "pool._HELP = 'raise SystemExit(1)'\n"
     assert of_team(team, fails + CALL + NOBODY_IS_LEFT)[0] == [7.0, 130.0, -3.0]
 
 
@@ -259,7 +259,7 @@ def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> Non
 def test_an_interrupt_ends_the_helpers(team: Path) -> None:
     interrupted = (
         "def interrupt(self, jobs):\n    assert len(self._helpers) == 1\n    raise KeyboardInterrupt\n"
-        "company.Company.share = interrupt\n"
+        "pool.WorkerPool.share = interrupt\n"
         "from pinimpact.scene._kernels import entry\n"
         "try:\n    entry.first(3.0)\nexcept KeyboardInterrupt:\n    print('stopped')\n"
     )
@@ -269,9 +269,9 @@ def test_an_interrupt_ends_the_helpers(team: Path) -> None:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
     killed = (
-        "company._HELP += '; import time; time.sleep(300)'\n"
+        "pool._HELP += '; import time; time.sleep(300)'\n"
         "def die(self, jobs):\n    [pid] = self._helpers\n    print(pid, flush=True)\n    os._exit(0)\n"
-        "company.Company.share = die\n"
+        "pool.WorkerPool.share = die\n"
         "from pinimpact.scene._kernels import entry\n"
         "entry.first(3.0)\n"
     )
@@ -303,8 +303,8 @@ def test_two_first_runs_at_once_with_helpers(team: Path) -> None:
 
 
 def test_types_told_wrongly_do_no_harm(team: Path) -> None:
-    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, float)")
-    edit(team / "scene" / "_kernels" / "entry.py", "@ahead(float)", "@ahead(bool)")
+    edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, float)")
+    edit(team / "scene" / "_kernels" / "entry.py", "@declared(float)", "@declared(bool)")
     assert of_team(team, CALL)[0] == [7.0, 130.0, -3.0]
 
 
@@ -312,15 +312,15 @@ SHARED = """
 import tempfile
 from pathlib import Path
 from numba.core import event
-from pinimpact._compile import ahead, company
+from pinimpact._compile import declared, pool
 from pinimpact.scene._kernels import entry
-jobs = ahead.jobs([(entry.first, ahead.types_ahead(entry.first))])
+jobs = declared.jobs([(entry.first, declared.declared_types(entry.first))])
 [shifted] = [job for job in jobs if job.name == "shifted"]
-company.present = company.Company(Path(tempfile.mkdtemp()))
-assert company.present.claim(shifted)
+pool.present = pool.WorkerPool(Path(tempfile.mkdtemp()))
+assert pool.present.lock(shifted)
 with event.install_recorder("numba:compile") as record:
-    company.present.share(jobs)
-    company.present = None
+    pool.present.share(jobs)
+    pool.present = None
     assert not entry.first.overloads
     print(entry.first(3.0))
 print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if one.is_start])
@@ -329,33 +329,33 @@ print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if on
 
 def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
     leaf = team / "scene" / "_kernels" / "leaf.py"
-    edit(leaf, "@ahead(float)", "@ahead(float, result=float)")
+    edit(leaf, "@declared(float)", "@declared(float, result=float)")
     # "first" is compiled while another, who never gets to it, has claimed what it calls
     assert python(team, SHARED).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
     assert call(team)[0] == [7.0, 130.0, -3.0]
 
 
 def test_whoever_comes_too_late_to_a_kernel_goes_on_with_others(team: Path) -> None:
-    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=float)")
+    edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=float)")
     late = (
-        "jobs.sort(key=lambda job: job.name != 'shifted')\nlooks, look = [], company.Company._is_claimed\n"
+        "jobs.sort(key=lambda job: job.name != 'shifted')\nlooks, look = [], pool.WorkerPool._is_locked\n"
         "def unseen(self, job):\n    looks.append(job)\n"
         "    return len(looks) > len(jobs) and look(self, job)\n"
-        "company.Company._is_claimed = unseen\nwith event.install_recorder("
+        "pool.WorkerPool._is_locked = unseen\nwith event.install_recorder("
     )
     raced = SHARED.replace("with event.install_recorder(", late)
     assert python(team, raced).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
 
 
 def test_a_result_told_wrongly_is_an_error(team: Path) -> None:
-    edit(team / "scene" / "_kernels" / "leaf.py", "@ahead(float)", "@ahead(float, result=int)")
+    edit(team / "scene" / "_kernels" / "leaf.py", "@declared(float)", "@declared(float, result=int)")
     with pytest.raises(subprocess.CalledProcessError) as raised:
         python(team)
     assert "shifted: returns float64, not int64 as declared" in raised.value.stderr
 
 
 def test_where_nothing_is_kept_or_compiled_nobody_helps(team: Path) -> None:
-    forbidden = TEAM + "def _helper(*_): raise AssertionError\ncompany._helper = _helper\n"
+    forbidden = TEAM + "def _helper(*_): raise AssertionError\npool._helper = _helper\n"
     plain = python(team, forbidden + CALL, NUMBA_DISABLE_JIT="1")
     assert json.loads(plain.stdout)[0] == [7.0, 130.0, -3.0]
     (team.parent / "cache").write_text("a file where a folder is wanted")
@@ -368,9 +368,9 @@ def test_helpers_are_as_many_as_further_processors(monkeypatch: pytest.MonkeyPat
         with monkeypatch.context() as here:
             here.setattr(os, "sched_getaffinity", lambda _: set(range(processors)), raising=False)
             here.setattr(sys, "executable", executable)
-            return company.possible_helpers()
+            return pool.possible_helpers()
 
-    assert [possible(k, "/usr/bin/python3.11") for k in (1, 2, 3, 64)] == [0, 1, 2, company.MOST - 1]
+    assert [possible(k, "/usr/bin/python3.11") for k in (1, 2, 3, 64)] == [0, 1, 2, pool.MOST - 1]
     assert [possible(4, other) for other in (None, "", "/opt/blender/blender")] == [0, 0, 0]
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     assert possible(4, "/usr/bin/python3.11") == 0
@@ -378,8 +378,8 @@ def test_helpers_are_as_many_as_further_processors(monkeypatch: pytest.MonkeyPat
 
 def test_a_part_is_kept_and_taken_in_by_whoever_needs_it(package: Path) -> None:
     leaf = package / "scene" / "_kernels" / "leaf.py"
-    edit(leaf, "inner, separate", "part, separate")
-    edit(leaf, "@inner", "@separate\ndef half(x):\n    return 0.5 * x\n\n\n@part")
+    edit(leaf, "external, inlined", "external, inlined_bitcode")
+    edit(leaf, "@inlined", "@external\ndef half(x):\n    return 0.5 * x\n\n\n@inlined_bitcode")
     edit(leaf, "FACTOR * x", "2.0 * FACTOR * half(x)")
     assert call(package)[0] == [7.0, 130.0, -3.0]
     for file in (package.parent / "cache").rglob("entry.*"):
@@ -394,7 +394,7 @@ class Pair(NamedTuple):
     factor: float
 
 
-@inner
+@inlined
 def pair(n, factor):
     return Pair(np.full(n, 1.0), factor)
 
@@ -428,7 +428,7 @@ def test_types_that_are_known_late_reach_what_was_typed_before() -> None:
     assert str(refined.nopython_signatures[0].return_type) == "UniTuple(float64 x 2)"
 
 
-@inner
+@inlined
 def longer(length, more):
     return length + 1 if more else length
 
@@ -465,7 +465,7 @@ def test_memory_is_released_once() -> None:
     assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
 
 
-@inner
+@inlined
 def sums_of_rows(rows, out):
     rows, out = borrowed(rows), borrowed(out)
     parts = Pair(out, 1.0)
@@ -560,12 +560,12 @@ def test_impacts_run_without_the_compiler() -> None:
     np.testing.assert_allclose(plain, compiled, rtol=1e-13, atol=1e-14)
 
 
-@separate
+@external
 def cubed(x):
     return x * x * x
 
 
-@inner
+@inlined
 def halved(x):
     return 0.5 * cubed(x)
 
@@ -597,7 +597,7 @@ def test_kernels_can_be_called_from_functions_that_numba_itself_compiles() -> No
 
 
 def times(factor):
-    @inner
+    @inlined
     def product(x):
         return factor * x
 

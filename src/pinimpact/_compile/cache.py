@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any
 
-from . import company
-from .ahead import Job, result_ahead
+from . import pool
+from .declared import Job, declared_result
 from .linking import symbol_stamp
 from .lock import CacheLock
 from .numba_internals import CompileResultCacheImpl, FunctionCache, NullCache, compile_result, rtsys
@@ -166,22 +166,22 @@ class KernelCache(NullCache):
         return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = company.present.lend(self._kernel, self._job(sig)) if company.present is not None else None
+        found = pool.present.borrow(self._kernel, self._job(sig)) if pool.present is not None else None
         if found is None:
             found = self._load(sig, target_context)
-        if found is None and company.present is not None:
-            found = company.present.of_others(self._job(sig), partial(self._load, sig, target_context))
+        if found is None and pool.present is not None:
+            found = pool.present.of_others(self._job(sig), partial(self._load, sig, target_context))
         elif found is None and _hold_lock():
             found = self._load(sig, target_context)
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        told, found = result_ahead(self._kernel, tuple(sig)), cres.signature.return_type
+        told, found = declared_result(self._kernel, tuple(sig)), cres.signature.return_type
         if told not in (None, found):
             raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as declared")
         self._find().save_overload(sig, cres)
-        if company.present is not None:
-            company.present.release(self._job(sig))
+        if pool.present is not None:
+            pool.present.release(self._job(sig))
 
     def _job(self, sig: Any) -> Any:
         function = self._kernel.py_func

@@ -2,14 +2,15 @@
 
 `jit`: what Python calls. It is compiled on its own when it is first called.
 `released`: such a one that runs without Python's lock, so that threads can share its work.
-`separate`: what several kernels call and Python does not. It is compiled on its own too, and whoever calls it
+`external`: what several kernels call and Python does not. It is compiled on its own too, and whoever calls it
     has no copy of it but its symbol. The call costs some 2 ns; where the kernel is long, each caller takes a
     second less to compile. (A kernel that calls a `jit` does the same.)
-`inner`: what is small, or has one caller: its code goes into each caller and is optimized there.
-`inlined`: an `inner` that must not stay a call.
-`part`, `inlined_part`: such a one that takes a second to compile; it is kept on disk like the others.
+`inlined`: what is small, or has one caller: its code goes into each caller and is optimized there.
+`always_inlined`: such a one that must not stay a call.
+`inlined_bitcode`, `always_inlined_bitcode`: such a one that takes a second to compile; its bitcode is kept on
+    disk.
 
-Whoever waits has helpers, see `company`: what tells its types `ahead` is compiled by several at once.
+Kernels with a declared signature (`declared`) are compiled by several processes at once: see `pool`.
 
 The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
 writable, every process compiles for itself.
@@ -30,12 +31,12 @@ from typing import Any, TypeVar
 import numba
 
 from . import plain
-from .ahead import Job, jobs, kernel_of, types_ahead
+from .declared import Job, declared_types, jobs, kernel_of
 from .waiting import COUNT, LOG, expected, tell
 
 WHY_PLAIN = plain.reason()
 if not WHY_PLAIN:
-    from . import cache, company
+    from . import cache, pool
     from .linking import InnerCompiler, KernelCompiler, PartCompiler, compiling, without_collecting
     from .numba_internals import global_compiler_lock
 elif not numba.config.DISABLE_JIT:
@@ -49,27 +50,27 @@ WORTH_HELP = 3.0
 _OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy"}
 
 
-def inner(function: F) -> F:
+def inlined(function: F) -> F:
     """Compile a kernel that only other kernels call, in each of them."""
     return _compiled(function)
 
 
-def inlined(function: F) -> F:
-    """Like `inner`, for a kernel with one caller: to pass its many values would cost more than its code."""
+def always_inlined(function: F) -> F:
+    """Like `inlined`, for a kernel with one caller: to pass its many values would cost more than its code."""
     return _compiled(function, forceinline=True)
 
 
-def part(function: F) -> F:
-    """Like `inner`, for what takes long: its code is kept, so that another process can compile it ahead."""
+def inlined_bitcode(function: F) -> F:
+    """Like `inlined`, for what takes long: its code is kept, so that another process can compile it ahead."""
     return _part(function)
 
 
-def inlined_part(function: F) -> F:
-    """Like `part`, for what is `inlined`."""
+def always_inlined_bitcode(function: F) -> F:
+    """Like `inlined_bitcode`, for what is `always_inlined`."""
     return _part(function, forceinline=True)
 
 
-def separate(function: F) -> F:
+def external(function: F) -> F:
     """Compile a kernel that only other kernels call on its own, once for all of them."""
     if WHY_PLAIN:
         return _compiled(function)
@@ -132,7 +133,7 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
 
     Args:
         calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come; none where
-            it tells its types `ahead`.
+            it declares its types `declared`.
     """
     if not all(hasattr(kernel, "py_func") for kernel, *_ in calls):
         return  # it is plain Python
@@ -146,7 +147,7 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
 
 def is_declared(item: Any) -> bool:
     """Whether something is a kernel that Python calls and that declares the types of its arguments."""
-    return bool(getattr(item, "is_called", False)) and hasattr(item, "ahead")
+    return bool(getattr(item, "is_called", False)) and hasattr(item, "declared")
 
 
 def kept_in(kernels: Sequence[Any]) -> str | None:
@@ -156,7 +157,7 @@ def kept_in(kernels: Sequence[Any]) -> str | None:
 
 
 def _types(kernel: Any, arguments: Sequence[Any]) -> tuple[Any, ...]:
-    return tuple(map(kernel.typeof_pyval, arguments)) if arguments else types_ahead(kernel)
+    return tuple(map(kernel.typeof_pyval, arguments)) if arguments else declared_types(kernel)
 
 
 class _Compile:
@@ -171,7 +172,7 @@ class _Compile:
         self.alone = kernel.compile
 
     def __call__(self, types: Any) -> Any:
-        if not (compiling() or company.present or _together):
+        if not (compiling() or pool.present or _together):
             _compile([(self._kernel, tuple(types))])
         return self.alone(types)
 
@@ -187,7 +188,7 @@ def _compile(wanted: Sequence[tuple[Any, Any]]) -> None:
 
 def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
     global _together
-    helpers = company.possible_helpers()
+    helpers = pool.possible_helpers()
     try:
         with without_collecting(), ExitStack() as stack:
             missing = _missing(wanted)
@@ -200,7 +201,7 @@ def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
                 helped = bool(helpers) and kept and expected(_together) > WORTH_HELP
                 tell(_together, kept, 1 + helpers * helped)
                 if helped:
-                    stack.enter_context(company.company(helpers))(jobs(missing))
+                    stack.enter_context(pool.worker_pool(helpers))(jobs(missing))
             for done, (kernel, types) in enumerate(wanted, start=1):
                 kernel.compile.alone(types)
                 if kernel.stats.cache_misses:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from types import FunctionType
 from typing import Any
 
-from .ahead import callees
+from .declared import callees
 from .sources import PACKAGE
 
 LOG = logging.getLogger(f"{PACKAGE}.compiling")

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from .._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from .._compile.jit import inner, separate
+from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.jit import external, inlined
 from .loops import assign, ones
 
 CONE = np.int64(3)
@@ -32,7 +32,7 @@ STEP = 0.99
 """Part of the way to the boundary of the cone that an iteration goes."""
 
 
-@inner
+@inlined
 def scaling(lines, sizes, s, z, beta, v, lam):
     """Fill Nesterov and Todd's scaling W at (s, z), and λ = W z; return False outside of the cone."""
     for i in range(lines):
@@ -68,7 +68,7 @@ def scaling(lines, sizes, s, z, beta, v, lam):
     return True
 
 
-@inner
+@inlined
 def scale(lines, sizes, beta, v, x, out, inverse):
     """Fill out with W x, or with W⁻¹ x."""
     for i in range(lines):
@@ -87,7 +87,7 @@ def scale(lines, sizes, beta, v, x, out, inverse):
         start += n
 
 
-@inner
+@inlined
 def product(lines, sizes, x, y, out):
     """Fill out with the Jordan product x ∘ y."""
     for i in range(lines):
@@ -105,7 +105,7 @@ def product(lines, sizes, x, y, out):
         start += n
 
 
-@inner
+@inlined
 def quotient(lines, sizes, lam, y, out):
     """Fill out with the x for which λ ∘ x = y."""
     for i in range(lines):
@@ -127,7 +127,7 @@ def quotient(lines, sizes, lam, y, out):
         start += n
 
 
-@inner
+@inlined
 def longest_step(lines, sizes, lam, d):
     """Return 1/α for the longest α with λ + α d in the cone, not less than zero; infinite for none."""
     worst = 0.0
@@ -155,7 +155,7 @@ def longest_step(lines, sizes, lam, d):
     return worst
 
 
-@inner
+@inlined
 def cholesky(matrix):
     """Replace a positive definite matrix by its factor; a pivot lost to rounding counts as a large one."""
     n = len(matrix)
@@ -179,7 +179,7 @@ def cholesky(matrix):
                 matrix[i, j] -= part * column[j]
 
 
-@inner
+@inlined
 def substitute(lower, x):
     """Replace x by the solution of lower lowerᵀ y = x."""
     n = len(x)
@@ -193,7 +193,7 @@ def substitute(lower, x):
         x[i] /= lower[i, i]
 
 
-@inner
+@inlined
 def lift(lines, sizes, x, by):
     """Add a multiple of the cone's axis to x."""
     for i in range(lines):
@@ -204,7 +204,7 @@ def lift(lines, sizes, x, by):
         start += size
 
 
-@inner
+@inlined
 def outside(lines, sizes, x):
     """Return how far x lies outside of the cone, along its axis; negative inside."""
     worst = -math.inf
@@ -220,7 +220,7 @@ def outside(lines, sizes, x):
     return worst
 
 
-@inner
+@inlined
 def add_squares(rows, out):
     """Add rowsᵀ rows, for rows (m, n) of which many numbers are zero, to the lower triangle of out (n, n)."""
     m, n = rows.shape
@@ -238,7 +238,7 @@ def add_squares(rows, out):
                 out[i, places[b]] += part * rows[k, places[b]]
 
 
-@inner
+@inlined
 def add_transposed(rows, x, out):
     """Add rowsᵀ x, for rows (m, n), to out (n,)."""
     m, n = rows.shape
@@ -248,8 +248,8 @@ def add_transposed(rows, x, out):
             out[i] += rows[k, i] * part
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
+@external
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     """Fill x, s and z with the solution, starting from x = 0.
 

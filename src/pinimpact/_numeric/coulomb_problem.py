@@ -19,8 +19,8 @@ import math
 
 import numpy as np
 
-from .._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from .._compile.jit import inner, separate
+from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.jit import external, inlined
 from .cone_program import cholesky, substitute
 from .least_norm import least_norm
 from .loops import assign, flags, repeated
@@ -62,7 +62,7 @@ CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
 """What `polish` is told of a contact in its first iteration."""
 
 
-@inner
+@inlined
 def into_cone(x, b, mu, least, directions, slides):
     """Take the force at b, b + 1, b + 2 of x to the nearest of its cone, or half-line, from `least` on."""
     k = b // 3
@@ -80,7 +80,7 @@ def into_cone(x, b, mu, least, directions, slides):
     x[b + 2] = push
 
 
-@inner
+@inlined
 def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
     """Replace x by the minimum over all forces, given those in the cones y, multipliers z and shifts."""
     for a in range(len(x)):
@@ -90,8 +90,8 @@ def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
     substitute(lower_factor, x)
 
 
-@ahead(*SYSTEM, result=float)
-@separate
+@declared(*SYSTEM, result=float)
+@external
 def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Fill x with forces that obey the law, from those that it has.
 
@@ -200,8 +200,8 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     return best
 
 
-@ahead(*SYSTEM, FLOATS)
-@separate
+@declared(*SYSTEM, FLOATS)
+@external
 def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
     """Fill x as `solve_coulomb` does, of several solutions with the limit of small compliances. (11.5)
 
@@ -226,8 +226,8 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
     return solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x)
 
 
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@external
 def residual(delassus, free, velocity, mu, least, held, lower, upper, x, accelerations, scale_a, scale_f):
     """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
     nc, ns = len(mu), len(lower)
@@ -269,8 +269,8 @@ def residual(delassus, free, velocity, mu, least, held, lower, upper, x, acceler
     return worst
 
 
-@ahead(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
-@separate
+@declared(FLOAT_ROWS, FLOATS, int, FLOATS, FLOATS, FLOATS, result=float)
+@external
 def scale(delassus, free, contacts, d, scale_a, scale_f):
     """Fill scales, contact by contact so that cones keep their shape; return their unit, zero if none.
 
@@ -301,8 +301,8 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
     return unit
 
 
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
+@external
 def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Take forces x to rounding by Newton's method on what they say is active; return the residual."""
     worst = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
@@ -314,8 +314,8 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
     )
 
 
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
-@separate
+@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
+@external
 def polish(
     delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed
 ):
@@ -352,8 +352,8 @@ def polish(
     return best
 
 
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
-@separate
+@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, INTEGERS, FLOAT_ROWS, FLOATS)
+@external
 def linearize(
     delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, closed, system, right
 ):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from .._compile.jit import inner, separate
+from .._compile.declared import FLOAT_ROWS, FLOATS, declared
+from .._compile.jit import external, inlined
 
 RANK = 1e-10
 """Pivots and singular values below this part of the largest count as zero."""
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, float)
-@separate
+@declared(FLOAT_ROWS, FLOATS, FLOATS, float)
+@external
 def solve(system, target, solution, rank):
     """Solve by elimination with complete pivoting.
 
@@ -62,7 +62,7 @@ def solve(system, target, solution, rank):
     return sign
 
 
-@inner
+@inlined
 def largest_of(row, first):
     """Return the largest magnitude in a row from a column on, of even and odd columns side by side."""
     even = odd = 0.0

@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from .._compile.jit import inner, separate
+from .._compile.declared import FLOAT_ROWS, FLOATS, declared
+from .._compile.jit import external, inlined
 from .loops import assign
 
 
-@inner
+@inlined
 def columns_times(r, k, first, column, out):
     """Fill out[j], from a first j on, with the products of columns j and `column` of r from row k on.
 
@@ -45,7 +45,7 @@ def columns_times(r, k, first, column, out):
         j += 4
 
 
-@inner
+@inlined
 def decompose(matrix, rights, rank_tolerance, order, factor):
     """Replace a matrix (m, n) by its complete orthogonal decomposition, and each of rights (k, m) by Qᵀ b.
 
@@ -120,7 +120,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
     return rank
 
 
-@inner
+@inlined
 def rotate_back(matrix, rank, order, factor, y, x):
     """Fill x (n,) with Π Z y, for a decomposed matrix; y (n,) is overwritten."""
     n = len(y)
@@ -136,8 +136,8 @@ def rotate_back(matrix, rank, order, factor, y, x):
         x[order[k]] = y[k]
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, float, FLOAT_ROWS, FLOAT_ROWS)
-@separate
+@declared(FLOAT_ROWS, FLOAT_ROWS, float, FLOAT_ROWS, FLOAT_ROWS)
+@external
 def least_norms(matrix, rights, rank_tolerance, found, null):
     """Fill found (k, n) with solutions of least norm for right-hand sides (k, m), see `least_norm`."""
     m, n = matrix.shape
@@ -161,8 +161,8 @@ def least_norms(matrix, rights, rank_tolerance, found, null):
     return rank
 
 
-@ahead(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
-@separate
+@declared(FLOAT_ROWS, FLOATS, float, FLOATS, FLOAT_ROWS)
+@external
 def least_norm(matrix, right, rank_tolerance, x, null):
     """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
 

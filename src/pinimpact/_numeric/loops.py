@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._compile.jit import inner
+from .._compile.jit import inlined
 
 
-@inner
+@inlined
 def assign(to, values):
     """Copy values (n,) into an array."""
     for i in range(len(to)):
         to[i] = values[i]
 
 
-@inner
+@inlined
 def power(x, k):
     """Return xᵏ for an integer k ≥ 0."""
     found = 1.0
@@ -26,7 +26,7 @@ def power(x, k):
     return found
 
 
-@inner
+@inlined
 def ones(n):
     """Return (n,) ones."""
     found = np.empty(n)
@@ -35,7 +35,7 @@ def ones(n):
     return found
 
 
-@inner
+@inlined
 def repeated(n, value):
     """Return (n,) times the same integer, one of NumPy's."""
     found = np.empty(n, dtype=np.int64)
@@ -44,7 +44,7 @@ def repeated(n, value):
     return found
 
 
-@inner
+@inlined
 def flags(n, value):
     """Return (n,) times the same truth value."""
     found = np.empty(n, dtype=np.bool_)
@@ -53,7 +53,7 @@ def flags(n, value):
     return found
 
 
-@inner
+@inlined
 def nonzero(marks):
     """Return where an array (n,) of integers is not zero."""
     total = 0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from .._compile.jit import separate
+from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.jit import external
 
 
-@ahead(FLOAT_ROWS, INTEGERS)
-@separate
+@declared(FLOAT_ROWS, INTEGERS)
+@external
 def factorize(matrix, order):
     """Replace a matrix by its factors L and U, fill the order of its rows; return whether it is regular."""
     size = len(order)
@@ -29,8 +29,8 @@ def factorize(matrix, order):
     return True
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, INTEGERS, FLOATS)
+@external
 def substitute(factors, order, right):
     """Replace a right-hand side by the solution of the system that was factored."""
     size = len(order)

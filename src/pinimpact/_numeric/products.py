@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._compile.jit import inner
+from .._compile.jit import inlined
 
 
-@inner
+@inlined
 def dot(x, y):
     """Return xᵀy."""
     total = 0.0
@@ -16,7 +16,7 @@ def dot(x, y):
     return total
 
 
-@inner
+@inlined
 def apply(matrix, x, out):
     """Fill out (m,) with matrix (m, n) times x (n,)."""
     for i in range(len(out)):
@@ -26,7 +26,7 @@ def apply(matrix, x, out):
         out[i] = total
 
 
-@inner
+@inlined
 def apply_symmetric(matrix, x, out):
     """Fill out (n,) with a symmetric matrix (n, n) times x (n,), of which many may be zero."""
     n = len(out)
@@ -39,7 +39,7 @@ def apply_symmetric(matrix, x, out):
                 out[i] += matrix[j, i] * part
 
 
-@inner
+@inlined
 def products(rows, others, out):
     """Fill out (k, l) with the products of each of rows (k, n), many of them zero, and of others (l, n)."""
     m, n = others.shape

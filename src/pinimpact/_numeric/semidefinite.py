@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from .._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from .._compile.jit import inner, separate
+from .._compile.declared import FLOAT_ROWS, FLOATS, declared
+from .._compile.jit import external, inlined
 from .elimination import RANK
 
 
-@inner
+@inlined
 def factor(matrix, order, lower):
     """Fill `lower` (m, m) with the pivoted Cholesky factor of a semidefinite matrix; return its rank."""
     size = len(matrix)
@@ -42,8 +42,8 @@ def factor(matrix, order, lower):
     return size
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOATS, FLOATS)
+@external
 def solve_definite(matrix, target, solution):
     """Solve a system whose matrix is positive semidefinite, as `elimination.solve` does in twice the time.
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, ahead
-from ..._compile.jit import inner, released
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, declared
+from ..._compile.jit import inlined, released
 from .codes import INDEFINITE_DELASSUS, LOCKED
 from .delassus import ZERO
 from .ending import Result, no_result
@@ -15,7 +15,7 @@ from .path import SCRATCH, solve_into
 from .recording import TRACE_ROWS
 
 
-@inner
+@inlined
 def _asymmetry(w):
     largest = max(
         max(abs(w[0, 0]), abs(w[1, 1]), abs(w[2, 2])), max(abs(w[0, 1]), abs(w[0, 2]), abs(w[1, 2]))
@@ -24,7 +24,7 @@ def _asymmetry(w):
     return most > ZERO * largest
 
 
-@ahead(
+@declared(
     *(FLOAT_STACK, FLOAT_ROWS, FLOATS, FLOATS, int, FLOATS, FLOAT_ROWS),
     *(FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
 )

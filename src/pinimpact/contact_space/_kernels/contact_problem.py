@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import inlined_part, inner
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import always_inlined_bitcode, inlined
 from .codes import (
     IMPACT_WITHOUT_COLLISION,
     IMPULSE,
@@ -102,7 +102,7 @@ class Problem(NamedTuple):
     endless_slip: bool
 
 
-@inner
+@inlined
 def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
     """Whether all numbers are finite, μ ≥ 0 and 0 ≤ e ≤ 1."""
     zero = 0.0 * w11 + 0.0 * w12 + 0.0 * w13 + 0.0 * w22 + 0.0 * w23 + 0.0 * w33
@@ -110,7 +110,7 @@ def usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
     return zero == 0.0 and 0.0 <= mu < math.inf and 0.0 <= e <= 1.0 and 0.0 <= velocity_scale < math.inf
 
 
-@inner
+@inlined
 def canonical(w12, w13, w23, w11, w22, v1, v2):
     """Choose signs and order of the tangent axes so that mirrored problems are one problem.
 
@@ -129,14 +129,14 @@ def canonical(w12, w13, w23, w11, w22, v1, v2):
     return sign1, sign2, swapped, x2 == x1 and y2 == y1 and w22 == w11
 
 
-@inner
+@inlined
 def halves(exponent):
     """Return two powers of two whose product is 2^exponent, also where that one would overflow."""
     half = exponent // 2
     return math.ldexp(1.0, half), math.ldexp(1.0, exponent - half)
 
 
-@inner
+@inlined
 def _nothing_to_follow(status, figure, flags):
     nan, no = math.nan, np.int64(0)
     view = View(1.0, 1.0, False, False, 0, 0, False, 0.0, 1.0)
@@ -145,7 +145,7 @@ def _nothing_to_follow(status, figure, flags):
     return status, figure, flags, view, problem
 
 
-@inner
+@inlined
 def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
     """Return W of rank two in tangent axes of which the second is e, where its null vector is norm e + n₃ e₃.
 
@@ -159,7 +159,7 @@ def _lean(a11, a12, a22, b1, b2, c, e1, e2, norm, n3):
     return along, -beta * n3, gamma * n3 * n3, beta * norm, -gamma * n3 * norm, gamma * norm * norm
 
 
-@inner
+@inlined
 def _of_factor(factor, scale_w, sign1, sign2, swapped):
     """Return what `of_factor` does, for a factor of W as it was given and a View of it."""
     half = scale_w // 2
@@ -178,8 +178,8 @@ def _of_factor(factor, scale_w, sign1, sign2, swapped):
     return turned, e1, e2, rest
 
 
-@ahead(*11 * [float], int, float, FLOATS)
-@inlined_part
+@declared(*11 * [float], int, float, FLOATS)
+@always_inlined_bitcode
 def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor):
     """Check, scale, mirror and classify a problem, and decide whether there is an impact.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 
 EPS = 2.0**-52
 ZERO = 32.0 * EPS
@@ -20,7 +20,7 @@ MOST_SPREAD = 2.0**27
 """ZERO times the spread is how far directions of the null space are off; never taken for more than 2⁻²⁰."""
 
 
-@inner
+@inlined
 def jacobi_angle(app, aqq, apq):
     """Return tangent, cosine and sine of the rotation that annihilates the off-diagonal apq ≠ 0."""
     theta = 0.5 * (aqq - app) / apq
@@ -32,7 +32,7 @@ def jacobi_angle(app, aqq, apq):
     return t, cos, sin
 
 
-@inner
+@inlined
 def _rotate(app, aqq, apq, apr, aqr, vp, vq):
     """One Jacobi rotation that annihilates apq; vp and vq are the columns p, q of the eigenvectors."""
     if apq == 0.0:
@@ -48,7 +48,7 @@ def _rotate(app, aqq, apq, apr, aqr, vp, vq):
     )
 
 
-@inner
+@inlined
 def eigen(w11, w12, w13, w22, w23, w33):
     """Return eigenvalues (λ₁, λ₂, λ₃), unsorted, and their eigenvectors, by cyclic Jacobi rotations."""
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -64,7 +64,7 @@ def eigen(w11, w12, w13, w22, w23, w33):
     return w11, w22, w33, x, y, z
 
 
-@inner
+@inlined
 def _sort3(l1, l2, l3, x, y, z):
     if l1 > l2:
         l1, l2, x, y = l2, l1, y, x
@@ -118,7 +118,7 @@ class Delassus(NamedTuple):
     doubt: bool
 
 
-@inner
+@inlined
 def eliminate(w11, w12, w13, w22, w23, w33):
     """Solve for stick by elimination with the larger pivot first.
 
@@ -141,7 +141,7 @@ def eliminate(w11, w12, w13, w22, w23, w33):
     return 0.0, 0.0, 0.0, 0.0
 
 
-@inner
+@inlined
 def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
     """Return W cleared of what acts along its null vector n, a unit vector that is known to ZERO·spread.
 
@@ -178,7 +178,7 @@ def _rank_two(w11, w12, w13, w22, w23, w33, n, least, spread, noise):
     )  # fmt: skip
 
 
-@inner
+@inlined
 def _spread(w11, w12, w13, w22, w23, w33):
     """Return λ₃/λ₂ of a W whose least eigenvalue is zero, and infinity where rounding makes it."""
     half = 0.5 * (w11 + w22 + w33)
@@ -187,13 +187,13 @@ def _spread(w11, w12, w13, w22, w23, w33):
     return largest * largest / product if product > 0.0 else math.inf
 
 
-@inner
+@inlined
 def _unit_of(x):
     """Return a power of two near 1/√x, and 1 for zero."""
     return math.ldexp(1.0, -((math.frexp(x)[1] + 1) // 2)) if x > 0.0 else 1.0
 
 
-@inner
+@inlined
 def _graded(w11, w12, w13, w22, w23, w33):
     """Classify a W of which a row is small, in units in which its diagonal is of order one. (6.2)
 
@@ -225,7 +225,7 @@ def _graded(w11, w12, w13, w22, w23, w33):
     )
 
 
-@inner
+@inlined
 def nearly_singular(w11, w12, w13, w22, w23, w33):
     """Decide the rank of a W that its determinant does not clear, by eigenvalues; clean it. (theory.md, 6)"""
     smallest, largest = min(w11, w22, w33), max(w11, w22, w33)
@@ -329,7 +329,7 @@ WELL_CONDITIONED = 1e-6
 """The same, above which what is small in W has nine digits or more without a factor."""
 
 
-@inner
+@inlined
 def clear(w11, w12, w13, w22, w23, w33, least):
     """Tell whether det W is above `least` (tr W)³, so that W is regular; return its `Delassus` if it is."""
     trace = w11 + w22 + w33
@@ -350,7 +350,7 @@ UNKNOWN = 8.0
 """Where that size is not known, so many times the factor's own."""
 
 
-@inner
+@inlined
 def triangle(x, y, z):
     """Return the lower triangle of X (3, m), XXᵀ = CCᵀ, for its rows x, y, z of 3: c₁₁ … c₃₃ row by row.
 
@@ -372,7 +372,7 @@ def triangle(x, y, z):
     return c11, c21, c22, c31, c32, math.sqrt(z1 * z1 + z2 * z2 + z3 * z3)
 
 
-@inner
+@inlined
 def weak_axis(x, y):
     """Return the unit tangential direction e (2) in which rows x and y of 3, of t₁ and t₂, are least."""
     xx = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
@@ -384,7 +384,7 @@ def weak_axis(x, y):
     return (sin, cos) if yy + t * xy <= xx - t * xy else (cos, -sin)
 
 
-@inner
+@inlined
 def of_factor(x, y, z, formed):
     """Decide the rank of W = XXᵀ by its factor, whose small singular values have all their digits. (6.5)
 

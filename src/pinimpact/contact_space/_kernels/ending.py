@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, THREE, ahead
-from ..._compile.jit import inner, part
+from ..._compile.declared import FLOAT_ROWS, THREE, declared
+from ..._compile.jit import inlined, inlined_bitcode
 from .codes import (
     ENDED_AT_REST,
     ENERGY_CREATED,
@@ -50,28 +50,28 @@ class Result(NamedTuple):
     path_points: np.int64
 
 
-@inner
+@inlined
 def plain(result):
     """Return an `Result` as a plain tuple."""
     status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points = result
     return status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, figure, rows, points
 
 
-@inner
+@inlined
 def no_result(status, figure):
     """Return the answer of a problem that has none."""
     nan, no = math.nan, np.int64(0)
     return Result(status, NO_FLAG, no, nan, nan, nan, nan, nan, nan, nan, figure, no, no)
 
 
-@inner
+@inlined
 def without_impact(flags, v1, v2, v3):
     """Return the answer where there is no impact."""
     no = np.int64(0)
     return Result(NO_IMPACT, flags, no, v1, v2, v3, 0.0, 0.0, 0.0, 0.0, 0.0, no, no)
 
 
-@inner
+@inlined
 def _creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
     """Whether the kinetic energy gained from v to w, ½ P·(v + w), is beyond its rounding. (1.5)"""
     gained = p1 * (v1 + w1) + p2 * (v2 + w2) + p3 * (v3 + w3)
@@ -79,17 +79,17 @@ def _creates_energy(v1, v2, v3, w1, w2, w3, p1, p2, p3):
     return gained > 64.0 * EPS * size
 
 
-@inner
+@inlined
 def turn_back(view, x1, x2):
     """Turn a tangential vector back into the axes before leaning."""
     return view.lean2 * x1 + view.lean1 * x2, view.lean2 * x2 - view.lean1 * x1
 
 
-@ahead(
+@declared(
     *(View, Problem, int, int, int, THREE, THREE, float),
     *(FLOAT_ROWS, int, FLOAT_ROWS, int),
 )
-@part
+@inlined_bitcode
 def finish(
     view, problem, status, flags, iterations, velocity, impulse, compressed, trace, rows, path, points
 ):

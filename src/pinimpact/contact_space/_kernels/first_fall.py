@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined
 
 NEVER = math.inf
 
@@ -16,7 +16,7 @@ SHORTEST = 1e-15
 """An interval, in parts of the whole, that counts as a point."""
 
 
-@inner
+@inlined
 def value(c, degree, s):
     """Return Σ c_k sᵏ."""
     total = c[degree]
@@ -25,7 +25,7 @@ def value(c, degree, s):
     return total
 
 
-@inner
+@inlined
 def value_at(rows, i, degree, s):
     """Return Σ rows[k, i] sᵏ."""
     total = rows[degree, i]
@@ -34,8 +34,8 @@ def value_at(rows, i, degree, s):
     return total
 
 
-@ahead(FLOATS, int, float, float, FLOAT_ROWS)
-@separate
+@declared(FLOATS, int, float, float, FLOAT_ROWS)
+@external
 def first_fall(c, degree, h, zero, rows):
     """Return the first s in [0, h] from which on Σ c_k sᵏ is negative, `NEVER` if there is none.
 
@@ -112,7 +112,7 @@ def first_fall(c, degree, h, zero, rows):
             part *= 0.5
 
 
-@inner
+@inlined
 def _bisect(c, n, low, high):
     for _ in range(80):
         middle = 0.5 * (low + high)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
 
@@ -23,7 +23,7 @@ LEFT_TO = 0.5
 """The influence up to which a series may follow slip that leaves a direction, from within a fifth of it."""
 
 
-@inner
+@inlined
 def nearby_root(p0, polynomials):
     """Return the root of p that slip converges to or leaves, if it is simple and close, else 0. (4.1)"""
     p1, p2, p3, p4, _, _, _, _ = polynomials
@@ -44,7 +44,7 @@ def nearby_root(p0, polynomials):
     return 0.0
 
 
-@inner
+@inlined
 def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s1, s2, root, leaving):
     """Expand around the invariant direction at half-angle tangent `root` from the direction (s1, s2).
 

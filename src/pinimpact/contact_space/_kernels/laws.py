@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from ..laws import COUNTED, LAWS
 from .codes import (
     COMPRESSION,
@@ -27,13 +27,13 @@ POISSON, ENERGETIC, NEWTON = (np.int64(LAWS.index(name)) for name in ("poisson",
 _COUNTED = np.array([{"velocity": VELOCITY, "impulse": IMPULSE, "work": WORK}[what] for what in COUNTED])
 
 
-@inner
+@inlined
 def counted(law):
     """Return what the law counts in restitution: VELOCITY, IMPULSE or WORK."""
     return _COUNTED[law]
 
 
-@inner
+@inlined
 def restitution_goal(law, e, compression_impulse, compression_work, approach):
     """What restitution has to reach in all: an impulse, a work, or a velocity. (2.4)–(2.6)"""
     if law == POISSON:
@@ -43,7 +43,7 @@ def restitution_goal(law, e, compression_impulse, compression_work, approach):
     return -e * approach
 
 
-@inner
+@inlined
 def law_of_slow_approach(law):
     """Return the law that ends the impact where `law` does while v₃ is linear in P₃, and needs no work.
 
@@ -52,7 +52,7 @@ def law_of_slow_approach(law):
     return POISSON if law == ENERGETIC else law
 
 
-@inner
+@inlined
 def left_of_goal(counts, goal, v3, restored, restitution_work):
     """Return what is left of the goal: velocity, impulse or work still to be gained."""
     if counts == IMPULSE:
@@ -62,7 +62,7 @@ def left_of_goal(counts, goal, v3, restored, restitution_work):
     return goal - v3
 
 
-@inner
+@inlined
 def first_event(phase, counts, left, v3, rate):
     """Find the first event while dv₃/dP₃ = rate stays constant.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .codes import (
     COMPRESSION,
     COMPRESSION_ENDS,
@@ -46,19 +46,19 @@ class Ledger(NamedTuple):
     goal: float
 
 
-@inner
+@inlined
 def new_ledger():
     """Return the ledger of an impact that begins."""
     return Ledger(COMPRESSION, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@inner
+@inlined
 def left_to_gain(ledger, counts, v3):
     """Return what is left of the restitution's goal."""
     return left_of_goal(counts, ledger.goal, v3, ledger.restored, ledger.restitution_work)
 
 
-@inner
+@inlined
 def close_move(ledger, problem, event, span, work, rate, left, p3):
     """Enter a move into the ledger and do what its event brings.
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.ahead import ahead
-from ..._compile.jit import inlined, inlined_part, inner, part
+from ..._compile.declared import declared
+from ..._compile.jit import always_inlined, always_inlined_bitcode, inlined, inlined_bitcode
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,
@@ -132,7 +132,7 @@ class Move(NamedTuple):
     rate: float
 
 
-@inner
+@inlined
 def slip_units(problem):
     """Return the `Units` of a problem."""
     mu, b1, b2 = problem.mu, problem.b1, problem.b2
@@ -152,7 +152,7 @@ def slip_units(problem):
     )
 
 
-@inner
+@inlined
 def tangential_velocity(problem, state):
     """Return v_t; without friction it is the start's plus b P₃."""
     if problem.mu == 0.0:
@@ -160,13 +160,13 @@ def tangential_velocity(problem, state):
     return state.s1 * state.speed, state.s2 * state.speed
 
 
-@inner
+@inlined
 def frictionless_course(problem):
     """Return the `Course` where μ = 0."""
     return Course(IN_SLIP, problem.c, 0.0, 0.0, 0.0, math.inf, False, 0.0, 0.0)
 
 
-@inner
+@inlined
 def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
     """Return dv₃/dP₃ along a direction of slip σ: `rate`, or by what v_t does where that is surer. (6.7)
 
@@ -183,7 +183,7 @@ def lifting(problem, omega, s1, s2, rate, m0, terms, turn, doubt):
     return rate
 
 
-@inner
+@inlined
 def tied(problem, s1, s2, speed, size1, size2, v3):
     """Return v₃ = κ·v_t + η, which ties the two where s = 0, if it is surer than `v3`, a sum over the path.
 
@@ -199,8 +199,8 @@ def tied(problem, s1, s2, speed, size1, size2, v3):
     return v3
 
 
-@ahead(Problem, Units, State, bool)
-@inlined_part
+@declared(Problem, Units, State, bool)
+@always_inlined_bitcode
 def slip_course(problem, units, state, fresh):
     """Say how slip changes from here.
 
@@ -256,8 +256,8 @@ def slip_course(problem, units, state, fresh):
     return course, straight, state, Polynomials(t1, t2, t3, t4, m0, m1, m2, m3), bl, bp
 
 
-@ahead(Problem, State)
-@part
+@declared(Problem, State)
+@inlined_bitcode
 def leave_zero_slip(problem, state):
     """Say what follows v_t = 0: stick, or slip that resumes along the diverging invariant direction. (5)
 
@@ -301,7 +301,7 @@ def leave_zero_slip(problem, state):
     return course, State(s1, s2, 0.0, v3, 0.0, p1, p2, p3), flags
 
 
-@inlined
+@always_inlined
 def straight_move(problem, omega, course, state, phase, left):
     """Go along a `Course` to its next event or its end, in closed form.
 
@@ -343,7 +343,7 @@ def straight_move(problem, omega, course, state, phase, left):
     )
 
 
-@inner
+@inlined
 def mode_flag(mode, span, p3):
     """Return the flag of the mode of a move over `span` up to `p3`, if it is more than a touch."""
     if p3 - span < p3:
@@ -354,7 +354,7 @@ def mode_flag(mode, span, p3):
     return NO_FLAG
 
 
-@inner
+@inlined
 def jams(rate):
     """Return the flag of a dv₃/dP₃ during slip."""
     return JAM if rate < 0.0 else NO_FLAG

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead, plain_tuple
 from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared, plain_tuple
 from ..._compile.jit import jit
 from .codes import (
     LAW_MET,
@@ -52,7 +52,7 @@ VANISHED = 2.0**-80
 """A speed from which the path cannot be told from the one that starts at v_t = 0. (theory.md, 3.4)"""
 
 
-@ahead(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, result=plain_tuple(Result))
+@declared(*11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, result=plain_tuple(Result))
 @jit
 def solve_into(
     w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, scratch, trace, path

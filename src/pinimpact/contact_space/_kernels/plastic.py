@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import flags, repeated
@@ -20,8 +20,8 @@ FOUND = 1e-8
 """What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+@external
 def plastic_impulses(w, v, friction, given, shift, impulse):
     """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ (v + shift n), |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
 
@@ -74,7 +74,7 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
         impulse[3 * j + 2] += given[j]
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def impulses_together(w, v, friction, given, stiffness, impulse):
     """Fill the impulses (3n,) of Coulomb's law on impulses: what slides neither parts nor approaches. (14.7)
@@ -99,7 +99,7 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
     return missed
 
 
-@inner
+@inlined
 def come_to_rest(system, state, works):
     """Take away approaches that are too slow to be seen, one after the other, by their normals alone.
 
@@ -122,7 +122,7 @@ def come_to_rest(system, state, works):
             break
 
 
-@inner
+@inlined
 def end_plastically(system, state, works):
     """Bring an impact to its end by a plastic one; return whether that stops all approaches.
 

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
 from ..._numeric.loops import power, repeated
 from .codes import (
     COMPRESSION,
@@ -84,7 +84,7 @@ POINTS = 4
 """Points recorded on a step."""
 
 
-@ahead(
+@declared(
     FLOAT_ROWS,
     FLOATS,
     FLOATS,
@@ -209,7 +209,7 @@ def propagate(
     return stopped, max(missed, gained / max(size, 1e-300))
 
 
-@inner
+@inlined
 def _of_their_own(w, v, friction, restitution, stiffness):
     """Return an order (n,) of the contacts by what they are, so that nothing comes of how they are numbered.
 
@@ -230,7 +230,7 @@ def _of_their_own(w, v, friction, restitution, stiffness):
     return order
 
 
-@inner
+@inlined
 def _comes_first(keys, i, j):
     """Return whether row i comes before row j where their first numbers differ."""
     for k in range(keys.shape[1]):
@@ -239,7 +239,7 @@ def _comes_first(keys, i, j):
     return False
 
 
-@inner
+@inlined
 def _follow(
     w, v, friction, restitution, stiffness, exponent, accuracy, most_steps, impulse, works, counts, rows, path
 ):
@@ -342,7 +342,7 @@ def _follow(
     return True
 
 
-@inner
+@inlined
 def _presses_and_slips(state):
     """Return whether any contact is held and slips."""
     found = False
@@ -351,7 +351,7 @@ def _presses_and_slips(state):
     return found
 
 
-@inner
+@inlined
 def _begins_badly(state, series, h):
     """Let a slip whose series reaches nowhere begin at a speed that does not matter; tell whether any did.
 
@@ -370,7 +370,7 @@ def _begins_badly(state, series, h):
     return found
 
 
-@inner
+@inlined
 def _directions(state):
     """Return the directions (2n,) of slip."""
     unit = state.direction.copy()
@@ -381,7 +381,7 @@ def _directions(state):
     return unit
 
 
-@inner
+@inlined
 def _close(system, state, j):
     """Let a contact begin to load."""
     state.normal[j] = LOADING
@@ -394,7 +394,7 @@ def _close(system, state, j):
             _stick(state, j)
 
 
-@inner
+@inlined
 def _stick(state, j):
     """Let the slip of a contact be at its end."""
     state.tangent[j] = STUCK
@@ -402,7 +402,7 @@ def _stick(state, j):
     state.v[3 * j + 1] = 0.0
 
 
-@inner
+@inlined
 def _open(state, j):
     """Let a contact part."""
     state.normal[j] = OPEN
@@ -411,7 +411,7 @@ def _open(state, j):
     state.deepest[j] = 0.0
 
 
-@inner
+@inlined
 def _loaded(state):
     """Return whether any contact is pressed or approaches; where none is, open those at rest."""
     n = len(state.normal)
@@ -424,7 +424,7 @@ def _loaded(state):
     return False
 
 
-@inner
+@inlined
 def _at_rest(series, state):
     """Return whether no velocity changes any more, and nothing is pressed on."""
     for j in range(len(state.normal)):
@@ -437,7 +437,7 @@ def _at_rest(series, state):
     return True
 
 
-@inner
+@inlined
 def _rests(system, state):
     """Return whether no contact approaches, or can come to, faster than what counts as rest."""
     for j in range(len(state.normal)):
@@ -451,7 +451,7 @@ def _rests(system, state):
     return True
 
 
-@inner
+@inlined
 def _loaded_ends(state):
     """Let go of what is locked: friction holds it, and what it has stored stays there."""
     for j in range(len(state.normal)):
@@ -460,7 +460,7 @@ def _loaded_ends(state):
             _open(state, j)
 
 
-@inner
+@inlined
 def _next_closing(state):
     """Return the time of flight to the next contact that closes."""
     time = NEVER
@@ -471,7 +471,7 @@ def _next_closing(state):
     return time
 
 
-@inner
+@inlined
 def _step_length(system, series, accuracy, pace, h):
     """Return how far the series reaches."""
     n = len(system.friction)
@@ -491,14 +491,14 @@ def _step_length(system, series, accuracy, pace, h):
     return h
 
 
-@inner
+@inlined
 def _fall(c, h, zero, crowded, work):
     """Return where a guard falls; from zero at once does not count where that has been so too often."""
     time = first_fall(c, ORDER, h, zero, work)
     return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
 
 
-@inner
+@inlined
 def _find_events(system, state, series, h, crowded, roots, guard, work):
     """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
     n = len(system.friction)
@@ -575,7 +575,7 @@ def _find_events(system, state, series, h, crowded, roots, guard, work):
     return first, degree
 
 
-@inner
+@inlined
 def _neglected(series, h):
     """Return what velocities change in a step beyond its short series."""
     largest = 0.0
@@ -584,7 +584,7 @@ def _neglected(series, h):
     return largest * h**3
 
 
-@inner
+@inlined
 def _time_power(k, h, pace, root):
     """Return what the coefficient k of a force comes to in an impulse at the end of a step."""
     if root:
@@ -592,7 +592,7 @@ def _time_power(k, h, pace, root):
     return pace * power(h, k + 1) / (k + 1.0)
 
 
-@inner
+@inlined
 def _advance(system, state, series, h, degree, pace, root, works, rows, used, latest):
     """Go to the end of a step, with works and rows; return how many rows there are."""
     n = len(system.friction)
@@ -644,7 +644,7 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
     return used
 
 
-@inner
+@inlined
 def _apply(system, state, series, roots, first, tie):
     """Change the modes of contacts whose time has come."""
     now = first + tie
@@ -696,7 +696,7 @@ def _apply(system, state, series, roots, first, tie):
             _open(state, j)
 
 
-@inner
+@inlined
 def _record(path, points, clock, state):
     """Append a point to the path, if there is room."""
     if points < path.shape[0]:
@@ -708,7 +708,7 @@ def _record(path, points, clock, state):
     return points
 
 
-@inner
+@inlined
 def _record_step(path, points, clock, series, state, h, degree, pace, root):
     """Append the points of a step to the path, its end the last of them."""
     m = len(state.v)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm
@@ -80,7 +80,7 @@ ROUNDS, SWEEPS = 50, 200
 """Of friction and what is held in turn, and of what is held."""
 
 
-@inner
+@inlined
 def settle(system, state, series):
     """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
 
@@ -169,7 +169,7 @@ def settle(system, state, series):
     return unknown_after(system, state, unit, weight)
 
 
-@inner
+@inlined
 def _begins(system, state, unit, weight, series):
     """Return whether contacts begin to slip whose friction has come to its bound, and let them.
 
@@ -205,7 +205,7 @@ def _begins(system, state, unit, weight, series):
     return False
 
 
-@inner
+@inlined
 def _align(system, state, unit, weight, series):
     """Turn slips that begin with an acceleration to where it is along them; else let them find that.
 
@@ -277,7 +277,7 @@ def _align(system, state, unit, weight, series):
                     state.v[3 * j + i] = SLIP_SPEED * state.direction[2 * j + i]
 
 
-@inner
+@inlined
 def _across(system, state, j, force):
     """Return the acceleration across the direction with which a slip begins, for forces (3n,)."""
     total = 0.0
@@ -289,7 +289,7 @@ def _across(system, state, j, force):
     return total
 
 
-@inner
+@inlined
 def unknown_after(system, state, unit, weight):
     """Return the places of the unknown forces, the matrix that solves for them, and their weights."""
     for j in range(len(system.friction)):
@@ -301,7 +301,7 @@ def unknown_after(system, state, unit, weight):
     return unknown, inverse, weight
 
 
-@inner
+@inlined
 def _fits(system, state, cap, unknown, forces, scale):
     """Return whether forces are within their bounds, and nothing moves that they hold."""
     for place in unknown:
@@ -318,7 +318,7 @@ def _fits(system, state, cap, unknown, forces, scale):
     return _within_bounds(system, state, forces, 1.0 + FIT)
 
 
-@inner
+@inlined
 def _within_bounds(system, state, forces, part):
     """Return whether friction that holds keeps within a part of its bounds."""
     for j in range(len(system.friction)):
@@ -329,7 +329,7 @@ def _within_bounds(system, state, forces, part):
     return True
 
 
-@inner
+@inlined
 def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
     """Find forces within their bounds that let nothing move that they can hold, and the modes they stand for.
 
@@ -404,7 +404,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
     return moves
 
 
-@inner
+@inlined
 def _holding(system, state, forces):
     """Return the contacts whose friction holds and matters, and the largest bound of friction."""
     n, strongest, count = len(system.friction), 0.0, 0
@@ -420,7 +420,7 @@ def _holding(system, state, forces):
     return at[:count].copy(), strongest
 
 
-@inner
+@inlined
 def _keep_from_bounds(system, state, forces):
     """Let the friction of contacts that hold the same keep as far from its bounds as it can. (14.4)
 
@@ -458,7 +458,7 @@ def _keep_from_bounds(system, state, forces):
                 state.share[2 * at[c] + a] = force / forces[3 * at[c] + 2]
 
 
-@inner
+@inlined
 def _hold_plane(system, state, forces):
     """Fill in the friction of contacts that do not slip, for known normal forces; return what it changes.
 
@@ -502,7 +502,7 @@ def _hold_plane(system, state, forces):
     return change
 
 
-@inner
+@inlined
 def _press_held(system, state, unit, cap, forces):
     """Bring the forces of what is held within their bounds, for known friction; return what it changes."""
     w = system.w

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
 from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
@@ -90,7 +90,7 @@ class Series(NamedTuple):
     power: Array
 
 
-@inner
+@inlined
 def new_series(order, n):
     """Return room for series up to an order."""
     return Series(
@@ -103,25 +103,25 @@ def new_series(order, n):
     )
 
 
-@inner
+@inlined
 def loads(mode):
     """Return whether the force of a contact in this mode follows from its indentation."""
     return mode != OPEN and mode != HELD
 
 
-@inner
+@inlined
 def begins(fresh):
     """Return whether a slip begins now, so that its direction is known before its velocity is."""
     return fresh in (TIED, RESUMED)
 
 
-@inner
+@inlined
 def rate(system, mode, j):
     """Return ρ: how fast the indentation follows the velocity."""
     return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
 
 
-@inner
+@inlined
 def bounded_unknowns(system, state):
     """Return the places in (3n,) of the forces that follow from velocities that do not change."""
     n = len(system.friction)
@@ -138,7 +138,7 @@ def bounded_unknowns(system, state):
     return places[:count].copy()
 
 
-@inner
+@inlined
 def friction_share(system, state, unit, j):
     """Return the friction of a contact that goes with its normal force, in parts of it."""
     tangent, x, y = state.tangent[j], 2 * j, 2 * j + 1
@@ -149,7 +149,7 @@ def friction_share(system, state, unit, j):
     return 0.0, 0.0
 
 
-@inner
+@inlined
 def force_inverse(system, state, unit, unknown, weight, inverse):
     """Fill the matrix that takes the accelerations at the unknown forces to them, negative.
 
@@ -188,7 +188,7 @@ def force_inverse(system, state, unit, unknown, weight, inverse):
             inverse[a, b] = roots[a] * columns[b, a] * roots[b]
 
 
-@inner
+@inlined
 def expand(system, state, unknown, inverse, order, pace, series):
     """Fill the series of the motion from a state on, as long as its modes last.
 
@@ -256,7 +256,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
     return root
 
 
-@inner
+@inlined
 def hold(system, state, unit, unknown, inverse, fixed, force):
     """Add to forces (3n,) those at which what is held or stuck does not accelerate.
 
@@ -283,7 +283,7 @@ def hold(system, state, unit, unknown, inverse, fixed, force):
             force[place - 1] += gy * total
 
 
-@inner
+@inlined
 def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answer):
     """Fill what a turn of a slip that begins changes of the forces (3n,), with what is held."""
     push = system.friction[j] * force[3 * j + 2]
@@ -294,7 +294,7 @@ def answer_of_turn(system, state, unit, unknown, inverse, fixed, j, force, answe
     hold(system, state, unit, unknown, inverse, fixed, answer)
 
 
-@inner
+@inlined
 def _start(system, state, j, force):
     """Return the acceleration with which a slip begins along its direction."""
     total = 0.0
@@ -306,7 +306,7 @@ def _start(system, state, j, force):
     return total
 
 
-@inner
+@inlined
 def _known_direction(state, series, k, j):
     """Fill the part of coefficient k of a direction that lower ones give; v_t = s ρ u or s² ρ u, u(0) = d."""
     unit = series.unit
@@ -320,7 +320,7 @@ def _known_direction(state, series, k, j):
     unit[k, 2 * j + 1] = total * state.direction[2 * j + 1]
 
 
-@inner
+@inlined
 def _turn(system, state, series, k, pace, ties, answers):
     """Find coefficients k of directions of slips that begin, and those of ρ that go with them. (14.5)"""
     w, force, unit, speed = system.w, series.force, series.unit, series.speed
@@ -369,7 +369,7 @@ def _turn(system, state, series, k, pace, ties, answers):
             force[k, i] += x[2 * c + 1] * answers[c, i]
 
 
-@inner
+@inlined
 def natural_pace(state, series):
     """Return a unit of the clock in which slow slip turns slowly, so that no coefficient overflows.
 
@@ -387,7 +387,7 @@ def natural_pace(state, series):
     return pace
 
 
-@inner
+@inlined
 def _integrate(system, state, series, k, pace, root):
     """Fill the coefficients k + 1 of velocities and indentations."""
     w = system.w
@@ -412,7 +412,7 @@ def _integrate(system, state, series, k, pace, root):
             indentation[k + 1, j] = -rate(system, state.normal[j], j) * fall * factor
 
 
-@inner
+@inlined
 def _direction(series, k, j):
     """Fill the coefficients k of |v_t| and v_t/|v_t|."""
     v, speed, unit = series.v, series.speed, series.unit
@@ -436,7 +436,7 @@ def _direction(series, k, j):
     unit[k, 2 * j + 1] = across / speed[0, j]
 
 
-@inner
+@inlined
 def _power(series, exponent, k, j, root):
     """Return the coefficient k of δ^η, for δ > 0 or, in τ, for δ that begins with τ²."""
     indentation, power = series.indentation, series.power
@@ -449,7 +449,7 @@ def _power(series, exponent, k, j, root):
     return power[k - 3, j]
 
 
-@inner
+@inlined
 def _next_power(base, power, exponent, k, j, shift):
     """Fill the coefficient k of (Σ base_{i+shift} xⁱ)^η, by J.C.P. Miller's recurrence."""
     if k == 0:

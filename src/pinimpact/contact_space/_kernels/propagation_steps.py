@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import inlined, jit
 from .first_fall import NEVER
 
 SWEEPS, FORCES = 200, 1e-10
@@ -23,7 +23,7 @@ SLOW = 1e-10
 """Part of the largest velocity below which what approaches, or can come to, is at rest."""
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int, FLOATS, FLOATS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def step_through(w, start, friction, restitution, stiffness, exponent, h, most, v, impulse, works):
     """Resolve an impact at n contacts by semi-implicit steps: first-order in h. (14.1), (14.2)
@@ -90,7 +90,7 @@ def step_through(w, start, friction, restitution, stiffness, exponent, h, most, 
     return 0
 
 
-@inner
+@inlined
 def _outlook(w, stiffness, exponent, v, depth):
     """Return the speed of approach, now or to come, the time to the next closing, and if any is pressed."""
     speed, time, pressed = 0.0, NEVER, False
@@ -109,7 +109,7 @@ def _outlook(w, stiffness, exponent, v, depth):
     return speed, time, pressed
 
 
-@inner
+@inlined
 def _indent(depth, deepest, j, velocity, h, e):
     """Let the indentation of a contact follow its velocity for a time h."""
     way = -velocity * h
@@ -140,7 +140,7 @@ def _indent(depth, deepest, j, velocity, h, e):
             deepest[j] = 0.0
 
 
-@inner
+@inlined
 def _rub(w, friction, softest, force, enough, v):
     """Let friction at known normal forces oppose the velocities at the end of a step. (14.3)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .slip_series import SETTLED, point
 
 TRACE_ROWS = 32
@@ -13,7 +13,7 @@ POINTS = 64
 as many on one around an invariant direction, which spans `SETTLED` e-folds."""
 
 
-@inner
+@inlined
 def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work):
     """Append a move to the trace, or lengthen the last row if it goes on or there is room for no other.
 
@@ -38,7 +38,7 @@ def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work
     return rows
 
 
-@inner
+@inlined
 def record_point(path, points, p3, v1, v2, v3, p1, p2):
     """Append a point to the path, (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂, if there is room; m = 0: not wanted.
 
@@ -59,7 +59,7 @@ def record_point(path, points, p3, v1, v2, v3, p1, p2):
     return points
 
 
-@inner
+@inlined
 def record_series(path, points, series, x, d1, d2, p1, p2, p3):
     """Append the points of turning slip between 0 and x, both excluded.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .delassus import jacobi_angle
 
 
-@inner
+@inlined
 def resumed_direction(a11, a12, a22, b1, b2, mu):
     """Solve (λI + μA)σ = b, |σ| = 1, for λ ≥ 0, given that stick is impossible (‖A⁺b‖ > μ).
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .delassus import EPS
 
 TERMS = 32
@@ -66,7 +66,7 @@ class Shape(NamedTuple):
     w3: float
 
 
-@inner
+@inlined
 def in_frame(a11, a12, a22, b1, b2, s1, s2):
     """Return A and b in the axes (σ, σ⊥): A∥, A×, A⊥, b∥, b⊥."""
     u1, u2 = a11 * s1 + a12 * s2, a12 * s1 + a22 * s2
@@ -79,7 +79,7 @@ def in_frame(a11, a12, a22, b1, b2, s1, s2):
     )
 
 
-@inner
+@inlined
 def polynomials(al, ax, ap, bl, bp):
     """Return the coefficients of (3.6), (3.7); A already times μ."""
     return Polynomials(
@@ -94,7 +94,7 @@ def polynomials(al, ax, ap, bl, bp):
     )
 
 
-@inner
+@inlined
 def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt):
     """Return m₀ = σᵀ(b − μAσ), and the size of the terms that it was summed from. (3.7), (6.4)
 
@@ -120,7 +120,7 @@ def along_slip(weak, a11, a12, a22, b1, b2, s1, s2, al, ax, bl, bp, turn, doubt)
     return bl - al, others
 
 
-@inner
+@inlined
 def expand(coefficients, p0, polynomials, near):
     """Fill `coefficients` with those of S(x)/S(0). (3.10), (3.11)
 
@@ -163,7 +163,7 @@ def expand(coefficients, p0, polynomials, near):
     return count, last, Shape(h, 1.0, 1.0, 0.0, 1.0, 1.0, q1, q2, q3, w0, w1, w2, q4, w3)
 
 
-@inner
+@inlined
 def reach(last, shape):
     """Return how far x may go: the last term is then below rounding, t ≤ 1, and slip comes there. (3.11)"""
     end = 1.0 / abs(shape.h)
@@ -175,7 +175,7 @@ def reach(last, shape):
     return end
 
 
-@inner
+@inlined
 def moments(coefficients, x):
     """Return S(x) and ∫₀ˣ S xʲ dx for j = 0 … 4."""
     power = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inlined, inner
+from ..._compile.jit import always_inlined, inlined
 from .codes import IMPULSE, VELOCITY, WORK
 from .slip_series import beginning, first_root, flow, halley, leap, point, settled
 from .slip_works import works_around, works_so_far
@@ -13,7 +13,7 @@ HASTE = 60
 """Trials after which a bracket is halved."""
 
 
-@inlined
+@always_inlined
 def measure(series, work_series, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
     j0, j1, j2, v3 = series.j0, series.j1, series.j2, series.v3
@@ -40,7 +40,7 @@ def measure(series, work_series, counts, aim, x):
     )
 
 
-@inner
+@inlined
 def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
@@ -96,7 +96,7 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
     return x
 
 
-@inner
+@inlined
 def seek_near(series, work_series, counts, aim, x, near):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 

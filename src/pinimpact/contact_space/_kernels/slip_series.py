@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._compile.jit import inlined, inner
+from ..._compile.jit import always_inlined, inlined
 from ..._numeric.loops import power
 from .delassus import EPS
 from .slip_equations import Shape, moments
@@ -48,7 +48,7 @@ class SlipSeries(NamedTuple):
     speed: float
 
 
-@inner
+@inlined
 def first_root(k0, k1, k2, end, size):
     """Return the first root of k₀ + k₁t + k₂t² strictly between 0 and `end`, or `end` itself.
 
@@ -72,7 +72,7 @@ def first_root(k0, k1, k2, end, size):
     return found
 
 
-@inner
+@inlined
 def last_root(k0, k1, k2, start):
     """Return the root of k₀ + k₁t + k₂t² that comes first on the way from `start` to 0, or 0.
 
@@ -95,7 +95,7 @@ def last_root(k0, k1, k2, start):
     return found
 
 
-@inner
+@inlined
 def halley(f, slope, bend):
     """Return the step of Halley's iteration, or Newton's where the curvature forbids it."""
     step = -f / slope
@@ -103,7 +103,7 @@ def halley(f, slope, bend):
     return step / damp if damp > 0.5 else step
 
 
-@inner
+@inlined
 def leap(f, slope, bend):
     """Return the step to zero for a slope that is an exponential, as around an invariant direction."""
     bent = -bend * f / slope
@@ -113,13 +113,13 @@ def leap(f, slope, bend):
     return math.log1p(bent) / bend
 
 
-@inner
+@inlined
 def settled(step, x, f, slope):
     """Whether a step of Halley's leaves rounding; next to an extremum it is short far from the root too."""
     return abs(step) <= 2e-6 * x and abs(f) <= 4e-6 * x * abs(slope)
 
 
-@inner
+@inlined
 def passed(exponent, start, span):
     """Return y, start − y, e^{−aL} and 1 − e^{−aL}, with L = `span` and y = start e^{−L}."""
     if span == math.inf:
@@ -131,7 +131,7 @@ def passed(exponent, start, span):
     return y, drop, 1.0 - part if part < 0.5 else math.exp(-exponent * span), part
 
 
-@inner
+@inlined
 def fill(z, k, start, span):
     """Return startᵏ(1 − e^{−zL})/z, for z at or close to zero."""
     whole = power(start, k)
@@ -140,7 +140,7 @@ def fill(z, k, start, span):
     return whole / z if span == math.inf else whole * (-math.expm1(-z * span) / z)
 
 
-@inner
+@inlined
 def invariant_moments(coefficients, reciprocals, exponent, start, span):
     """Return y, e^{−aL}G(y) and the integrals of e^{−aL}yʲG over (0, L) for j = 0 … 4. (4.4)"""
     y, drop, power, part = passed(exponent, start, span)
@@ -186,7 +186,7 @@ def invariant_moments(coefficients, reciprocals, exponent, start, span):
     return y, value, n0, n1, n2, n3, n4
 
 
-@inlined
+@always_inlined
 def _bend(shape, x, t):
     """Return the logarithmic derivative of dP₃/dx of a series in the half-angle, and p̂."""
     fall = 1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))
@@ -194,7 +194,7 @@ def _bend(shape, x, t):
     return growth / fall + 4.0 * shape.h * t / (1.0 + t * t), fall
 
 
-@inlined
+@always_inlined
 def flow(series, x, value):
     """Return dP₃/dx at x, where S is `value`, its logarithmic derivative and t; in the half-angle."""
     shape = series.shape
@@ -203,7 +203,7 @@ def flow(series, x, value):
     return shape.unit * series.scale * value * chord * chord, _bend(shape, x, t)[0], t
 
 
-@inlined
+@always_inlined
 def point(series, x):
     """Return the state at x. (3.12), (4.5)
 
@@ -235,7 +235,7 @@ def point(series, x):
     return normal, along, across, dv3, factor * value * fall * chord, t, slope, bend
 
 
-@inner
+@inlined
 def beginning(series):
     """Return dP₃/dx and its logarithmic derivative at x = 0."""
     h, factor, unit, exponent, start, sign, q1, q2, q3, w0, w1, w2, _, _ = series.shape

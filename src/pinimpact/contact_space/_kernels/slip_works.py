@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._compile.jit import inlined, inner
+from ..._compile.jit import always_inlined, inlined
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING
 from .slip_series import SETTLED, fill, passed, point
@@ -91,7 +91,7 @@ WORK_SCRATCH = 4 * NODES + 5 * ROW + 2 * COLUMNS
 """Floats of scratch space that works need."""
 
 
-@inlined
+@always_inlined
 def no_works(scratch):
     """Return a `WorkSeries` that is yet to be made, in WORK_SCRATCH floats of scratch space."""
     none = np.int64(-1)
@@ -99,7 +99,7 @@ def no_works(scratch):
     return WorkSeries(nodes, rows, rows, rows, 0.0, 0.0, rows, 0.0, 0.0, 0.0, none, none, 0.0)
 
 
-@inlined
+@always_inlined
 def _summed(values, row):
     """Return the sum of a row of `WorkSeries.nodes`."""
     s0 = s1 = s2 = s3 = 0.0
@@ -108,7 +108,7 @@ def _summed(values, row):
     return (s0 + s1) + (s2 + s3)
 
 
-@inlined
+@always_inlined
 def _collocated(values, v3, size):
     """Return the normal work and what v₃ grows by. (3.17)
 
@@ -130,25 +130,25 @@ def _collocated(values, v3, size):
     return size * _summed(values, 3), size * _summed(values, 1)
 
 
-@inlined
+@always_inlined
 def _places(i, x):
     """Return four nodes of (0, x), from the i-th on."""
     return x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3]
 
 
-@inlined
+@always_inlined
 def _product(x, y):
     """Return x y for four numbers x and y."""
     return x[0] * y[0], x[1] * y[1], x[2] * y[2], x[3] * y[3]
 
 
-@inlined
+@always_inlined
 def _raised(s, y, c):
     """Return s y + c for four numbers s and y."""
     return s[0] * y[0] + c, s[1] * y[1] + c, s[2] * y[2] + c, s[3] * y[3] + c
 
 
-@inlined
+@always_inlined
 def _kept(values, i, x, s, u, h, j0, j1, j2):
     """Keep what `WorkSeries.nodes` holds, for four nodes."""
     t = h * x[0], h * x[1], h * x[2], h * x[3]
@@ -165,7 +165,7 @@ def _kept(values, i, x, s, u, h, j0, j1, j2):
     values[k], values[k + 1], values[k + 2], values[k + 3] = slope
 
 
-@inner
+@inlined
 def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     """Do what `works_so_far` does.
 
@@ -196,7 +196,7 @@ def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     return work, change, here + x * odd_here
 
 
-@inner
+@inlined
 def _rubbed(q1, q2, q3, q4, values, x):
     """Return ∫ R dP₃ over the unit of P₃ and the speed at the start, from what `_along_half_angle` left."""
     for i in range(0, NODES, 4):
@@ -209,7 +209,7 @@ def _rubbed(q1, q2, q3, q4, values, x):
     return x * _summed(values, 3)
 
 
-@inlined
+@always_inlined
 def works_so_far(series, work_series, x):
     """Return the normal work over (0, x) of a series in the half-angle, what v₃ grows by, and S. (3.17)"""
     shape = series.shape
@@ -220,14 +220,14 @@ def works_so_far(series, work_series, x):
     )
 
 
-@inlined
+@always_inlined
 def _term(row, k, f0, f1, f2, f3, f4):
     """Return the coefficient k of a row times f₀ + f₁y + f₂y² + f₃y³ + f₄y⁴."""
     k += MARGIN
     return f0 * row[k] + (f1 * row[k - 1] + f2 * row[k - 2]) + (f3 * row[k - 3] + f4 * row[k - 4])
 
 
-@inlined
+@always_inlined
 def _terms(row, k, f0, f1, f2, f3, f4):
     """Return four of them, from k on."""
     return (
@@ -238,14 +238,14 @@ def _terms(row, k, f0, f1, f2, f3, f4):
     )
 
 
-@inlined
+@always_inlined
 def _even_term(row, k, f2, f4, f6):
     """Return the coefficient k of a row times 1 + f₂y² + f₄y⁴ + f₆y⁶."""
     k += MARGIN
     return row[k] + f2 * row[k - 2] + (f4 * row[k - 4] + f6 * row[k - 6])
 
 
-@inlined
+@always_inlined
 def _even_terms(row, k, f2, f4, f6):
     """Return four of them, from k on."""
     return (
@@ -256,19 +256,19 @@ def _even_terms(row, k, f2, f4, f6):
     )
 
 
-@inlined
+@always_inlined
 def _apart(z):
     """Return z, or infinity where it is close to zero: a quotient by it is then left out."""
     return z if abs(z) >= 0.5 else math.inf
 
 
-@inlined
+@always_inlined
 def _over(x, z):
     """Return four numbers over z, z + 1, z + 2 and z + 3, and zero where that is close to zero."""
     return x[0] / _apart(z), x[1] / _apart(z + 1.0), x[2] / _apart(z + 2.0), x[3] / _apart(z + 3.0)
 
 
-@inner
+@inlined
 def _pole(exponent, terms):
     """Return the k below `terms` for which exponent + k is within ½ of zero, or −1."""
     if exponent < 0.5:
@@ -280,7 +280,7 @@ def _pole(exponent, terms):
     return np.int64(-1)
 
 
-@inner
+@inlined
 def _expand_around(series, rows, normal, friction, rubbing, f0, f1, f2, f3, f4):
     """Make the coefficients of the works around an invariant direction. (4.7)–(4.10)
 
@@ -399,7 +399,7 @@ def _expand_around(series, rows, normal, friction, rubbing, f0, f1, f2, f3, f4):
     return normal_pole, friction_pole, rest, push, share, pole, work_pole, order, last / total
 
 
-@inner
+@inlined
 def _before(series, pole, f0, f1, f2, f3, f4):
     """Return the coefficient of E G at the pole, from E's before it."""
     g, reciprocals = series.coefficients, series.reciprocals
@@ -412,7 +412,7 @@ def _before(series, pole, f0, f1, f2, f3, f4):
     return total
 
 
-@inner
+@inlined
 def expand_works(series, work_series, rubbing):
     """Make the `WorkSeries` of a `SlipSeries` around an invariant direction.
 
@@ -447,7 +447,7 @@ def expand_works(series, work_series, rubbing):
     )
 
 
-@inlined
+@always_inlined
 def works(series, work_series, x, span, rubbing):
     """Return the normal work over (0, x), where P₃ grows by `span`, and that of friction if it is wanted."""
     if series.around_invariant:
@@ -460,7 +460,7 @@ def works(series, work_series, x, span, rubbing):
     return work, rubbed
 
 
-@inner
+@inlined
 def works_around(series, work_series, x, span, rubbing):
     """Do what `works` does, for a series around an invariant direction."""
     shape, pole = series.shape, work_series.work_pole
@@ -491,7 +491,7 @@ def works_around(series, work_series, x, span, rubbing):
     return work, rubbed
 
 
-@inner
+@inlined
 def _sum(coefficients, x):
     """Return the value of a polynomial with a multiple of four coefficients, as four in x⁴."""
     square = x * x
@@ -505,7 +505,7 @@ def _sum(coefficients, x):
     return (s0 + x * s1) + square * (s2 + x * s3)
 
 
-@inner
+@inlined
 def _filled(coefficients, start, y, drop, power, part):
     """Sum the integrals of e^{−2aL}yᵏ over (0, L), with 1/(2a + k) in the coefficients already. (4.4)
 
@@ -536,7 +536,7 @@ def _filled(coefficients, start, y, drop, power, part):
     return (s0 + s1) + (s2 + s3)
 
 
-@inner
+@inlined
 def _converges(work_series, x):
     """Whether the series of the works converges at x, or y."""
     power = x * x
@@ -548,7 +548,7 @@ def _converges(work_series, x):
     return work_series.last * (power * eighth) <= CONVERGED
 
 
-@inner
+@inlined
 def quadrature(series, work_series, x):
     """Integrate the works over (0, x) around an invariant direction by Gauss' collocation. (3.17)"""
     values, shape, mu = work_series.nodes, series.shape, series.mu

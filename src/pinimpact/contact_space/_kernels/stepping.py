@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inner, jit
+from ..._compile.jit import inlined, jit
 from .codes import (
     COMPRESSION,
     COMPRESSION_ENDS,
@@ -72,14 +72,14 @@ SLIP_ENDS, V3_ZERO, GOAL = 0, 1, 2
 """What a step is bisected for."""
 
 
-@inner
+@inlined
 def norm(x, y):
     """Return √(x² + y²); the slower function of the library only where squares would vanish."""
     square = x * x + y * y
     return math.sqrt(square) if square > 1e-280 else math.hypot(x, y)
 
 
-@inner
+@inlined
 def slip_step(table, tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 
@@ -125,7 +125,7 @@ def slip_step(table, tangent, mu, v1, v2, h, k):
     return d1, d2, h * h * q1, h * h * q2, u1, u2, h * math.hypot(e1, e2), least
 
 
-@inner
+@inlined
 def trial_step(stiff, table, tangent, mu, v1, v2, h, k):
     """Take one step by `stiff_step` or by the table; arguments and values are those of `slip_step`."""
     if stiff:
@@ -133,7 +133,7 @@ def trial_step(stiff, table, tangent, mu, v1, v2, h, k):
     return slip_step(table, tangent, mu, v1, v2, h, k)
 
 
-@inner
+@inlined
 def shorter(table, tangent, mu, v1, v2, scale, stride):
     """Return the step near v_t = 0 of a method that shortens them there.
 
@@ -149,7 +149,7 @@ def shorter(table, tangent, mu, v1, v2, scale, stride):
     return min(stride, table.grading * stride * (rest / scale) ** (1.0 - 1.0 / table.grading), 2.0 * rest)
 
 
-@inner
+@inlined
 def before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k):
     """Measure how far the end of a step over h lies before an event: positive before it."""
     if sought == GOAL and counts == IMPULSE:
@@ -166,7 +166,7 @@ def before_event(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, 
     return v3 + dv3 if phase == RESTITUTION else -v3 - dv3
 
 
-@inner
+@inlined
 def locate(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3, h, k):
     """Bisect a step that crosses an event, with secants in between, and return its length to the event."""
     low, high = 0.0, h
@@ -188,7 +188,7 @@ def locate(sought, phase, counts, left, stiff, table, tangent, c, mu, v1, v2, v3
     return high
 
 
-@inner
+@inlined
 def stop_impulse(flat, a11, a12, a22, v1, v2):
     """Return −A⁺v_t, the tangential impulse that ends slip; `flat` says that A is singular."""
     det, trace = a11 * a22 - a12 * a12, a11 + a22

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 
 STAGES = 6
 GAMMA = 0.25
@@ -38,7 +38,7 @@ _AT = np.array([0.0, 0.386, 0.21, 0.63, 1.0, 1.0])
 _DRIFT = np.array([0.25, -0.1043, 0.1035, -0.03620000000000023, 0.0, 0.0])
 
 
-@inner
+@inlined
 def settling(tangent, mu, v1, v2):
     """Return κ A⊥, the rate per P₃ at which the direction of slip settles."""
     a11, a12, a22, _, _ = tangent
@@ -46,7 +46,7 @@ def settling(tangent, mu, v1, v2):
     return mu * (a11 * v2 * v2 - 2.0 * a12 * v1 * v2 + a22 * v1 * v1) / (square * math.sqrt(square))
 
 
-@inner
+@inlined
 def stiff_step(tangent, mu, v1, v2, h, k):
     """Take one step of slip from v_t over h.
 

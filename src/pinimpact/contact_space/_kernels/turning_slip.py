@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inlined_part
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import always_inlined_bitcode
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,
@@ -36,11 +36,11 @@ FURTHEST = 100.0
 """Growth of slip, as an exponent, up to which one series follows it as it leaves an invariant direction."""
 
 
-@ahead(
+@declared(
     *(FLOATS, FLOATS, FLOATS, Problem, Units, State, Polynomials, float, float, float, int, float, float),
     *(bool, FLOAT_ROWS, int),
 )
-@inlined_part
+@always_inlined_bitcode
 def turning_move(
     coefficients, reciprocals, work_terms, problem, units, state, polynomials, bl, bp, rate, phase, goal,
     left, traced, path, points,

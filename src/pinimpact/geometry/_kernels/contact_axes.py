@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import ahead
+from ..._compile.declared import declared
 from ..._compile.jit import jit
 
 
-@ahead(float, float, float)
+@declared(float, float, float)
 @jit
 def contact_axes(nx, ny, nz):
     """Return t₁ and t₂ (3 + 3 scalars) of the unit normal n: where the smallest rotation z → n takes x and y.

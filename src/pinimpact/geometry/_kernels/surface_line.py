@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .constants import LINE_AXIS, SIZE
 
 
-@inner
+@inlined
 def across(k, x1, x2, x3):
     """Return the part (3) of a vector that is at right angles to the line."""
     e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]
@@ -16,7 +16,7 @@ def across(k, x1, x2, x3):
     return x1 - f * e1, x2 - f * e2, x3 - f * e3
 
 
-@inner
+@inlined
 def distance(k, x1, x2, x3):
     """Return |y| − R and y/|y|, with y the part of x across the line; on the line itself n is z."""
     y1, y2, y3 = across(k, x1, x2, x3)
@@ -26,7 +26,7 @@ def distance(k, x1, x2, x3):
     return away - k[SIZE], y1 / away, y2 / away, y3 / away
 
 
-@inner
+@inlined
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return (w − n n·w)/|y|, with w the part of v across the line."""
     y1, y2, y3 = across(k, x1, x2, x3)
@@ -39,7 +39,7 @@ def normal_rate(k, x1, x2, x3, v1, v2, v3):
     return (w1 - rise * n1) / away, (w2 - rise * n2) / away, (w3 - rise * n3) / away
 
 
-@inner
+@inlined
 def least_radius(k):
     """Return R."""
     return k[SIZE]

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .constants import AXES
 
 # what every kernel of a surface defines; x is relative to the surface's own point, all in its carrier's axes
 
 
-@inner
+@inlined
 def distance(k, x1, x2, x3):
     """Return the signed distance of x and its gradient n (3), the unit normal of the surface nearest to x."""
     n1, n2, n3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
     return n1 * x1 + n2 * x2 + n3 * x3, n1, n2, n3
 
 
-@inner
+@inlined
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return the rate (3) of n when x moves at v: the second derivative of the distance, times v."""
     return 0.0, 0.0, 0.0
 
 
-@inner
+@inlined
 def least_radius(k):
     """Return the least radius of curvature [m] of the surface, which bulges towards n or is flat."""
     return math.inf

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .constants import SIZE
 
 
-@inner
+@inlined
 def distance(k, x1, x2, x3):
     """Return |x| − R and x/|x|; at the very centre, where no direction is nearest, n is z."""
     away = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3)
@@ -17,7 +17,7 @@ def distance(k, x1, x2, x3):
     return away - k[SIZE], x1 / away, x2 / away, x3 / away
 
 
-@inner
+@inlined
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return (v − n n·v)/|x|."""
     away = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3)
@@ -28,7 +28,7 @@ def normal_rate(k, x1, x2, x3, v1, v2, v3):
     return (v1 - rise * n1) / away, (v2 - rise * n2) / away, (v3 - rise * n3) / away
 
 
-@inner
+@inlined
 def least_radius(k):
     """Return R."""
     return k[SIZE]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from . import surface_line, surface_plane, surface_sphere
 from .constants import KIND, LINE, SPHERE
 
 
-@inner
+@inlined
 def distance(k, x1, x2, x3):
     """Return the signed distance of x from the surface, and n (3)."""
     if k[KIND] == SPHERE:
@@ -17,7 +17,7 @@ def distance(k, x1, x2, x3):
     return surface_plane.distance(k, x1, x2, x3)
 
 
-@inner
+@inlined
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return the rate (3) of n when x moves at v."""
     if k[KIND] == SPHERE:
@@ -27,7 +27,7 @@ def normal_rate(k, x1, x2, x3, v1, v2, v3):
     return surface_plane.normal_rate(k, x1, x2, x3, v1, v2, v3)
 
 
-@inner
+@inlined
 def least_radius(k):
     """Return the least radius of curvature [m]."""
     if k[KIND] == SPHERE:

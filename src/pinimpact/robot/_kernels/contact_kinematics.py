@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, READONLY, declared
+from ..._compile.jit import inlined, jit
 from ...geometry._kernels import surfaces
 from ...geometry._kernels.constants import (
     AXES,
@@ -36,7 +36,7 @@ LEAST_RISE = 1e-12
 """Of 1 + a₃·n: next to n = −a₃ the carried axes mean nothing, but are numbers."""
 
 
-@inner
+@inlined
 def carried_axes(k, n1, n2, n3):
     """Return t₁ and t₂ (3 + 3) in the carrier's axes: where the smallest rotation a₃ → n takes a₁ and a₂.
 
@@ -52,7 +52,7 @@ def carried_axes(k, n1, n2, n3):
     return a1 - f * m1, a2 - f * m2, a3 - f * m3, b1 - g * m1, b2 - g * m2, b3 - g * m3
 
 
-@inner
+@inlined
 def carried_spin(k, n1, n2, n3, m1, m2, m3):
     """Return the angular velocity (3) of `carried_axes` with n, for ṅ = m.
 
@@ -64,7 +64,7 @@ def carried_spin(k, n1, n2, n3, m1, m2, m3):
     return w1 - f * n1, w2 - f * n2, w3 - f * n3
 
 
-@inner
+@inlined
 def follow(R, S, k):
     """Let the axes in the constants become the present ones where n has turned more than 60° from them.
 
@@ -81,7 +81,7 @@ def follow(R, S, k):
     k[AXES + 6], k[AXES + 7], k[AXES + 8] = n1, n2, n3
 
 
-@inner
+@inlined
 def towards_plane(R, S, k):
     """Return n_u (3), the part of a plane's normal that lies in the plane of a rim, and its length.
 
@@ -94,7 +94,7 @@ def towards_plane(R, S, k):
     return e1, e2, e3, math.sqrt(e1 * e1 + e2 * e2 + e3 * e3)
 
 
-@inner
+@inlined
 def relative(R, S, k):
     """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3).
 
@@ -117,14 +117,14 @@ def relative(R, S, k):
     return c1, c2, c3, x1 - k[POINT], x2 - k[POINT + 1], x3 - k[POINT + 2]
 
 
-@inner
+@inlined
 def edge_axis(R, S, k):
     """Return the direction (3) of a tip that is an edge, in the axes of the surface's carrier."""
     u1, u2, u3 = direction(R, k, RIM_AXIS)
     return rotate_back(S, u1, u2, u3)
 
 
-@inner
+@inlined
 def distance(R, S, k, x1, x2, x3):
     """Return the signed distance of the tip's centre at x from the surface, and n (3), in its carrier's."""
     if k[KIND] == EDGE:
@@ -136,7 +136,7 @@ def distance(R, S, k, x1, x2, x3):
     return surfaces.distance(k, x1, x2, x3)
 
 
-@inner
+@inlined
 def at_contact(R, S, k):
     """Return the gap, n (3) and the contact point (3), in world axes."""
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
@@ -146,7 +146,7 @@ def at_contact(R, S, k):
     return d - r, n1, n2, n3, c1 - r * n1, c2 - r * n2, c3 - r * n3
 
 
-@inner
+@inlined
 def material_velocity(S, k, y1, y2, y3):
     """Return the velocity (3) that the surface's material has beyond its carrier's, and its spin (3).
 
@@ -158,14 +158,14 @@ def material_velocity(S, k, y1, y2, y3):
     return u1 + a1, u2 + a2, u3 + a3, o1, o2, o3
 
 
-@inner
+@inlined
 def column(J, j, p1, p2, p3):
     """Return the velocity (3) of a point for column j of a (6, nv) Jacobian at the world's origin."""
     a1, a2, a3 = cross(J[3, j], J[4, j], J[5, j], p1, p2, p3)
     return J[0, j] + a1, J[1, j] + a2, J[2, j] + a3
 
 
-@inner
+@inlined
 def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out):
     """Fill the contact Jacobian (3, nv) at the point p, in the axes a, b, n.
 
@@ -188,7 +188,7 @@ SCREW = 8.0 * 2.0**-52
 """Part of what a column is formed from up to which a motion along its axis is rounding."""
 
 
-@inner
+@inlined
 def fill_by_axes(J, signs, p1, p2, p3, axes, out):
     """Fill the contact Jacobian as `fill_jacobian` does, each row to rounding of its own size. (6.8)
 
@@ -222,7 +222,7 @@ def fill_by_axes(J, signs, p1, p2, p3, axes, out):
                 out[i, j] = signs[j] * (a1 * u1 + a2 * u2 + a3 * u3)
 
 
-@ahead(FLOAT_COLUMNS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS)
+@declared(FLOAT_COLUMNS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def jacobian_by_axes(columns, signs, point, axes, out):
     """Do what `fill_by_axes` does, for Python.
@@ -237,7 +237,7 @@ def jacobian_by_axes(columns, signs, point, axes, out):
     fill_by_axes(columns, signs, point[0], point[1], point[2], axes, out)
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, READONLY)
+@declared(FLOAT_ROWS, FLOAT_ROWS, READONLY)
 @jit
 def locate(frame, carrier, constants):
     """Return the gap, n (3) and the contact point (3), in world axes.
@@ -250,7 +250,7 @@ def locate(frame, carrier, constants):
     return at_contact(pose(frame), pose(carrier), constants)
 
 
-@inner
+@inlined
 def contact_rows(R, S, columns, signs, constants, out):
     """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
 
@@ -271,7 +271,7 @@ def contact_rows(R, S, columns, signs, constants, out):
     )
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, FLOAT_ROWS)
+@declared(FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS, FLOATS, READONLY, FLOAT_ROWS)
 @jit
 def jacobian(frame, carrier, columns, signs, constants, out):
     """Fill the contact Jacobian J.

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined
 from ...geometry._kernels import surfaces
 from ...geometry._kernels.constants import AXES, EDGE, KIND, LINE_AXIS, POINT, RADIUS, RIM, RIM_AXIS, TIP
 from .contact_kinematics import (
@@ -29,8 +29,8 @@ from .contact_kinematics import (
 from .placement import cross, direction, place, rotate, rotate_back
 
 
-@ahead(*5 * [FLOATS])
-@separate
+@declared(*5 * [FLOATS])
+@external
 def gap_and_rate(R, V, S, U, k):
     """Return the gap [m] and its rate [m/s].
 
@@ -52,7 +52,7 @@ def gap_and_rate(R, V, S, U, k):
     return d - k[RADIUS], rate
 
 
-@inner
+@inlined
 def bounds(J, signs, group, R, k, peak, h, reach):
     """Return what bounds the gap's second derivative over a step of length h, see `gap_bounds`.
 
@@ -122,8 +122,8 @@ def bounds(J, signs, group, R, k, peak, h, reach):
     return straight + bent, change, speed
 
 
-@ahead(*6 * [FLOATS])
-@separate
+@declared(*6 * [FLOATS])
+@external
 def rim_and_rates(R, V, S, U, k, out):
     """Fill what the gap of a rim over a plane is made of, and its rates; arguments as in `gap_and_rate`.
 
@@ -150,7 +150,7 @@ def rim_and_rates(R, V, S, U, k, out):
     out[5], out[6], out[7] = cross(a1 - b1, a2 - b2, a3 - b3, n1, n2, n3)
 
 
-@inner
+@inlined
 def turning_bound(J, signs, R, k, peak, h):
     """Return the largest size of the second derivative of a rim's axis over a step, times the rim's radius.
 
@@ -176,8 +176,8 @@ def turning_bound(J, signs, R, k, peak, h):
     return k[RIM] * size
 
 
-@ahead(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
+@external
 def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, surface):
     """Fill what a closed contact needs, in axes t₁, t₂, n that the surface carries, see `carried_axes`.
 
@@ -255,7 +255,7 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     return d - r
 
 
-@inner
+@inlined
 def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     """Return the rate (3) of the normal of two edges, and how fast the nearest point goes along the tip's.
 
@@ -287,7 +287,7 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
     return m1, m2, m3, -f / (b1 * u1 + b2 * u2 + b3 * u3)
 
 
-@inner
+@inlined
 def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
     """Return how fast (3) the lowest point goes along a rim as its material sees it, for ṅ = m.
 
@@ -304,7 +304,7 @@ def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
     return f * w1, f * w2, f * w3
 
 
-@inner
+@inlined
 def _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, x1, x2, x3, out):
     """Fill the components (3,) of a vector along three axes."""
     out[0] = a1 * x1 + a2 * x2 + a3 * x3

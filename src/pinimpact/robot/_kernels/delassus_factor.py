@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
 from .tree import solve_transposed
 
 
-@inner
+@inlined
 def _take_out(direction, row):
     """Take out of a row its part along a unit direction, and return its size."""
     part = 0.0
@@ -27,7 +27,7 @@ def _take_out(direction, row):
     return part
 
 
-@inner
+@inlined
 def _normalize(row):
     """Divide a row by its length, and return that."""
     total = 0.0
@@ -40,7 +40,7 @@ def _normalize(row):
     return length
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOAT_COLUMNS, FLOATS, float, float, float, FLOAT_ROWS, FLOATS)
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_COLUMNS, FLOATS, float, float, float, FLOAT_ROWS, FLOATS)
 @jit
 def delassus_factor(lower, parents, columns, signs, p1, p2, p3, y, out):
     """Fill `out` with the `FACTOR` numbers of a factor, see `contact_space.inputs`.

@@ -6,10 +6,10 @@ the array in which Pinocchio keeps its placements.
 
 from __future__ import annotations
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 
 
-@inner
+@inlined
 def pose(matrix):
     """Return the placement that a homogeneous (4, 4) matrix stands for."""
     m = matrix
@@ -21,12 +21,12 @@ def pose(matrix):
     )
 
 
-@inner
+@inlined
 def cross(a1, a2, a3, b1, b2, b3):
     return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
 
 
-@inner
+@inlined
 def rotate(R, a, b, c):
     """Return a vector in the axes that R is given in."""
     return (
@@ -36,7 +36,7 @@ def rotate(R, a, b, c):
     )
 
 
-@inner
+@inlined
 def rotate_back(R, a, b, c):
     """Return a vector in the axes that R places."""
     return (
@@ -46,13 +46,13 @@ def rotate_back(R, a, b, c):
     )
 
 
-@inner
+@inlined
 def direction(R, k, i):
     """Rotate the vector that stands at k[i:i + 3]."""
     return rotate(R, k[i], k[i + 1], k[i + 2])
 
 
-@inner
+@inlined
 def place(R, k, i):
     """Move the point that stands at k[i:i + 3]."""
     a, b, c = rotate(R, k[i], k[i + 1], k[i + 2])

@@ -14,7 +14,7 @@ from llvmlite import binding, ir
 from numba import config, types
 from numba.extending import intrinsic
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 
 _KEPT = "pinimpact_kept_error"
 _kept = (ctypes.c_void_p * 3)()  # type, value and traceback, as PyErr_Fetch hands them out
@@ -67,7 +67,7 @@ def _call_in_python(function, arguments):
     return True
 
 
-call = _call_in_python if config.DISABLE_JIT else inner(_call)
+call = _call_in_python if config.DISABLE_JIT else inlined(_call)
 
 
 def raise_kept_error():

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
 from .tree import factor, solve, solve_transposed
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLAGS, FLOAT_ROWS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLAGS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def half_solve(mass, parents, free, lower, rows):
     """Fill `lower` with L, M = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ x.
@@ -41,7 +41,7 @@ def half_solve(mass, parents, free, lower, rows):
     return stopped
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
 def respond(lower, parents, y, delassus, response):
     """Fill `delassus` (m, m) with W = y yᵀ and `response` (m, nv) with M⁻¹ x, for rows y = L⁻ᵀ x (m, nv)."""
@@ -61,7 +61,7 @@ COUPLED = 1e-12
 """Part of what two contacts feel of themselves below which they do not feel each other."""
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
+@declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
 @jit
 def taking_part(delassus, friction, rates, least, first, found):
     """Tell which of n contacts take part in an impact at `first`: 1 in `found` (n,).
@@ -106,7 +106,7 @@ def taking_part(delassus, friction, rates, least, first, found):
     return feels
 
 
-@inner
+@inlined
 def _largest(delassus, i, j):
     """Return the size of the largest number in one contact's block of W for another's impulses."""
     largest = 0.0

@@ -8,9 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, FOUR, INTEGER_ROWS, INTEGERS, ahead
 from ..._compile.borrowing import borrowed
-from ..._compile.jit import inner, jit, released
+from ..._compile.declared import (
+    FLAGS,
+    FLOAT_COLUMNS,
+    FLOAT_ROWS,
+    FLOATS,
+    FOUR,
+    INTEGER_ROWS,
+    INTEGERS,
+    declared,
+)
+from ..._compile.jit import inlined, jit, released
 from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
 from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
@@ -38,7 +47,7 @@ CALL_RAISED, ALL_DONE = -2, -1
 """Where a batch came to no velocity at which M is singular."""
 
 
-@inner
+@inlined
 def all_finite(x):
     """Whether no number of a vector is infinite or NaN."""
     total = 0.0
@@ -52,7 +61,7 @@ def room_to_resolve(nv: int) -> int:
     return (nv + 4) * nv + SCRATCH
 
 
-@ahead(
+@declared(
     *(FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS),
     *(float, float, int, FLOATS, FLOATS),
     result=FOUR,
@@ -140,7 +149,7 @@ def room_for(nv: int, bodies: int) -> int:
     return BODY * (bodies + 2) + 6 * nv + nv * nv + room_to_resolve(nv)
 
 
-@inner
+@inlined
 def _by_tree(work, room, evaluated, q, v, mu, e, out):
     """Resolve the impact of a robot's contact; as `resolve`, or `NOT_NORMALIZED`.
 
@@ -165,7 +174,7 @@ def _by_tree(work, room, evaluated, q, v, mu, e, out):
     )
 
 
-@ahead(RobotWorkspace, FLOATS, FLOATS, float, FLOATS)
+@declared(RobotWorkspace, FLOATS, FLOATS, float, FLOATS)
 @jit
 def robot_impact(work, q, v, e, out):
     """Resolve the impact of one contact.
@@ -183,7 +192,7 @@ def robot_impact(work, q, v, e, out):
     return _by_tree(work, work.scratch, False, q, v, work.friction, e, out)
 
 
-@inner
+@inlined
 def _keep(row, status, flags, out, after, impulses, codes, numbers):
     """Write a row of a batch."""
     out, numbers = borrowed(out), borrowed(numbers)
@@ -202,7 +211,7 @@ def _keep(row, status, flags, out, after, impulses, codes, numbers):
         impulses[row, i] = p[0] * axes[i] + p[1] * axes[3 + i] + p[2] * axes[6 + i]
 
 
-@ahead(
+@declared(
     *(RobotWorkspace, FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
     *(INTEGER_ROWS, FLOAT_ROWS),
 )
@@ -244,7 +253,7 @@ def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
     return ALL_DONE
 
 
-@ahead(
+@declared(
     *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS),
     *(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, int, FLOATS),
     *(FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),

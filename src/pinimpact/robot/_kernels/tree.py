@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_ROWS, INTEGERS, ahead
 from ..._compile.borrowing import borrowed
+from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
 
 EPS = 2.0**-52
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def factor(mass, parents, lower):
     """Fill `lower` with L; its entries that are no ancestor's are left as they are.
@@ -56,7 +56,7 @@ def factor(mass, parents, lower):
     return -1
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def solve_transposed(lower, parents, rows):
     """Solve Lᵀ y = x in place for each row x (nv,) of `rows` (m, nv)."""
@@ -71,7 +71,7 @@ def solve_transposed(lower, parents, rows):
                     j = parents[j]
 
 
-@ahead(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def solve(lower, parents, rows):
     """Solve L y = x in place for each row x (nv,) of `rows` (m, nv)."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, ahead
 from ..._compile.borrowing import borrowed
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined, jit
 from .placement import rotate
 from .robot_workspace import (
     FREE_FLYER,
@@ -31,7 +31,7 @@ NORMALIZED = 1e-8
 """How far a quaternion or a (cos, sin) pair may be from unit length."""
 
 
-@inner
+@inlined
 def placed(body, placement, out):
     """Fill `out` with a placement (12,) on a body's, and return nothing."""
     for k in (0, 3, 6):
@@ -40,7 +40,7 @@ def placed(body, placement, out):
     out[9], out[10], out[11] = x + body[9], y + body[10], z + body[11]
 
 
-@inner
+@inlined
 def _slide(R, x, y, z):
     """Move a placement along its own axes."""
     x, y, z = rotate(R, x, y, z)
@@ -49,7 +49,7 @@ def _slide(R, x, y, z):
     R[11] += z
 
 
-@inner
+@inlined
 def _turn(R, axis, cos, sin):
     """Turn a placement about an axis of its own."""
     a, b = 3 * ((axis + 1) % 3), 3 * ((axis + 2) % 3)
@@ -58,7 +58,7 @@ def _turn(R, axis, cos, sin):
         R[a + i], R[b + i] = cos * x + sin * y, cos * y - sin * x
 
 
-@inner
+@inlined
 def _turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
     """Turn a placement by a rotation matrix, given column by column."""
     x, y, z = rotate(R, l11, l21, l31), rotate(R, l12, l22, l32), rotate(R, l13, l23, l33)
@@ -66,7 +66,7 @@ def _turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
         R[i], R[3 + i], R[6 + i] = x[i], y[i], z[i]
 
 
-@inner
+@inlined
 def _turn_about(R, a, cos, sin):
     """Turn a placement about a unit vector of its own axes."""
     x, y, z = a[0], a[1], a[2]
@@ -79,7 +79,7 @@ def _turn_about(R, a, cos, sin):
     )
 
 
-@inner
+@inlined
 def _turn_by_quaternion(R, x, y, z, w):
     """Turn a placement by a unit quaternion."""
     _turn_by(
@@ -90,7 +90,7 @@ def _turn_by_quaternion(R, x, y, z, w):
     )
 
 
-@inner
+@inlined
 def _move(work, j, q, R):
     """Move joint j's placement by its coordinates; return whether they are normalized."""
     kind, axis, at = work.joint_kind[j], work.joint_axis[j], work.joint_q[j]
@@ -122,7 +122,7 @@ def _move(work, j, q, R):
     return True
 
 
-@inner
+@inlined
 def _add(parent, m, c1, c2, c3, xx, xy, yy, xz, yz, zz):
     """Add a rigid body (mass, centre, inertia about it) to what a body carries."""
     old = parent[12]
@@ -144,7 +144,7 @@ def _add(parent, m, c1, c2, c3, xx, xy, yy, xz, yz, zz):
     parent[21] += zz + reduced * (d1 * d1 + d2 * d2)
 
 
-@inner
+@inlined
 def _own_inertia(body, inertia):
     """Fill what a joint carries with its own link."""
     c1, c2, c3 = rotate(body, inertia[1], inertia[2], inertia[3])
@@ -166,8 +166,8 @@ def _own_inertia(body, inertia):
     body[21] = a3 * r3 + b3 * r6 + d3 * r9
 
 
-@ahead(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
-@separate
+@declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, result=bool)
+@external
 def tree_matrices(work, q, bodies, columns, mass):
     """Evaluate a kinematic tree.
 
@@ -241,7 +241,7 @@ def tree_matrices(work, q, bodies, columns, mass):
     return normalized
 
 
-@ahead(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
+@declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
 @jit
 def evaluate_tree(work, q, bodies, columns, mass):
     """Do what `tree_matrices` does, for Python."""

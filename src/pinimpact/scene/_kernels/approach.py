@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, INTEGERS, ahead
+from ..._compile.declared import FLOATS, INTEGERS, declared
 from ..._compile.jit import jit
 from .contact_forces import FREE
 from .dynamics import all_gaps
@@ -18,7 +18,7 @@ TOUCHES, PRESSED, SLIDES = 1, 2, 3
 slips, however slowly."""
 
 
-@ahead(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)
+@declared(SceneWorkspace, FLOATS, FLOATS, bool, INTEGERS, INTEGERS)
 @jit
 def fastest_approach(work, q, v, starting, where, slow):
     """Return which contact or limit to resolve an impact of, or −1, and its gap rate [m/s].

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
@@ -25,7 +25,7 @@ SMALL = 1e-3
 """Part of all velocities that the difference of rows that hardly differ may cost."""
 
 
-@inner
+@inlined
 def scalar_rows(work, chosen):
     """Return the scalar rows of what is chosen (limits + nv,): a joint held at its limit by both has one."""
     single = chosen.copy()
@@ -35,7 +35,7 @@ def scalar_rows(work, chosen):
     return nonzero(single)
 
 
-@inner
+@inlined
 def scalar_row(work, j, chosen):
     """Return velocity index and bounds of the force of a joint limit, past those of a joint held at rest.
 
@@ -50,8 +50,8 @@ def scalar_row(work, j, chosen):
     return i, -math.inf if sign < 0.0 else -friction, math.inf if sign > 0.0 else friction
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, FLOAT_ROWS)
+@external
 def close(work, reference):
     """Lay out what is closed, for the `modes` that hold and the directions of slip (n, 2)."""
     modes = work.modes
@@ -81,7 +81,7 @@ def close(work, reference):
         known[m] = 0.0
 
 
-@ahead(SceneWorkspace)
+@declared(SceneWorkspace)
 @jit
 def close_held(work):
     """Close what the scene holds, and nothing else."""
@@ -91,8 +91,8 @@ def close_held(work):
     close(work, np.zeros((len(bilateral), 2)))
 
 
-@ahead(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
-@separate
+@declared(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
+@external
 def closed_rows(work, v, which, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
 
@@ -117,8 +117,8 @@ def closed_rows(work, v, which, rows, speeds):
     return total
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS)
+@external
 def stop_along(rows, velocity, minverse, v):
     """Change v by the least impulses along rows so that their velocities vanish; return the energy gained.
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, dot
@@ -17,8 +17,8 @@ ROUNDING = 1e-12
 """Part of the fastest velocity that may be left by rounding of one that vanishes."""
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)
+@external
 def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, on, v):
     """Change the velocity as little as may be so that what rests stops. (11.9)
 
@@ -90,7 +90,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
     return energy, fastest
 
 
-@inner
+@inlined
 def let_go(minverse, rows, start, rests, moves, first, before, a, sign, on):
     """Let go on what throws a joint, row a, against its force as it rests; return whether there is such.
 
@@ -117,7 +117,7 @@ def let_go(minverse, rows, start, rests, moves, first, before, a, sign, on):
     return found
 
 
-@inner
+@inlined
 def velocity_of(rows, start, before, v, a):
     """Return the velocity of row a at v, from what it was `before`."""
     velocity = start[a]
@@ -126,8 +126,8 @@ def velocity_of(rows, start, before, v, a):
     return velocity
 
 
-@ahead(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
-@separate
+@declared(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
+@external
 def stop_chosen(minverse, rows, stopped, start, before, least, v):
     """Stop what is to stop, if any of it is faster than the least speed that counts.
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import declared
+from ..._compile.jit import external, inlined
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
@@ -45,7 +45,7 @@ RIGID = 1e-14
 """Rows whose effective inverse inertia is below this part of the largest do not move."""
 
 
-@inner
+@inlined
 def slip_direction(velocity, reference, slowest):
     """Return the direction of slip, signed to agree with `reference`: smooth where the slip reverses."""
     s = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
@@ -56,7 +56,7 @@ def slip_direction(velocity, reference, slowest):
     return velocity[0] / s, velocity[1] / s
 
 
-@inner
+@inlined
 def joint_forces(work, powers):
     """Fill τ = control − damping q̇ − dry friction, and the powers of the control and in the joints."""
     velocity, control, damping, friction, tau = (
@@ -75,7 +75,7 @@ def joint_forces(work, powers):
     powers[0], powers[1] = given, taken
 
 
-@inner
+@inlined
 def set_up_equations(work, acceleration):
     """Set up the equations of what is closed: `equation_rows`, `force_response`, `system`, `target`.
 
@@ -138,7 +138,7 @@ def set_up_equations(work, acceleration):
     return least
 
 
-@inner
+@inlined
 def delassus_of_rows(rows, minverse, response, delassus):
     """Fill the response M⁻¹ rowsᵀ, row by row, and the Delassus matrix rows M⁻¹ rowsᵀ."""
     for a in range(len(rows)):
@@ -146,8 +146,8 @@ def delassus_of_rows(rows, minverse, response, delassus):
     products(rows, response, delassus)
 
 
-@ahead(SceneWorkspace)
-@separate
+@declared(SceneWorkspace)
+@external
 def rows_independent(work):
     """Return whether the rows of what is closed are, so that forces without friction are unique."""
     rows, minverse = work.equation_rows, work.minverse
@@ -157,8 +157,8 @@ def rows_independent(work):
     return factor(gram, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
 
 
-@ahead(SceneWorkspace)
-@separate
+@declared(SceneWorkspace)
+@external
 def drives_in(work):
     """Return whether contacts drive the surface in as they slip.
 
@@ -206,7 +206,7 @@ def drives_in(work):
     return may_grow(effective)
 
 
-@inner
+@inlined
 def may_grow(effective):
     """Return whether a sum of principal minors of a matrix (n, n) is negative, or a single one not positive.
 
@@ -239,8 +239,8 @@ def may_grow(effective):
     return False
 
 
-@ahead(SceneWorkspace)
-@separate
+@declared(SceneWorkspace)
+@external
 def solve_least_norm(work):
     """Fill the solution of least norm, without contacts that pull where the others can do without them.
 
@@ -299,7 +299,7 @@ def solve_least_norm(work):
             return unique
 
 
-@inner
+@inlined
 def rubs(work):
     """Return whether a contact slips against friction."""
     modes, mu = work.closed_mode, work.closed_friction
@@ -309,7 +309,7 @@ def rubs(work):
     return found
 
 
-@inner
+@inlined
 def missed_by(work, x):
     """Return by how much forces miss the equations, in parts of what makes up each contact's or joint's."""
     system, target, modes = work.system, work.target, work.closed_mode
@@ -329,7 +329,7 @@ def missed_by(work, x):
     return worst
 
 
-@inner
+@inlined
 def apply_forces(work, acceleration, powers):
     """Take the forces from `solution`: add what they cause, fill `contact_force` and `scalar_force`.
 

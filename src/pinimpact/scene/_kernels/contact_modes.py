@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale, solve_coulomb
 from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.least_norm import least_norm
@@ -53,7 +53,7 @@ NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
+@declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
 @jit
 def set_modes(work, t, q, v, slow):
     """Set the modes of what touches without bouncing (`slow`, see `approach`); results as of `find_modes`."""
@@ -128,8 +128,8 @@ def set_modes(work, t, q, v, slow):
     return jamming, converged, energy
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
-@separate
+@declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
+@external
 def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, vain):
     """Find what stays closed of the contacts, limits and joints that are at rest against each other.
 
@@ -296,13 +296,13 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     return -1, converged, gained, fastest, off
 
 
-@inner
+@inlined
 def error_of_step(work, v):
     """Return the error of a step, in a velocity (nv,)."""
     return work.atol + work.rtol * largest_of(v, 0)
 
 
-@inner
+@inlined
 def forces_of_before(work, contacts, joints, x):
     """Fill forces x on contacts and scalar rows with those that modes were last found by."""
     closed = 3 * len(contacts)
@@ -312,8 +312,8 @@ def forces_of_before(work, contacts, joints, x):
         x[closed + m] = work.found_forces[work.contacts + joints[m], 0]
 
 
-@ahead(*SYSTEM)
-@separate
+@declared(*SYSTEM)
+@external
 def go_on_from(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Take forces x of before to those of now, by Newton's method; return whether there are such.
 
@@ -330,7 +330,7 @@ def go_on_from(delassus, free, velocity, mu, least, held, lower, upper, x):
     )
 
 
-@inner
+@inlined
 def turn_rows(direction, rows, velocity):
     """Turn two rows (2, nv) of a contact and their velocities: along a direction (2,), and across it."""
     x, y = direction
@@ -341,15 +341,15 @@ def turn_rows(direction, rows, velocity):
     velocity[0], velocity[1] = x * first + y * second, x * second - y * first
 
 
-@inner
+@inlined
 def idles(work, j, speed, certain):
     """Whether a joint that yields is too fast for rest, now that less is taken for it. (11.8)"""
     settles = work.settling[work.contacts + work.limits + j] != 0
     return certain < abs(speed) <= work.certain_speed and not settles
 
 
-@ahead(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
-@separate
+@declared(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
+@external
 def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
     """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too, and lasts.
 
@@ -423,7 +423,7 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
     assign(strength, other_strength)
 
 
-@inner
+@inlined
 def inside_bounds(chosen, mu, lower, upper, force, strength):
     """Return how many of the chosen contacts and scalar rows have forces at which they rest for certain."""
     nc, count = len(mu), 0
@@ -435,7 +435,7 @@ def inside_bounds(chosen, mu, lower, upper, force, strength):
     return count
 
 
-@inner
+@inlined
 def stop_rows(delassus, free, slip, mu, fixed, x):
     """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration.
 
@@ -469,7 +469,7 @@ def stop_rows(delassus, free, slip, mu, fixed, x):
                 x[rows[c] - 2 + e] = drag[c, e] * solution[c]
 
 
-@inner
+@inlined
 def resulting_accelerations(delassus, free, force, scalar_force, pace):
     """Add to the accelerations of the rows what the forces cause.
 
@@ -508,7 +508,7 @@ def resulting_accelerations(delassus, free, force, scalar_force, pace):
     return unique
 
 
-@inner
+@inlined
 def modes_of_contacts(
     work, contacts, velocity, slip, mu, held, force, unique, acceleration, pace, stopped, modes, reference
 ):
@@ -565,7 +565,7 @@ def modes_of_contacts(
             reference[i, 0], reference[i, 1] = acceleration[b] / begins, acceleration[b + 1] / begins
 
 
-@inner
+@inlined
 def goes_on_slipping(work, i, x, y, certain):
     """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, faster than is certain."""
     speed = math.hypot(x, y)

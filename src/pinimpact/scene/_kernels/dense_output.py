@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..._compile.ahead import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOAT_ROWS, FLOAT_VIEW, FLOATS, INTEGER_ROWS, declared
+from ..._compile.jit import external, inlined, jit
 from .lie_charts import advance
 from .workspace import DENSE_TERMS, SceneWorkspace
 
@@ -27,7 +27,7 @@ def _basis():
 BASIS = _basis()
 
 
-@ahead(FLOAT_VIEW, float, FLOATS)
+@declared(FLOAT_VIEW, float, FLOATS)
 @jit
 def interpolate(coefficients, theta, out):
     """Fill the increments at a fraction θ of the step: θ(F₀ + (1 − θ)(F₁ + θ(F₂ + (1 − θ)(F₃ + …))))."""
@@ -38,7 +38,7 @@ def interpolate(coefficients, theta, out):
         out[m] = value
 
 
-@ahead(FLOAT_ROWS, float, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
+@declared(FLOAT_ROWS, float, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @jit
 def state(coefficients, theta, joints, q0, v0, q, v):
     """Fill q and v at a fraction θ of the step."""
@@ -51,14 +51,14 @@ def state(coefficients, theta, joints, q0, v0, q, v):
     advance(joints, q0, xi, q)
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def set_state_within(work, fraction):
     """Set the state at a fraction of the step last completed, where Pinocchio reads it."""
     state(work.dense_coefficients, fraction, work.joint_charts, work.q0, work.v0, work.q, work.v)
 
 
-@inner
+@inlined
 def rate_bounds(rates, stages, n, out):
     """Fill the largest |ξ̇| and |v̇| (4, n) of the first stages, then their largest change from the first."""
     for m in range(n):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
 from . import lie_charts
 from .closed_set import NORMAL, closed_rows, stop_along
@@ -16,7 +16,7 @@ from .slip import behind
 from .workspace import SceneWorkspace
 
 
-@inner
+@inlined
 def drift(work, v):
     """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
     mode, rest, velocity, gap = (
@@ -35,7 +35,7 @@ def drift(work, v):
     return worst
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS)
+@declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def correct_drift(work, t, q, v):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
@@ -92,7 +92,7 @@ def correct_drift(work, t, q, v):
     return gained
 
 
-@inner
+@inlined
 def reverses_slip(work, before, v):
     """Whether slip along its direction at `before` (nv,), that of the workspace, is against it at v."""
     mode, jacobian, reference = work.closed_mode, work.contact_jacobian, work.slip_reference

@@ -6,22 +6,22 @@ reaches or leaves the bound is an event.
 
 from __future__ import annotations
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import inlined, jit
 from .workspace import SceneWorkspace
 
 CLEAR = 1e-9
 """A law beyond the bound of its effort by less than this part of it is at the bound."""
 
 
-@inner
+@inlined
 def law(work, j):
     """Return what the law of a drive asks for at the state that is set [N or N m]."""
     off = work.drive_reference[j] - work.q[work.drive_coordinate[j]]
     return work.drive_stiffness[j] * off - work.drive_damping[j] * work.v[j]
 
 
-@inner
+@inlined
 def drive(work):
     """Set the forces of the drives at the state that is set."""
     for j in work.drive_velocity:
@@ -29,7 +29,7 @@ def drive(work):
         work.control_force[j] = law(work, j) if side == 0 else side * work.drive_limit[j]
 
 
-@ahead(SceneWorkspace, FLOATS, FLOATS)
+@declared(SceneWorkspace, FLOATS, FLOATS)
 @jit
 def set_saturation(work, q, v):
     """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign
 from ..._numeric.semidefinite import solve_definite
@@ -25,14 +25,14 @@ FAR = 0.1
 """Of the radius of a sphere that bounds contacts: beyond this gap none of them touches, nor is soon to."""
 
 
-@inner
+@inlined
 def set_state(work, q, v):
     """Copy a state to where Pinocchio reads it."""
     assign(work.q, q)
     assign(work.v, v)
 
 
-@inner
+@inlined
 def call_python(work, k):
     """Call the k-th of `calls`; return whether that went well."""
     if not call(work.calls[k], work.calls[k + 1]):
@@ -43,13 +43,13 @@ def call_python(work, k):
 # ---- gaps
 
 
-@inner
+@inlined
 def compute_kinematics(work):
     """Leave placements and velocities of the joints at the state that is set."""
     call_python(work, KINEMATICS)
 
 
-@inner
+@inlined
 def contact_gap(work, i):
     """Return gap and gap rate of a contact at the kinematics last computed."""
     placements, velocities, joints = work.placements, work.local_velocities, work.contact_joints
@@ -59,7 +59,7 @@ def contact_gap(work, i):
     )
 
 
-@inner
+@inlined
 def sphere_gap(work, k, first):
     """Return gap and gap rate of a sphere that bounds contacts, at the kinematics last computed.
 
@@ -75,8 +75,8 @@ def sphere_gap(work, k, first):
     )
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, FLOAT_ROWS, FLOAT_ROWS)
+@external
 def contact_gaps(work, found, spheres):
     """Fill gap and gap rate (n, 2) of all contacts, and of the spheres that bound some, at the state set.
 
@@ -97,15 +97,15 @@ def contact_gaps(work, found, spheres):
                 found[i, 0], found[i, 1] = contact_gap(work, i)
 
 
-@inner
+@inlined
 def limit_gap(work, k, q, v):
     """Return gap and gap rate of a joint limit at a state."""
     sign = work.limit_sign[k]
     return sign * (q[work.limit_q[k]] - work.limit_bound[k]), sign * v[work.limit_v[k]]
 
 
-@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
+@external
 def all_gaps(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state.
 
@@ -122,8 +122,8 @@ def all_gaps(work, q, v, found):
 # ---- contact motion
 
 
-@ahead(SceneWorkspace, int, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
-@separate
+@declared(SceneWorkspace, int, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
+@external
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
     placements, velocities, accelerations = (
@@ -149,14 +149,14 @@ def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     )
 
 
-@inner
+@inlined
 def follow_surface(work, i):
     """Let the axes of a contact follow its surface, see `contact_kinematics.follow`."""
     tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
     contact_kinematics.follow(work.placements[tip], work.placements[base], work.contact_constants[i])
 
 
-@inner
+@inlined
 def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, gap):
     """Fill the motion of some contacts at the state last evaluated without contact forces."""
     for k in range(len(index)):
@@ -166,8 +166,8 @@ def motion_of_contacts(work, index, jacobian, velocity, acceleration, surface, g
 # ---- accelerations
 
 
-@ahead(SceneWorkspace, float, FLOATS)
-@separate
+@declared(SceneWorkspace, float, FLOATS)
+@external
 def evaluate_without_contacts(work, t, powers):
     """Leave v̇ without contact forces, and the kinematics; fill the powers of control and joints."""
     if work.calls[CONTROL] != 0:
@@ -180,14 +180,14 @@ def evaluate_without_contacts(work, t, powers):
     call_python(work, ABA)
 
 
-@inner
+@inlined
 def invert_mass_matrix(work):
     """Leave M⁻¹ at the state last evaluated; return whether that went well."""
     return call_python(work, INVERT)
 
 
-@ahead(SceneWorkspace, float, FLOATS)
-@separate
+@declared(SceneWorkspace, float, FLOATS)
+@external
 def evaluate(work, t, out):
     """Fill `out` (nv + 4) with v̇ and the powers of control, joints, sliding friction and surfaces."""
     acceleration = work.acceleration

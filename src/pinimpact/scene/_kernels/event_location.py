@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 from .slip import set_directions_within
@@ -39,7 +39,7 @@ FADING = 1.0 / 16.0
 def sampled(value):
     """Return the kernel value_at(work, i, t): a function and its rate at a time within the step."""
 
-    @inner
+    @inlined
     def value_at(work, i, t):
         fraction = (t - work.step_start) / work.step_length
         set_state_within(work, fraction)
@@ -53,7 +53,7 @@ def search_for_closing(value):
     """Return the kernel that finds where a gap closes, whose value and rate are given."""
     value_at = sampled(value)
 
-    @inner
+    @inlined
     def first_closing(work, i, end, gap, rate, end_gap, end_rate, bounds):
         """Return the first time until `end` at which a gap closes; infinite where it does not.
 
@@ -134,7 +134,7 @@ def search_for_fall(value):
     """Return the kernel that finds where a function first falls below zero."""
     value_at, root = sampled(value), search_for_root(value)
 
-    @inner
+    @inlined
     def first_fall(work, i, end, floor):
         """Return the first time until `end` at which a function falls below −floor; infinite if it does not.
 
@@ -194,7 +194,7 @@ def search_for_root(value):
     """Return the kernel that finds where a function changes sign."""
     value_at = sampled(value)
 
-    @inner
+    @inlined
     def root(work, i, a, b, fa, fb):
         """Return where a function changes sign between a and b, to rounding and not before.
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import external, inlined, jit
 from .closed_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .contact_modes import NOTHING
@@ -29,8 +29,8 @@ ASIDE = 1e-3
 """How far slip may begin aside of its friction, in parts of how far it begins along it."""
 
 
-@ahead(SceneWorkspace, float, FLOATS)
-@separate
+@declared(SceneWorkspace, float, FLOATS)
+@external
 def choose_forces(work, t, out):
     """Choose the forces of a motion that begins, evaluated at its start; see `dynamics.evaluate`."""
     if work.forces_unique:
@@ -55,7 +55,7 @@ def choose_forces(work, t, out):
         evaluate(work, t, out)
 
 
-@ahead(SceneWorkspace)
+@declared(SceneWorkspace)
 @jit
 def doubtful_margin(work):
     """Return a margin up to which forces do not clearly keep to what their modes allow."""
@@ -65,7 +65,7 @@ def doubtful_margin(work):
     return 2.0 * work.force_tolerance + DOUBTFUL * largest
 
 
-@inner
+@inlined
 def fit(work, t, out, enough):
     """Return whether the forces last evaluated are so far in their bounds, or others with the same motion.
 
@@ -105,7 +105,7 @@ def fit(work, t, out, enough):
     return True
 
 
-@inner
+@inlined
 def take_found(work):
     """Take as known the forces by which the modes were found."""
     known, found, mode, index = work.inner_forces, work.found_forces, work.closed_mode, work.closed_index

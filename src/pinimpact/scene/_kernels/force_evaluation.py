@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
@@ -16,7 +16,7 @@ from .widest_margin import least_admissible
 from .workspace import SceneWorkspace
 
 
-@ahead(
+@declared(
     *(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS),
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
 )
@@ -74,7 +74,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
     return work.forces_unique
 
 
-@ahead(SceneWorkspace, INTEGERS, FLOAT_STACK, FLOAT_ROWS)
+@declared(SceneWorkspace, INTEGERS, FLOAT_STACK, FLOAT_ROWS)
 @jit
 def places_of_contacts(work, index, axes, points):
     """Fill where contacts are at the kinematics last computed, in world axes.

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_ROWS, FLOATS, ahead
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import jit
 
 SWEEPS = 200
@@ -19,7 +19,7 @@ TOLERANCE = 1e-12
 """Change of the forces in a sweep, relative to the largest, at which to stop."""
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
+@declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @jit
 def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, scalar_force):
     """Find forces that obey Coulomb's law at acceleration level, by projected sweeps.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .contact_forces import SLIP, STICK
 from .radau import STAGES as TURNING
 from .slip import CERTAIN
@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 """Part of the power of a contact or joint that is rounding."""
 
 
-@inner
+@inlined
 def friction_drives(work, explicit):
     """Return the largest power that friction gives in the step last completed, up to its first event [W].
 
@@ -68,7 +68,7 @@ def friction_drives(work, explicit):
     return given
 
 
-@inner
+@inlined
 def power_of_errors(work):
     """Return the most power that what does not slip has by the errors of the joints' velocities [W]."""
     mode, jacobian, force, v0, v1 = (

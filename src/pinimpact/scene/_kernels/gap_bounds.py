@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 
 
-@inner
+@inlined
 def curvatures(gap, rate, later_gap, later_rate, width, bounds):
     """Return the largest downward curvature of a gap between two times, and the largest in either direction.
 
@@ -37,7 +37,7 @@ def curvatures(gap, rate, later_gap, later_rate, width, bounds):
     return max(min(size, change - mean), 0.0), min(most, change + abs(mean))
 
 
-@inner
+@inlined
 def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     """Whether the gap provably stays above −floor.
 
@@ -57,7 +57,7 @@ def clear(gap, rate, later_gap, later_rate, curvature, width, floor):
     return max(left, right) > -floor if 0.0 < m < width else (left > -floor if m > 0.0 else right > -floor)
 
 
-@inner
+@inlined
 def rim_clear(now, later, radius, curvature, width, floor):
     """Whether the gap of a rim provably stays above −floor, however fast its lowest point goes round it.
 
@@ -97,7 +97,7 @@ def rim_clear(now, later, radius, curvature, width, floor):
     return False
 
 
-@inner
+@inlined
 def rim_gap(at, radius):
     """Return gap and gap rate of a rim; where it lies flat, the rate at which its lowest point falls."""
     w1, w2, w3, d1, d2, d3 = at[2], at[3], at[4], at[5], at[6], at[7]
@@ -107,7 +107,7 @@ def rim_gap(at, radius):
     return at[0] - radius * size, at[1] - radius * growth
 
 
-@inner
+@inlined
 def _rim_ahead(at, radius, curvature, s):
     """Return P(s) of `rim_clear`, to either side."""
     w1, w2, w3 = at[2] + at[5] * s, at[3] + at[6] * s, at[4] + at[7] * s

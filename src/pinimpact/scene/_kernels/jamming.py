@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, ahead
+from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import jit
 from .closed_set import ALL, closed_rows
 from .contact_forces import SLIP, delassus_of_rows
@@ -14,7 +14,7 @@ from .dynamics import evaluate, set_state
 from .workspace import SceneWorkspace
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS, bool, float)
+@declared(SceneWorkspace, float, FLOATS, FLOATS, bool, float)
 @jit
 def forces_unbounded(work, t, q, v, without_forces, singular):
     """Return whether contacts that slip drive the surface in until their forces have no bound.

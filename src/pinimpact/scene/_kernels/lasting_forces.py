@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import separate
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import external
 from ..._numeric.coulomb_problem import (
     AS_FORCES_SAY,
     SYSTEM,
@@ -26,8 +26,8 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.loops import assign, repeated
 
 
-@ahead(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
-@separate
+@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
+@external
 def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Return the sign of the determinant of the equations that forces x solve, zero where singular.
 
@@ -58,8 +58,8 @@ def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_no
     return solve(system, right, np.empty(size), RANK)
 
 
-@ahead(*SYSTEM)
-@separate
+@declared(*SYSTEM)
+@external
 def take_lasting(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Replace forces x of a negative determinant by others that last, if such are found.
 

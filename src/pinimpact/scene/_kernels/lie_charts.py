@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOATS, INTEGER_ROWS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOATS, INTEGER_ROWS, declared
+from ..._compile.jit import inlined, jit
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
 """Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
@@ -19,7 +19,7 @@ ASTRAY = 1e50
 """Coordinates and velocities beyond this come from a step that is too long; squares of them overflow soon."""
 
 
-@inner
+@inlined
 def half_turn(angle):
     """Return sin(θ/2)/θ, cos(θ/2) and (1 − (θ/2) cot(θ/2))/θ²."""
     h = 0.5 * angle
@@ -33,14 +33,14 @@ def half_turn(angle):
     return math.sin(h) / angle, math.cos(h), (1.0 - h / math.tan(h)) / (angle * angle)
 
 
-@inner
+@inlined
 def rotate(x, y, z, w, a, b, c):
     """Return the vector (a, b, c) rotated by a unit quaternion."""
     u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     return a + w * u + y * t - z * v, b + w * v + z * u - x * t, c + w * t + x * v - y * u
 
 
-@ahead(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
+@declared(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def advance(joints, q0, xi, q):
     """Fill q = q₀ ⊕ ξ, normalised."""
@@ -80,7 +80,7 @@ def advance(joints, q0, xi, q):
             q[i2], q[i2 + 1], q[i2 + 2], q[i2 + 3] = x / r, y / r, z / r, w / r
 
 
-@ahead(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
+@declared(INTEGER_ROWS, FLOATS, FLOATS, FLOATS)
 @jit
 def chart_rate(joints, xi, v, rate):
     """Fill ξ̇ for the velocity v at ξ; valid while no rotation of the chart reaches a full turn."""
@@ -109,7 +109,7 @@ def chart_rate(joints, xi, v, rate):
             rate[j2 + 2] = w3 + 0.5 * x3 + e * (f1 * x2 - f2 * x1)
 
 
-@inner
+@inlined
 def gone_astray(xi, v):
     """Whether chart coordinates and velocity are none that a robot can have: not finite, or nearly so."""
     astray = False
@@ -118,7 +118,7 @@ def gone_astray(xi, v):
     return astray
 
 
-@ahead(INTEGER_ROWS, FLOATS)
+@declared(INTEGER_ROWS, FLOATS)
 @jit
 def turned_too_far(joints, xi):
     """Whether some rotation of the chart exceeds 3 rad, so that the chart must be moved first."""
@@ -130,7 +130,7 @@ def turned_too_far(joints, xi):
     return False
 
 
-@ahead(INTEGER_ROWS, FLOATS, FLOATS)
+@declared(INTEGER_ROWS, FLOATS, FLOATS)
 @jit
 def magnitudes(joints, q, out):
     """Fill the size that a relative tolerance refers to: |q| of a plain coordinate, 1 for a rotation."""

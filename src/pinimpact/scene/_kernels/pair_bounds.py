@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLAGS, FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from ...robot._kernels.contact_kinematics import column
 from ...robot._kernels.placement import place, rotate_back
@@ -25,7 +25,7 @@ TURNS = 12
 """Directions that are tried on the way to that of a gap."""
 
 
-@ahead(
+@declared(
     *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
     *(FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLAGS, INTEGERS, FLOAT_ROWS),
 )
@@ -70,7 +70,7 @@ def separations(
     return True
 
 
-@ahead(
+@declared(
     *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
     *(FLAGS, FLOATS),
 )
@@ -92,7 +92,7 @@ def turn_to_gaps(calls, q, placements, joints, vertices, ranges, radii, directio
     return True
 
 
-@inner
+@inlined
 def turn_to_gap(placements, joints, vertices, ranges, d):
     """Turn a direction towards the gap of a pair's cores; return how far they are apart along it [m].
 
@@ -128,7 +128,7 @@ def turn_to_gap(placements, joints, vertices, ranges, d):
     return best
 
 
-@inner
+@inlined
 def separation(placements, joints, vertices, ranges, d):
     """Return how far the cores of a pair are apart along d [m]."""
     low, _ = lowest(placements[joints[0]], vertices[ranges[0] : ranges[1]], d[0], d[1], d[2])
@@ -136,7 +136,7 @@ def separation(placements, joints, vertices, ranges, d):
     return low + high
 
 
-@inner
+@inlined
 def lowest(R, vertices, d1, d2, d3):
     """Return the height of the lowest of vertices, placed by R, along d, and which it is."""
     a, b, c = rotate_back(R, d1, d2, d3)
@@ -148,10 +148,10 @@ def lowest(R, vertices, d1, d2, d3):
     return d1 * R[9] + d2 * R[10] + d3 * R[11] + low, which
 
 
-@ahead(
+@declared(
     FLOAT_ROWS, INTEGER_ROWS, FLOAT_COLUMNS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, float, FLOATS
 )
-@separate
+@external
 def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
     """Fill what the acceleration of a point of one shape against one of the other does not exceed [m/s²].
 
@@ -192,7 +192,7 @@ def bends(placements, joints, J, centers, reaches, moves, peak, h, out):
         out[k] = total
 
 
-@ahead(
+@declared(
     *(INTEGERS, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS),
     *(FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS),
     *(FLOAT_ROWS, float, FLOATS, FLAGS),

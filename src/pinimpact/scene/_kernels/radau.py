@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from ..._numeric.loops import assign
 from .dense_output import BASIS, rate_bounds
 from .dop853 import STAGES as LAST
@@ -54,7 +54,7 @@ def _coefficients():
 ABSCISSAE, MATRIX, AT_START, DENSE, START, GAMMA = _coefficients()
 
 
-@inner
+@inlined
 def start_rates(work, rtol, atol, scale):
     """Guess the rates at the stages; fill (2 nv,) one over the tolerances of ξ and v."""
     rates, v0, sizes = work.stage_rates, work.v0, work.tolerance_sizes
@@ -67,7 +67,7 @@ def start_rates(work, rtol, atol, scale):
         assign(rates[1 + i], rates[0])
 
 
-@inner
+@inlined
 def advance_to(work, i, h, v):
     """Fill the chart coordinates and a velocity at a stage, from the rates at all."""
     rates, v0, xi = work.stage_rates, work.v0, work.xi
@@ -81,7 +81,7 @@ def advance_to(work, i, h, v):
         v[m] = v0[m] + h * b
 
 
-@inner
+@inlined
 def evaluate_stage(work, i, t, h, change):
     """Evaluate at a stage, and fill what its rates lack; return False if the stage leads too far."""
     rates, xi, v = work.stage_rates, work.xi, work.v
@@ -102,7 +102,7 @@ def evaluate_stage(work, i, t, h, change):
     return True
 
 
-@inner
+@inlined
 def change_rates(rates, changes, h, scale):
     """Add changes to the rates at the stages; return their size over the tolerance, root mean square."""
     size = 0.0
@@ -114,7 +114,7 @@ def change_rates(rates, changes, h, scale):
     return math.sqrt(size / (len(scale) * STAGES))
 
 
-@inner
+@inlined
 def progress(iteration, size, before):
     """Tell what the iteration has come to, by the sizes of the last change and of the one before."""
     ratio = size / before if iteration > 0 else 0.5
@@ -125,7 +125,7 @@ def progress(iteration, size, before):
     return GOES_ON
 
 
-@inner
+@inlined
 def start_error(rates, h, error):
     """Fill (2 nv,) the error: what the rates' polynomial says of the start, against the rates there."""
     for m in range(len(error)):
@@ -135,7 +135,7 @@ def start_error(rates, h, error):
         error[m] = GAMMA * h * total
 
 
-@inner
+@inlined
 def reach_end(work, h, error, scale):
     """Fill the state at the end of the step; return the error over the tolerance."""
     advance_to(work, STAGES - 1, h, work.v1)
@@ -147,7 +147,7 @@ def reach_end(work, h, error, scale):
     return norm ** (8.0 / (STAGES + 1)) if norm == norm else math.inf
 
 
-@inner
+@inlined
 def complete(work, t, h):
     """Evaluate at the end of the step last attempted; fill its dense output, and the bounds of its rates."""
     n = len(work.v1)

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import declared
+from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign
 from ...geometry._kernels.constants import RIM
 from ...robot._kernels import contact_motion
@@ -26,7 +26,7 @@ DEPTH = 80
 """How often a step can be halved."""
 
 
-@inner
+@inlined
 def rim_at(work, i, t, base, out):
     """Fill the parts of a rim's gap (8,) at a time within the step, its height counted from a base."""
     set_state_within(work, (t - work.step_start) / work.step_length)
@@ -40,8 +40,8 @@ def rim_at(work, i, t, base, out):
     out[0] -= base
 
 
-@ahead(SceneWorkspace, int, float, float)
-@separate
+@declared(SceneWorkspace, int, float, float)
+@external
 def first_touch_of_rim(work, i, end, gap):
     """Return the first time until `end` at which a rim touches; infinite where it does not.
 
@@ -84,7 +84,7 @@ def first_touch_of_rim(work, i, end, gap):
     return math.inf
 
 
-@inner
+@inlined
 def root_of_rim(work, i, base, low, high, row):
     """Return where the gap of a rim, which falls from `low` to `high`, is zero; `row` is that at `high`.
 

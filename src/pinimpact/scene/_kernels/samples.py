@@ -6,21 +6,21 @@ much curvature again as the samples show could bring it there; otherwise it is s
 
 from __future__ import annotations
 
-from ..._compile.jit import inner
+from ..._compile.jit import inlined
 from .contact_forces import SLIP
 
 SAFETY = 1.5
 """Factor on the curvature between samples."""
 
 
-@inner
+@inlined
 def along(work, k, velocity):
     """Return the speed along the direction last known of contact velocities (nc, 3)."""
     reference = work.slip_reference
     return reference[k, 0] * velocity[k, 0] + reference[k, 1] * velocity[k, 1]
 
 
-@inner
+@inlined
 def record_sample(work, slot, fraction):
     """Keep margin and slip at the state last evaluated as a sample at a fraction of the step."""
     work.sample_times[slot], work.sample_margins[slot] = fraction, work.force_margin
@@ -30,7 +30,7 @@ def record_sample(work, slot, fraction):
             slip[slot, k] = along(work, k, velocity)
 
 
-@inner
+@inlined
 def clear_of_zero(times, values, count):
     """Return whether a function stays above zero between its first samples, as far as they tell.
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.ahead import FLOAT_ROWS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLOAT_ROWS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign
 from .contact_forces import SLIP
 from .workspace import SceneWorkspace
@@ -18,14 +18,14 @@ BEHIND = 1e-3
 is larger."""
 
 
-@inner
+@inlined
 def behind(work):
     """Return the speed up to which a reversal is none: no more than the error of a step."""
     return min(BEHIND * work.stick_speed, work.certain_speed / CERTAIN)
 
 
-@ahead(SceneWorkspace, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, FLOAT_ROWS)
+@external
 def turn_references(work, velocity):
     """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
     mode, reference = work.closed_mode, work.slip_reference
@@ -39,7 +39,7 @@ def turn_references(work, velocity):
         assign(work.end_directions[k], reference[k])
 
 
-@inner
+@inlined
 def set_directions_within(work, fraction):
     """Set the directions of slip at a fraction of the step, for contacts too slow to show them."""
     reference, start, end = work.slip_reference, work.start_directions, work.end_directions
@@ -51,7 +51,7 @@ def set_directions_within(work, fraction):
             reference[k, 0], reference[k, 1] = x / length, y / length
 
 
-@inner
+@inlined
 def restore_directions(work):
     """Go back to the directions of slip at the start of the step."""
     for k in range(len(work.slip_reference)):
@@ -59,8 +59,8 @@ def restore_directions(work):
         assign(work.end_directions[k], work.start_directions[k])
 
 
-@ahead(SceneWorkspace)
-@separate
+@declared(SceneWorkspace)
+@external
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
     mode, mu, velocity, reference = (

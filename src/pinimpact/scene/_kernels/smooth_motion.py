@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
 from . import step_dop853
 from .contact_forces import FREE, SLIP
@@ -32,7 +32,7 @@ from .step_drives import rate_of_drives
 from .workspace import SceneWorkspace
 
 
-@ahead(SceneWorkspace, float, FLOATS, FLOATS)
+@declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
 def begin(work, t, q, v):
     """Begin a smooth motion: evaluate at its start, take the gaps and the stiffness of slip.
@@ -86,14 +86,14 @@ def begin(work, t, q, v):
     return guess
 
 
-@inner
+@inlined
 def note_flat_bounce(work, rate, fall):
     """Keep the rate at which something has bounced off, if it turns before its gap shows."""
     if rate * rate < 2.0 * fall * work.gap_floor:
         work.flat_bounce = max(work.flat_bounce, rate)
 
 
-@ahead(SceneWorkspace)
+@declared(SceneWorkspace)
 @jit
 def modes_go_on(work):
     """Whether the modes that hold do so under a force that has jumped, at the start of a smooth motion.
@@ -122,7 +122,7 @@ def modes_go_on(work):
     return True
 
 
-@ahead(SceneWorkspace, float, float, float, bool)
+@declared(SceneWorkspace, float, float, float, bool)
 @jit
 def finish(work, t, h, error, explicit):
     """Finish a step whose error is small enough: look for the first event in it.
@@ -175,7 +175,7 @@ def finish(work, t, h, error, explicit):
         restore_directions(work)
 
 
-@inner
+@inlined
 def set_growth(work, h, error):
     """Tell how much longer the next step may be, and keep this one in mind for the step after it.
 
@@ -191,14 +191,14 @@ def set_growth(work, h, error):
     work.growth = max(factor, 0.2)
 
 
-@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
+@declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def gaps_at(work, q, v, found):
     """Fill (n + nl, 2) gaps and rates of all contacts, then of the joint limits, at a state."""
     all_gaps(work, q, v, found)
 
 
-@ahead(
+@declared(
     SceneWorkspace,
     float,
     FLOATS,

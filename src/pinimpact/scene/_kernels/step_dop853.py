@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from . import dopri5
 from .dense_output import rate_bounds
@@ -50,13 +50,13 @@ ERRORS = _both(ERROR, np.array([0.0 * dopri5.ERROR, dopri5.ERROR]))
 DENSES = _both(DENSE, dopri5.DENSE[None])
 
 
-@inner
+@inlined
 def method(work):
     """Return which coefficients are those of the step."""
     return 1 if work.low_order else 0
 
 
-@ahead(SceneWorkspace, float, float, float, float)
+@declared(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it leads too far."""
@@ -90,7 +90,7 @@ def attempt(work, t, h, rtol, atol):
     return error if error == error else math.inf
 
 
-@inner
+@inlined
 def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
     """Return the error over the tolerance of the velocity that what is closed takes away in the step.
 
@@ -113,8 +113,8 @@ def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * n)
 
 
-@ahead(SceneWorkspace, int, float)
-@separate
+@declared(SceneWorkspace, int, float)
+@external
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
@@ -131,7 +131,7 @@ def set_stage(work, i, h):
     chart_rate(work.joint_charts, xi, v, rates[i, :n])
 
 
-@inner
+@inlined
 def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
     """Return the error of the step over the tolerance, root mean square over ξ and v."""
     n = len(v0)
@@ -150,7 +150,7 @@ def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
     return abs(h) * e5 / math.sqrt((e5 + 0.01 * e3) * 2 * n)
 
 
-@inner
+@inlined
 def complete(work, t, h):
     """Fill the dense output of the step last attempted, and the bounds of its rates."""
     rates, out = work.stage_rates, work.dense_coefficients
@@ -177,7 +177,7 @@ def complete(work, t, h):
             out[3 + k, m] = h * value
 
 
-@inner
+@inlined
 def begin_next(work):
     """Take the end of the step last attempted as the start of the next one."""
     rates, v0, last = work.stage_rates, work.v0, LAST[method(work)]

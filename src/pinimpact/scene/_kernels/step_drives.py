@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, INTEGERS, ahead
-from ..._compile.jit import inner, jit, separate
+from ..._compile.declared import FLOAT_ROWS, INTEGERS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.elimination import RANK
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
@@ -44,7 +44,7 @@ ITERATIONS = 10
 SQUARE = MATRIX @ MATRIX
 
 
-@inner
+@inlined
 def following(work):
     """Return the velocities on which a linear law acts: drives within their efforts, and damping."""
     side, stiffness, drive_damping, damping = (
@@ -61,7 +61,7 @@ def following(work):
     return nonzero(marks)
 
 
-@inner
+@inlined
 def law(work, j):
     """Return stiffness and damping of the linear law of a velocity."""
     if work.drive_side[j] != 0:
@@ -69,8 +69,8 @@ def law(work, j):
     return work.drive_stiffness[j], work.drive_damping[j] + work.damping[j]
 
 
-@ahead(SceneWorkspace, INTEGERS, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, INTEGERS, FLOAT_ROWS)
+@external
 def respond(work, driven, response):
     """Fill (k, nv) what a unit of each drive's force does to v̇ at the state last evaluated, with its M⁻¹."""
     rows, effect, minverse = work.equation_rows, work.force_response, work.minverse
@@ -92,8 +92,8 @@ def respond(work, driven, response):
                 response[c, j] += reactions[c, m] * effect[m, j]
 
 
-@ahead(SceneWorkspace)
-@separate
+@declared(SceneWorkspace)
+@external
 def rate_of_drives(work):
     """Return how fast the drives settle at the most, about [1/s], at the state last evaluated."""
     if not work.stiff_joints:
@@ -114,7 +114,7 @@ def rate_of_drives(work):
     return fastest
 
 
-@ahead(SceneWorkspace, float, float, float, float)
+@declared(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
@@ -125,7 +125,7 @@ def attempt(work, t, h, rtol, atol):
     return error
 
 
-@inner
+@inlined
 def solve_stages(work, t, h, rtol, atol):
     """Iterate for the rates at the stages; return the error."""
     rates, n, s = work.stage_rates, len(work.v0), STAGES
@@ -196,7 +196,7 @@ def solve_stages(work, t, h, rtol, atol):
     return reach_end(work, h, error, scale)
 
 
-@inner
+@inlined
 def filtered(h, driven, response, stiffness, damping, error):
     """Divide an error of ξ and v by 1 − γ h times the derivative of the rates, for the laws of the drives."""
     k, n = len(driven), response.shape[1]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.ahead import FLOAT_ROWS, FLOATS, ahead
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import jit
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
 from ..._numeric.loops import flags
 
 
-@ahead(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
+@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
 @jit
 def step_impulses(delassus, free, friction, lower, upper, compliance, impulse):
     """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.

@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import ahead
-from ..._compile.jit import inner, jit
+from ..._compile.declared import declared
+from ..._compile.jit import inlined, jit
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
@@ -43,7 +43,7 @@ STIFF = 3.0
 """Explicit steps are stable up to about twice this h wᵀu/s."""
 
 
-@inner
+@inlined
 def turn(work, k, s1, s2, across, effect):
     """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
     mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
@@ -70,7 +70,7 @@ def turn(work, k, s1, s2, across, effect):
             effect[j] += response[m, j] * reaction[m]
 
 
-@ahead(SceneWorkspace, float, float, float, float)
+@declared(SceneWorkspace, float, float, float, float)
 @jit
 def attempt(work, t, h, rtol, atol):
     """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
@@ -86,7 +86,7 @@ def attempt(work, t, h, rtol, atol):
     return error
 
 
-@inner
+@inlined
 def solve_stages(work, t, h, rtol, atol):
     """Iterate for the rates at the stages and the directions of friction there; return the error."""
     rates, mode, mu = work.stage_rates, work.closed_mode, work.closed_friction
@@ -162,7 +162,7 @@ def solve_stages(work, t, h, rtol, atol):
     return reach_end(work, h, error, scale)
 
 
-@inner
+@inlined
 def equilibrate(matrix, right):
     """Divide each equation by its largest coefficient: one contact may be fast as another begins to slip."""
     for a in range(len(right)):
@@ -175,7 +175,7 @@ def equilibrate(matrix, right):
             right[a] /= largest
 
 
-@inner
+@inlined
 def filtered(h, across, effect, speeds, error):
     """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
     count, n = across.shape

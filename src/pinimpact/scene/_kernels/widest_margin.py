@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from ..._compile.ahead import FLOATS, ahead
-from ..._compile.jit import inner, separate
+from ..._compile.declared import FLOATS, declared
+from ..._compile.jit import external, inlined
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, repeated
@@ -33,8 +33,8 @@ ANY_MOTION, SAME_MOTION = np.int64(1), np.int64(0)
 """Whether forces may move what they act on in another way."""
 
 
-@ahead(SceneWorkspace, int, FLOATS)
-@separate
+@declared(SceneWorkspace, int, FLOATS)
+@external
 def widest_margin(work, moving, found):
     """Return the largest margin of all forces that the modes need at the state last evaluated [N].
 
@@ -78,7 +78,7 @@ def widest_margin(work, moving, found):
     return unit * y[free]
 
 
-@inner
+@inlined
 def margin_at(work, x, null, free):
     """Return how far forces x keep from their bounds, and whether none of null (free, size) can change that.
 
@@ -109,7 +109,7 @@ def margin_at(work, x, null, free):
     return least, moves <= FELT
 
 
-@inner
+@inlined
 def keep_motion(work, x, null, free):
     """Go to the forces last evaluated, and to the changes of them that do not change the motion.
 
@@ -147,7 +147,7 @@ def keep_motion(work, x, null, free):
     return left
 
 
-@inner
+@inlined
 def least_admissible(work, x):
     """Fill x with the forces of least norm that keep to their bounds, as nearly as there are any."""
     size = len(work.target)
@@ -170,7 +170,7 @@ def least_admissible(work, x):
             x[a] += unit * y[j] * null[j, a]
 
 
-@inner
+@inlined
 def largest_force(work, x):
     """Return the largest of forces and bounds, as their unit."""
     lower, upper = work.scalar_lower, work.scalar_upper
@@ -185,7 +185,7 @@ def largest_force(work, x):
     return unit
 
 
-@inner
+@inlined
 def count_bounds(work):
     """Return how many half-lines and how many cones the forces keep to."""
     lower, upper = work.scalar_lower, work.scalar_upper
@@ -198,7 +198,7 @@ def count_bounds(work):
     return lines, cones
 
 
-@inner
+@inlined
 def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     """Fill the rows of G and h by which x + nullᵀy keeps to its bounds, by `margin` times a last unknown.
 
@@ -241,7 +241,7 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     return cone
 
 
-@inner
+@inlined
 def bound_row(G, h, row, factor, value, null, free, a, margin):
     """Fill a row for factor · x_a − margin · m, of which value is the part at the forces of least norm."""
     for j in range(free):

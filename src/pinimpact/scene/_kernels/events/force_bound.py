@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ...._compile.ahead import ahead
-from ...._compile.jit import inner, jit, separate
+from ...._compile.declared import declared
+from ...._compile.jit import external, inlined, jit
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
@@ -18,14 +18,14 @@ from .consequences import MODE_CHANGE
 CONSEQUENCE = MODE_CHANGE
 
 
-@inner
+@inlined
 def value(work, _, t):
     """Return by how much forces can keep to what their modes allow, at the state that is set."""
     evaluate(work, t, np.empty(len(work.v) + 4))
     return max(margin_of_forces(work, 0.0), -1e300), 0.0
 
 
-@ahead(SceneWorkspace, float)
+@declared(SceneWorkspace, float)
 @jit
 def margin_of_forces(work, enough):
     """Return by how much forces can keep to what their modes allow, at the state last evaluated.
@@ -42,8 +42,8 @@ def margin_of_forces(work, enough):
 first_fall = search_for_fall(value)
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""
     if work.closed_contacts + work.closed_scalars == 0 or work.force_bound_ignored:

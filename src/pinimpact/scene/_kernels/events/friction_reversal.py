@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ...._compile.ahead import ahead
-from ...._compile.jit import inner, separate
+from ...._compile.declared import declared
+from ...._compile.jit import external, inlined
 from ..event_location import search_for_fall
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
@@ -17,7 +17,7 @@ ROUNDING = 1e-12
 """A reversal slower than this [rad/s or m/s] is none."""
 
 
-@inner
+@inlined
 def value(work, j, t):
     """Return the joint's velocity against its dry friction at the state that is set."""
     return math.copysign(work.v[j], work.v[j] * work.sliding_friction[j]), 0.0
@@ -26,8 +26,8 @@ def value(work, j, t):
 first_fall = search_for_fall(value)
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def first(work, end):
     """Return the first time before `end` at which a joint comes to rest, infinite if none does; and which."""
     sliding, v0, slowest, change = work.sliding_friction, work.v0, work.rate_bounds[1], work.step_length

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ...._compile.ahead import FLOAT_ROWS, FLOATS, ahead
-from ...._compile.jit import inner, separate
+from ...._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ...._compile.jit import external, inlined
 from ....geometry._kernels import surfaces
 from ....geometry._kernels.constants import RADIUS, RIM
 from ....robot._kernels import contact_motion
@@ -27,7 +27,7 @@ CLEAR = -1.0
 """In place of a bound: the gap is known not to close."""
 
 
-@inner
+@inlined
 def value(work, i, t):
     """Return gap and gap rate of a contact at the state that is set."""
     compute_kinematics(work)
@@ -37,8 +37,8 @@ def value(work, i, t):
 first_closing = search_for_closing(value)
 
 
-@ahead(SceneWorkspace, int, FLOATS, float, FLOATS)
-@separate
+@declared(SceneWorkspace, int, FLOATS, float, FLOATS)
+@external
 def bound(work, i, constants, reach, out):
     """Fill the bounds of the motion over the step (4,), see `gap_bounds.curvatures`.
 
@@ -65,7 +65,7 @@ def bound(work, i, constants, reach, out):
         out[3] += constants[RADIUS]
 
 
-@inner
+@inlined
 def bound_contact(work, i):
     """Leave the bounds of the motion of a contact."""
     constants = work.contact_constants[i]
@@ -81,7 +81,7 @@ def bound_contact(work, i):
         )
 
 
-@inner
+@inlined
 def stays_off(work, first, k):
     """Whether a sphere that bounds contacts provably stays off its surface over the step."""
     start, end, bounds = work.start_spheres[k], work.end_spheres[k], work.sphere_bounds[k]
@@ -92,7 +92,7 @@ def stays_off(work, first, k):
     return clear(start[0], start[1], end[0], end[1], fall, work.step_length, 0.0)
 
 
-@inner
+@inlined
 def tip_stays_off(work, i, bounds):
     """Whether a point or sphere provably stays off its surface, by bounds of all tips around it."""
     start, end = work.start_gaps[i], work.end_gaps[i]
@@ -103,7 +103,7 @@ def tip_stays_off(work, i, bounds):
     return clear(start[0] - base, start[1], end[0] - base, end[1], fall, h, work.gap_floor)
 
 
-@inner
+@inlined
 def look_at_blocks(work):
     """Leave bounds of the motion of all contacts that may touch, and their gaps at the ends of the step.
 
@@ -130,8 +130,8 @@ def look_at_blocks(work):
     complete_gaps(work, work.q1, work.v1, work.end_gaps)
 
 
-@ahead(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
-@separate
+@declared(SceneWorkspace, FLOATS, FLOATS, FLOAT_ROWS)
+@external
 def complete_gaps(work, q, v, gaps):
     """Fill the gaps at a state that `contact_gaps` has not looked at, of the blocks that are not clear."""
     blocks, clears = work.contact_blocks, work.clear_blocks
@@ -148,8 +148,8 @@ def complete_gaps(work, q, v, gaps):
             gaps[i, 0], gaps[i, 1] = contact_gap(work, i)
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def first(work, end):
     """Return the first time until `end` at which a gap closes, infinite if none does; and whose."""
     modes, blocks, clears = work.modes, work.contact_blocks, work.clear_blocks

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ...._compile.ahead import ahead
-from ...._compile.jit import inner, separate
+from ...._compile.declared import declared
+from ...._compile.jit import external, inlined
 from ..dynamics import limit_gap
 from ..event_location import search_for_closing
 from ..workspace import SceneWorkspace
@@ -15,7 +15,7 @@ from .gap import SAFETY
 CONSEQUENCE = ARRIVAL
 
 
-@inner
+@inlined
 def value(work, k, t):
     """Return distance from the limit and its rate at the state that is set."""
     return limit_gap(work, k, work.q, work.v)
@@ -24,7 +24,7 @@ def value(work, k, t):
 first_closing = search_for_closing(value)
 
 
-@inner
+@inlined
 def bound(work, k):
     """Fill the bounds of the motion over the step, see `gap_bounds.curvatures`; a limit is flat."""
     bounds, rates, j = work.limit_bounds, work.rate_bounds, work.limit_v[k]
@@ -36,8 +36,8 @@ def bound(work, k):
     )
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def first(work, end):
     """Return the first time until `end` at which a limit is reached, infinite if none is; and which."""
     closed = work.modes[work.contacts :]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from types import ModuleType
 
-from ...._compile.jit import inner
+from ...._compile.jit import inlined
 from . import force_bound, friction_reversal, gap, joint_limit, saturation, slip_end
 
 EVENTS: tuple[ModuleType, ...] = (gap, joint_limit, saturation, friction_reversal, slip_end, force_bound)
@@ -19,7 +19,7 @@ closes, the modes are set anew first.
 GAP, JOINT_LIMIT, SATURATION, FRICTION_REVERSAL, SLIP_END, FORCE_BOUND = range(len(EVENTS))
 
 
-@inner
+@inlined
 def _take(work, kind, found):
     """Keep an event if it comes before the end of the search; return whether the search goes on."""
     time, which = found
@@ -28,13 +28,13 @@ def _take(work, kind, found):
     return work.event_time > -math.inf
 
 
-@inner
+@inlined
 def _end(work):
     """Return where the search ends: at the end of the step, or at the event found so far."""
     return min(work.event_time, work.step_start + work.step_length)
 
 
-@inner
+@inlined
 def find_first_event(work):
     """Leave time, kind and index of the first event in the step last completed; see `event_time`."""
     work.event_time = math.inf

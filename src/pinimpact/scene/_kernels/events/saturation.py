@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...._compile.jit import inner, separate
+from ...._compile.jit import external, inlined
 from ..drives import CLEAR, law
 from ..event_location import search_for_fall
 from .consequences import SIDE_CHANGE
@@ -13,7 +13,7 @@ from .gap import SAFETY
 CONSEQUENCE = SIDE_CHANGE
 
 
-@inner
+@inlined
 def value(work, i, t):
     """Return how far the law of a drive keeps to its side of the bound, at the state that is set.
 
@@ -31,7 +31,7 @@ def value(work, i, t):
 first_fall = search_for_fall(value)
 
 
-@separate
+@external
 def first(work, end):
     """Return the first time before `end` at which a drive changes its side, infinite if none; and which."""
     q0, v0, side, bounds, h = work.q0, work.v0, work.drive_side, work.rate_bounds, work.step_length

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ...._compile.ahead import ahead
-from ...._compile.jit import inner, separate
+from ...._compile.declared import declared
+from ...._compile.jit import external, inlined
 from ..contact_forces import SLIP
 from ..dynamics import evaluate
 from ..event_location import sampled, search_for_fall, search_for_root
@@ -19,7 +19,7 @@ from .consequences import MODE_CHANGE
 CONSEQUENCE = MODE_CHANGE
 
 
-@inner
+@inlined
 def value(work, k, t):
     """Return the speed of slip along the direction last known, at the state that is set."""
     evaluate(work, t, np.empty(len(work.v) + 4))
@@ -29,7 +29,7 @@ def value(work, k, t):
 value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_root(value)
 
 
-@inner
+@inlined
 def has_turned(work, k, velocity):
     """Whether slip that is not along the direction last known is across rather than against it."""
     reference = work.slip_reference
@@ -37,13 +37,13 @@ def has_turned(work, k, velocity):
     return across > max(work.direction_speed, -along(work, k, velocity))
 
 
-@inner
+@inlined
 def least_reversal(work, speed):
     """Return the speed of a reversal that is no rounding, nor the error of a step, of slip of some speed."""
     return max(behind(work), min(work.atol + work.rtol * speed, 0.1 * work.stick_speed))
 
 
-@inner
+@inlined
 def first_against(work, k):
     """Return the first time within a step of `step_radau` at which slip goes against its friction."""
     slip, times = work.sample_slip, work.sample_times
@@ -54,8 +54,8 @@ def first_against(work, k):
     return math.inf
 
 
-@ahead(SceneWorkspace, float)
-@separate
+@declared(SceneWorkspace, float)
+@external
 def first(work, end):
     """Return the first time before `end` at which a slip ends, infinite if none; and which.
 

@@ -1,9 +1,9 @@
 """Several processes that compile kernels at once.
 
 Whoever waits for kernels has helpers, one for each further processor, as long as it takes. All go
-through one list of kernels whose argument types are known ahead, first what most has to follow on. Whoever
-comes to a kernel that nobody has begun claims it, by a file, compiles it, and leaves it in the cache; whoever
-needs what another has claimed waits for it, or, where the type of its result is told, calls its symbol.
+through one list of kernels whose argument types are declared, first what most has to follow on. Whoever
+comes to a kernel that nobody has begun locks it, by a file, compiles it, and leaves it in the cache; whoever
+needs what another has locked waits for it, or, where the type of its result is declared, calls its symbol.
 Nothing depends on a helper: what it does not leave in the cache, for whatever reason, the process that waits
 compiles itself, and it ends its helpers when it is done or stopped.
 """
@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 import numba
 
-from .ahead import Job, kernel_of, result_ahead
+from .declared import Job, declared_result, kernel_of
 from .linking import stand_in, to_be_kept_only
 from .sources import PACKAGE, ROOT, memory
 from .waiting import COUNT, LOG
@@ -42,7 +42,7 @@ PAUSE = 0.005
 _HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {} import help_out; help_out()"
 
 
-class Company:
+class WorkerPool:
     """The claims of the processes that compile together.
 
     Args:
@@ -54,12 +54,12 @@ class Company:
         self._folder = folder
         self._helpers = {helper.pid: helper for helper in helpers}
         self._at_work: Job | None = None
-        self._lent: list[tuple[Any, tuple[Any, ...]]] = []
+        self._borrowed: list[tuple[Any, tuple[Any, ...]]] = []
 
     def _file(self, job: Job) -> Path:
         return self._folder / hashlib.sha256(str(job[:3]).encode()).hexdigest()[:32]
 
-    def claim(self, job: Job) -> bool:
+    def lock(self, job: Job) -> bool:
         """Claim a kernel; return False if another has been faster."""
         try:
             with open(self._file(job), "x") as file:
@@ -82,7 +82,7 @@ class Company:
             job: The kernel.
             load: Looks for it in the cache.
         """
-        if self._is_at_work(job) or self.claim(job):
+        if self._is_at_work(job) or self.lock(job):
             return None
         while not self._is_over(job):
             time.sleep(PAUSE)
@@ -97,12 +97,12 @@ class Company:
                 return True
         return claimed.with_suffix(".done").exists()
 
-    def lend(self, kernel: Any, job: Job) -> Any:
+    def borrow(self, kernel: Any, job: Job) -> Any:
         """Return what stands for a kernel that is not the one at work, if its result is told; else None."""
         if self._at_work is None:
             return None
-        self._lent.append((kernel, job.types))
-        result = None if self._is_at_work(job) else result_ahead(kernel, job.types)
+        self._borrowed.append((kernel, job.types))
+        result = None if self._is_at_work(job) else declared_result(kernel, job.types)
         return None if result is None else stand_in(kernel, job.types, result)
 
     def share(self, jobs: Sequence[Job]) -> None:
@@ -112,9 +112,9 @@ class Company:
                 self._share(jobs)
         finally:
             self._at_work = None
-            for kernel, types in self._lent:
+            for kernel, types in self._borrowed:
                 kernel.overloads.pop(types, None)
-            for kernel in {kernel for kernel, _ in self._lent}:
+            for kernel in {kernel for kernel, _ in self._borrowed}:
                 others = list(kernel.overloads.values())
                 kernel._reset_overloads()
                 for one in others:
@@ -122,13 +122,13 @@ class Company:
 
     def _share(self, jobs: Sequence[Job]) -> None:
         left = list(jobs)
-        while left := [job for job in left if not self._is_claimed(job)]:
-            over = [self._is_claimed(job) and self._is_over(job) for job in jobs]
+        while left := [job for job in left if not self._is_locked(job)]:
+            over = [self._is_locked(job) and self._is_over(job) for job in jobs]
             job = next((job for job in left if all(over[k] for k in job.needs)), None)
             if job is None:
                 time.sleep(PAUSE)
                 continue
-            if not self.claim(job):
+            if not self.lock(job):
                 continue
             LOG.info(COUNT, sum(over), len(jobs))
             self._at_work = job
@@ -141,12 +141,12 @@ class Company:
     def _is_at_work(self, job: Job) -> bool:
         return self._at_work is not None and self._at_work[:3] == job[:3]
 
-    def _is_claimed(self, job: Job) -> bool:
+    def _is_locked(self, job: Job) -> bool:
         return self._file(job).exists()
 
 
-present: Company | None = None
-"""The company that this process compiles in."""
+present: WorkerPool | None = None
+"""The worker pool that this process compiles in."""
 
 
 def possible_helpers() -> int:
@@ -158,7 +158,7 @@ def possible_helpers() -> int:
 
 
 @contextmanager
-def company(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
+def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
     """Start helpers, who wait for kernels until the context ends.
 
     Args:
@@ -180,7 +180,7 @@ def company(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
             if started:
                 for helper in started:
                     _tell(helper, (numba.config.CACHE_DIR, folder, memory.known), list(jobs))
-                present = Company(folder, started)
+                present = WorkerPool(folder, started)
                 present.share(jobs)
 
         yield share
@@ -227,7 +227,7 @@ def help_out() -> None:
     gc.disable()  # see `linking`; it ends before that matters
     sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba's; no kernel calls it
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
-    present = Company(folder)
+    present = WorkerPool(folder)
     present.share(jobs)
 
 

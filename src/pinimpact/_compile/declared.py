@@ -1,16 +1,16 @@
-"""Kernels whose argument types are known before a caller is compiled, so that all can be compiled at once.
+"""Declared signatures: a kernel whose argument types are known is compiled beside its callers.
 
-The types are told above the decorator of a kernel::
+The types stand above the decorator of a kernel::
 
-    @ahead(FLOAT_ROWS, FLOATS, float, int)
-    @separate
+    @declared(FLOAT_ROWS, FLOATS, float, int)
+    @external
     def kernel(matrix, vector, x, k): ...
 
 They are a hint and nothing else: for other types the kernel is compiled when a caller asks for it. Where
-the type of the result is told too, callers are compiled without it::
+the type of the result is declared too, callers are compiled without it::
 
-    @ahead(FLOATS, result=float)
-    @separate
+    @declared(FLOATS, result=float)
+    @external
     def kernel(vector): ...
 """
 
@@ -53,8 +53,8 @@ class Job(NamedTuple):
     needs: Sequence[int] = ()
 
 
-def ahead(*kinds: Any, result: Any = None) -> Callable[[K], K]:
-    """Tell the types of a kernel's arguments.
+def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
+    """Declare the types of a kernel's arguments.
 
     Args:
         *kinds: Of each, in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
@@ -64,7 +64,7 @@ def ahead(*kinds: Any, result: Any = None) -> Callable[[K], K]:
 
     def tell(kernel: K) -> K:
         if hasattr(kernel, "py_func"):  # else it is plain Python
-            kernel.ahead, kernel.result = kinds, result  # type: ignore[attr-defined]
+            kernel.declared, kernel.result = kinds, result  # type: ignore[attr-defined]
         return kernel
 
     return tell
@@ -89,15 +89,15 @@ def plain_tuple(kind: Any) -> Any:
     return types.BaseTuple.from_types(numba_type(kind).types)
 
 
-def types_ahead(kernel: Any) -> tuple[Any, ...]:
+def declared_types(kernel: Any) -> tuple[Any, ...]:
     """Return the types of arguments that a kernel tells."""
-    return tuple(map(numba_type, kernel.ahead))
+    return tuple(map(numba_type, kernel.declared))
 
 
-def result_ahead(kernel: Any, types: tuple[Any, ...]) -> Any:
+def declared_result(kernel: Any, types: tuple[Any, ...]) -> Any:
     """Return the type of what a kernel returns, None where it is not told for these types of arguments."""
     result = getattr(kernel, "result", None)
-    return None if result is None or types != types_ahead(kernel) else numba_type(result)
+    return None if result is None or types != declared_types(kernel) else numba_type(result)
 
 
 def callees(function: FunctionType) -> list[Any]:
@@ -138,14 +138,16 @@ def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
             order.append(kernel)
 
     def is_job(kernel: Any) -> bool:
-        return kernel in given or hasattr(kernel, "ahead")
+        return kernel in given or hasattr(kernel, "declared")
 
     for kernel in given:
         visit(kernel)
-    made = {one: given[one] if one in given else types_ahead(one) for one in order if is_job(one)}
+    made = {one: given[one] if one in given else declared_types(one) for one in order if is_job(one)}
     needs = {
         one: [
-            other for other in made if other in inside[one] - {one} and not result_ahead(other, made[other])
+            other
+            for other in made
+            if other in inside[one] - {one} and not declared_result(other, made[other])
         ]
         for one in made
     }
