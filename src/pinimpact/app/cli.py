@@ -17,7 +17,8 @@ import click
 from .. import __version__
 from ..checks import near_matches
 from ..errors import PinimpactError, SimulationError, UnknownNameError
-from .output_folder import make_folder
+from ..tables import write_table
+from .output_folder import make_folder, table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -312,6 +313,13 @@ def _plain(text: str) -> float | str:
 )
 @click.option("--delay", help="Delay of the sampled control, likewise.")
 @click.option("--all", "every", is_flag=True, help="Show all impacts, modes and notes.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Also write the samples as a table, FILE.csv or FILE.parquet, and the impacts as FILE-impacts.csv "
+    "or .parquet.",
+    metavar="FILE",
+)
 @OUT
 @FORCE
 @JSON
@@ -322,6 +330,7 @@ def run(
     period: str | None,
     delay: str | None,
     every: bool,
+    output: Path | None,
     out: Path | None,
     force: bool,
     as_json: bool,
@@ -341,6 +350,7 @@ def run(
 
     sampling = {"period": period, "delay": delay}
     loaded = load_scene(scene, {key: _plain(text) for key, text in sampling.items() if text is not None})
+    tables = {} if output is None else table_files(output, force)
     folder = make_folder(out, RUN_FILES, force)
     stopped: PinimpactError | None = None
     with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
@@ -353,6 +363,9 @@ def run(
                 raise
             trajectory, stopped = error.partial, error
     files = {what: str(path) for what, path in loaded.write(trajectory, folder)}
+    for rows, file in tables.items():
+        write_table(file, trajectory.columns(rows))
+        files[f"Table of {rows}"] = str(file)
     _tell(
         lambda: {**run_facts(trajectory), "files": files},
         lambda: run_report(trajectory, every),

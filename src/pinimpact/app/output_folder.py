@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from ..errors import InputError
+from ..tables import check_table_path
 
 DEFAULT = Path("out")
 
@@ -47,6 +49,25 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
             value=str(out),
         ) from error
     return out
+
+
+def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "impacts"], Path]:
+    """Return the files of a run's tables.
+
+    Raises:
+        InputError: They cannot be written, have another suffix than those known, or exist already.
+    """
+    output = check_table_path("output", output)
+    impacts = output.with_stem(f"{output.stem}-impacts")
+    taken = [path.name for path in (output, impacts) if path.exists()]
+    if taken and not force:
+        raise InputError(
+            f"output: {_listed(taken)} {'exists' if len(taken) == 1 else 'exist'} already; give --force to "
+            "write over, or another name",
+            field="output",
+            value=str(output),
+        )
+    return {"samples": output, "impacts": impacts}
 
 
 def _taken(folder: Path, names: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -18,14 +18,15 @@ from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
 from ..contact_space.solution import Work
 from ..errors import InputError
-from ..status import Status
+from ..status import Flag, Status
+from ..tables import by_component, data_frame
 from ._kernels import robot_impact as kernel
 from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
 from .held import HELD_TOLERANCE, HeldContactWarning
 from .matrices import contact_matrices
-from .names import free_velocities, model_of, singular_mass
+from .names import coordinate_names, free_velocities, model_of, singular_mass
 from .pinocchio_bridge import call_addresses
 from .robot_impact import Hit, impact, restitution_of_approach
 from .struck import strike
@@ -104,6 +105,11 @@ class Hits:
         return impact(asked.model, self._data, *state, contact, held=asked.held, locked=asked.locked)
 
     @cached_property
+    def impulse(self) -> Array:
+        """(N, 3) impulses on the robot in contact axes [N s], NaN likewise; made on first access."""
+        return self._contact_space[0].impulse
+
+    @cached_property
     def work(self) -> Work:
         """The `Work` ledgers, arrays (N,) [J], NaN where the status is an error's; made on first access."""
         batch, surfaces = self._contact_space
@@ -116,6 +122,34 @@ class Hits:
         asked, model = self._rows, self._rows.model
         data = model.createData()
         return _solve(asked, _solve_by_kernel(data_cache(model, data), data, asked, len(self))[3])
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the results as arrays (N,), by name.
+
+        They are the friction and restitution used, v after the impact by coordinate, the impulse in contact
+        axes t₁, t₂, n [N s], the works [J], and the names of status and flags.
+        """
+        work, asked = self.work, self._rows
+        names = {
+            "status": np.array([Status(code).name for code in self.status.tolist()], dtype=object),
+            "flags": np.array(
+                ["|".join(f.name or "" for f in Flag if f & code) for code in self.flags.tolist()],
+                dtype=object,
+            ),
+        }
+        causes = ("compression", "restitution", "friction", "surface", "total")
+        return {
+            "friction": asked.mu,
+            "restitution": asked.e,
+            **by_component("v", coordinate_names(asked.model)[1], self.v),
+            **by_component("impulse", ("t1", "t2", "n"), self.impulse),
+            **{f"work.{cause}": getattr(work, cause) for cause in causes},
+            **names,
+        }
+
+    def to_dataframe(self) -> Any:
+        """Return `columns` as a pandas DataFrame; raise `InputError` where pandas is not installed."""
+        return data_frame(self.columns())
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_data": None}
@@ -135,6 +169,7 @@ def impacts(
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
     threads: int = 1,
+    law: Literal["newton", "poisson", "energetic"] | None = None,
 ) -> Hits:
     """Resolve one contact's impact from many states, and with many coefficients.
 
@@ -151,6 +186,7 @@ def impacts(
         threads: How many threads share the rows; one does all where something is held or locked, and with
             joints of kinds that only Pinocchio knows, such as mimic joints. The answers are the same to the
             bit, whatever their number.
+        law: Of restitution, to take instead of the contact's.
 
     Returns:
         Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
@@ -158,7 +194,7 @@ def impacts(
         rows.
 
     Raises:
-        InputError: Wrong shapes.
+        InputError: Wrong shapes, or an unknown law.
         UnknownNameError: A frame or joint that the model does not have.
         ModelError: The mass matrix is not positive definite.
 
@@ -169,9 +205,11 @@ def impacts(
     cache = data_cache(model, data)
     check_contact("contact", contact)
     held = check_held(held)
+    if law is not None:
+        contact = replace(contact, law=law)
     mu = contact.friction if friction is None else friction
-    law = contact.restitution if restitution is None else restitution
-    e = None if callable(law) else law
+    coefficient = contact.restitution if restitution is None else restitution
+    e = None if callable(coefficient) else coefficient
     given = ((q, 1), (v, 1), (mu, 0), (e, 0))
     count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
     q = _per_row("q", q, count, cache.q_shape)
@@ -201,6 +239,10 @@ def impacts(
         return _in_steps(data, rows)
     codes, after, impulses, _ = _solve_by_kernel(cache, data, rows, 0)
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
+
+
+def _flag_names(code: int) -> str:
+    return "|".join(flag.name or "" for flag in Flag if flag & code)
 
 
 def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:

@@ -48,6 +48,30 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     return ids[0]
 
 
+def coordinate_names(model: pin.Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names of the entries of q and of v: the joint's, with a suffix where it has several."""
+    q: list[str] = []
+    v: list[str] = []
+    for joint, name in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
+        turns = (joint.nq, joint.nv) == (2, 1)  # without limits
+        numbers = tuple(map(str, range(joint.nq)))
+        known = ("cos", "sin") if turns else numbers, numbers[: joint.nv]
+        parts = _COORDINATES.get(joint.shortname().removeprefix("JointModel"), known)
+        for entries, suffixes in zip((q, v), parts, strict=True):
+            entries += [f"{name}.{suffix}" if len(suffixes) > 1 else name for suffix in suffixes]
+    return tuple(q), tuple(v)
+
+
+_TURN, _TURNING = ("qx", "qy", "qz", "qw"), ("wx", "wy", "wz")
+_COORDINATES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "FreeFlyer": (("x", "y", "z", *_TURN), ("vx", "vy", "vz", *_TURNING)),
+    "Spherical": (_TURN, _TURNING),
+    "Planar": (("x", "y", "cos", "sin"), ("vx", "vy", "wz")),
+    "Translation": (("x", "y", "z"), ("vx", "vy", "vz")),
+}
+"""Suffixes for the joints of Pinocchio with several coordinates that have names of their own."""
+
+
 def motion_signs(model: pin.Model, joint: int, other: int) -> np.ndarray:
     """Return (nv,) 1 for velocities that move a joint and not the other, −1 for the reverse, else 0."""
     signs = np.zeros(model.nv)

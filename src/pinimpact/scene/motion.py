@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array, real_number
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
+from ..robot.names import coordinate_names
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
@@ -365,6 +366,7 @@ class Motion:
             self.sources,
             EvaluatedForces(partial(_dynamics_of, *self._made_of), self.state.names[: self.work.contacts]),
             (*self._made_of[0].contacts, *self._made_of[0].held),
+            coordinate_names(self.model),
         )
 
     def _sample(self) -> None:

@@ -16,6 +16,7 @@ from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
+from ..tables import by_component, data_frame
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes
@@ -23,6 +24,9 @@ from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
 
+
+AXES = ("t1", "t2", "n")
+"""Names of the contact axes in tables."""
 
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
@@ -48,6 +52,8 @@ class Trajectory:
         contacts: The scene's contacts, then those it held; none if the trajectory is from a file that was
             written before they were stored. From a file, or pickled, one whose restitution was a function
             has 0 there; what each impact had is in its problem.
+        coordinates: Names of the entries of q and of v, after those of the joints; numbers if the trajectory
+            is from a file that was written before they were stored.
         joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
     """
 
@@ -68,6 +74,7 @@ class Trajectory:
         sources: Sequence[str] | None,
         forces: ForceSource | None,
         contacts: Sequence[Contact],
+        coordinates: tuple[Sequence[str], Sequence[str]] | None,
     ) -> None:
         self._segments = tuple(segments)
         self.joint_table = joints
@@ -85,6 +92,9 @@ class Trajectory:
         self.statistics = dict(statistics)
         self.sources = None if sources is None else tuple(sources)
         self.contacts = tuple(contacts)
+        numbered = [list(map(str, range(x.shape[1]))) for x in (self.q, self.v)]
+        q_names, v_names = numbered if coordinates is None else coordinates
+        self.coordinates = tuple(q_names), tuple(v_names)
         self._forces = forces
 
     @property
@@ -285,6 +295,104 @@ class Trajectory:
             )
         return time
 
+    def columns(self, rows: Literal["samples", "impacts", "modes"] = "samples") -> dict[str, NDArray[Any]]:
+        """Return a table as arrays of equal length, by the names of its columns.
+
+        Args:
+            rows: "samples": t [s]; q and v by coordinate; energies and works [J]; of each contact its mode
+                and force in contact axes t₁, t₂, n [N]. At an impact's time there are two rows, before and
+                after it. "impacts": time [s], source, approach [m/s], impulse in contact axes [N s], works
+                [J], friction, restitution, and v before and after. "modes": source, mode, start, end [s].
+
+        Raises:
+            InputError: Unknown rows.
+        """
+        tables = {
+            "samples": self._sample_columns,
+            "impacts": self._impact_columns,
+            "modes": self._mode_columns,
+        }
+        if rows not in tuple(tables):
+            raise InputError(
+                f"rows: {rows!r} given, one of {', '.join(tables)} expected", field="rows", value=rows
+            )
+        return tables[rows]()
+
+    def to_dataframe(self, rows: Literal["samples", "impacts", "modes"] = "samples") -> Any:
+        """Return `columns` as a pandas DataFrame; raise `InputError` also where pandas is not installed."""
+        return data_frame(self.columns(rows))
+
+    def _sample_columns(self) -> dict[str, NDArray[Any]]:
+        energy, t = self.energy, self.t
+        found: dict[str, NDArray[Any]] = {"t": t}
+        for letter, names, values in zip("qv", self.coordinates, (self.q, self.v), strict=True):
+            found |= by_component(letter, names, values)
+        found |= {"kinetic": energy.kinetic, "potential": energy.potential}
+        found |= {f"work.{cause}": work for cause, work in energy.works().items()}
+        found["residual"] = energy.residual
+        before = np.append(t[1:] == t[:-1], False)  # an impact, or the like, follows
+        labels = [contact.label for contact in self.contacts]
+        forces = np.zeros((len(t), len(labels), 3))
+        if self.has_forces and labels:
+            numbers = [self._contact(label) for label in labels]
+
+            def in_axes(at: Forces | None) -> Array:
+                found = np.zeros((len(labels), 3))
+                for k, i in enumerate(numbers):
+                    if at is not None and i is not None and at.world[i].any():
+                        found[k] = contact_axes(at.normals[i]) @ at.world[i]
+                return found
+
+            for side, chosen in (("left", before), ("right", ~before)):
+                if chosen.any():
+                    forces[chosen] = self._of_times(t[chosen], side, in_axes)
+        for k, label in enumerate(labels):
+            found[f"{label}.mode"] = self._modes_of(label, before)
+            if self.has_forces:
+                found |= by_component(f"{label}.force", AXES, forces[:, k])
+        return found
+
+    def _modes_of(self, source: str, before: NDArray[np.bool_]) -> NDArray[Any]:
+        """Return the mode (m,) of a contact at the samples, of which some are `before` a jump."""
+        found = np.full(len(self.t), "free", dtype=object)
+        for interval in self.modes:
+            if interval.source == source:
+                start, end, t = interval.start, interval.end, self.t
+                inside = np.where(before, (start < t) & (t <= end), (start <= t) & (t < end))
+                inside[-1] |= end == t[-1]
+                found[inside] = interval.mode
+        return found
+
+    def _impact_columns(self) -> dict[str, NDArray[Any]]:
+        rows, nv = self.impacts, self.v.shape[1]
+
+        def stack(values: Sequence[Any], *shape: int) -> Array:
+            return np.array(values, dtype=float).reshape(len(rows), *shape)
+
+        works = [i.solution.work for i in rows]
+        found: dict[str, NDArray[Any]] = {
+            "time": stack([i.time for i in rows]),
+            "source": np.array([i.source for i in rows], dtype=object),
+            "approach": stack([-np.asarray(i.problem.velocity)[2] for i in rows]),
+        }
+        found |= by_component("impulse", AXES, stack([i.solution.impulse for i in rows], 3))
+        causes = ("compression", "restitution", "friction", "surface", "total")
+        found |= {f"work.{cause}": stack([getattr(work, cause) for work in works]) for cause in causes}
+        for name in ("friction", "restitution"):
+            found[name] = stack([getattr(i.problem, name) for i in rows])
+        for name in ("v_before", "v_after"):
+            found |= by_component(name, self.coordinates[1], stack([getattr(i, name) for i in rows], nv))
+        return found
+
+    def _mode_columns(self) -> dict[str, NDArray[Any]]:
+        rows = self.modes
+        texts = {
+            name: np.array([getattr(m, name) for m in rows], dtype=object) for name in ("source", "mode")
+        }
+        return texts | {
+            name: np.array([getattr(m, name) for m in rows], dtype=float) for name in ("start", "end")
+        }
+
     def save(self, path: str | Path) -> None:
         """Write the trajectory to one .npz file, numbers and text only."""
         write_trajectory(path, **self._parts())
@@ -319,6 +427,7 @@ class Trajectory:
                 replace(contact, restitution=0.0) if callable(contact.restitution) else contact
                 for contact in self.contacts
             ),
+            "coordinates": self.coordinates,
         }
 
     def __reduce__(self) -> tuple[Any, ...]:

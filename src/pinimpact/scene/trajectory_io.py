@@ -56,6 +56,7 @@ def write_trajectory(
     sources: Sequence[str] | None,
     forces: TabulatedForces | None,
     contacts: Sequence[Contact],
+    coordinates: tuple[Sequence[str], Sequence[str]],
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
@@ -70,6 +71,7 @@ def write_trajectory(
         "notes": [[note.time, note.text] for note in notes],
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
+        "coordinates": coordinates,
         "forces": None if forces is None else forces.contacts,
         "contacts": [_contact_fields(contact) for contact in contacts],
         "points": [None if i.contact is None else _contact_fields(i.contact) for i in impacts],
@@ -215,6 +217,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         if meta.get("forces") is None
         else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
         "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
+        "coordinates": meta.get("coordinates"),
     }
 
 

@@ -1,0 +1,69 @@
+"""Results as tables: pandas data frames, CSV and Parquet files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import output_file
+from .errors import InputError
+
+Columns = Mapping[str, NDArray[Any]]
+"""The columns of a table by name, arrays of equal length."""
+
+SUFFIXES = (".csv", ".parquet")
+
+
+def by_component(name: str, components: tuple[str, ...], values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Return the columns of an array (m, k), called ``name.component``."""
+    return {f"{name}.{part}": column for part, column in zip(components, values.T, strict=True)}
+
+
+def data_frame(columns: Columns) -> Any:
+    """Return a pandas data frame.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    return _optional("pandas", "to_dataframe").DataFrame(dict(columns))
+
+
+def check_table_path(field: str, path: str | Path) -> Path:
+    """Return where a table is to be written, or raise `InputError`: no folder, another suffix, no pyarrow."""
+    path = output_file(field, path)
+    if path.suffix not in SUFFIXES:
+        raise InputError(
+            f"{field}: {path.name!r} given; the name of a table ends in {' or '.join(SUFFIXES)}",
+            field=field,
+            value=str(path),
+        )
+    if path.suffix == ".parquet":
+        _optional("pyarrow", field)
+    return path
+
+
+def write_table(path: Path, columns: Columns) -> None:
+    """Write a table, as its suffix says; numbers of a CSV file have all their digits."""
+    if path.suffix == ".parquet":
+        table = _optional("pyarrow", "path").table({name: np.asarray(x) for name, x in columns.items()})
+        import_module("pyarrow.parquet").write_table(table, path)
+        return
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def _optional(package: str, field: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError:
+        raise InputError(
+            f"{field}: {package} is not installed; pip install 'pinimpact[data]' installs it", field=field
+        ) from None
