@@ -90,7 +90,8 @@ def output_file(field: str, path: str | Path) -> Path:
 def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`.
 
-    A number will do for an array of one. It is writable: kernels are compiled for such arrays, and read-only ones would have them compiled anew.
+    A number will do for an array of one. The array is writable: kernels are compiled for such arrays, and
+    read-only ones would have them compiled anew.
     """
     given = real_numbers(field, value, f"an array of real numbers of shape {shape}")
     array = np.atleast_1d(given if given.flags.carray else np.array(given, order="C"))
