@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 import subprocess
@@ -17,6 +18,10 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 LOADED = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src"}
 """Attributes by which an element loads a file; `link` does by `href` for some values of `rel`."""
 URL = re.compile(r"(?:url\(|@import)\s*['\"]?((?:https?:)?//[^'\")]+)")
+
+SECTIONS = 16
+CITED = re.compile(r"(?<![\w\])])\((\d{1,2}\.\d{1,2}(?:(?:, | and |–)\(?\d{1,2}\.\d{1,2}\)?)*)\)?")
+"""Numbers of equations in parentheses, (3.7) or (10.1)–(10.5), that follow no name of a function."""
 
 
 class Loaded(HTMLParser):
@@ -36,6 +41,57 @@ class Loaded(HTMLParser):
         elif tag == "link" and set(values.get("rel", "").split()) & {"stylesheet", "preload", "icon"}:
             self.urls.append(values.get("href", ""))
         self.formulas += "arithmatex" in values.get("class", "").split()
+
+
+def numbers_of(text: str) -> set[str]:
+    """Return the numbers that a text cites as equations."""
+    found = {number for cited in CITED.findall(text) for number in re.findall(r"\d+\.\d+", cited)}
+    return {number for number in found if 1 <= int(number.split(".")[0]) <= SECTIONS}
+
+
+def prose_of(path: Path) -> str:
+    """Return the docstrings and comments of a module, or a page without its blocks of code."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".md":
+        return re.sub(r"`[^`\n]*`", "", pages.FENCE.sub("", text))
+    lines = text.splitlines()
+    strings = [
+        "\n".join(lines[node.lineno - 1 : node.end_lineno])
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    ]
+    comments = [line.partition("# ")[2] for line in lines]
+    return "\n".join([*strings, *comments])
+
+
+def test_every_equation_that_is_cited_exists() -> None:
+    theory = (DOCS / "theory.md").read_text(encoding="utf-8")
+    tags = re.findall(r"\\tag\{([\d.]+)\}", theory)
+    assert len(tags) == len(set(tags)) > 90
+    places = [*DOCS.rglob("*.md"), *(ROOT / "src").rglob("*.py"), *(ROOT / "tests").glob("*.py")]
+    cited = {str(path): numbers_of(prose_of(path)) for path in places}
+    assert len(set().union(*cited.values())) > 60  # the search has found them
+    missing = {name: numbers - set(tags) for name, numbers in cited.items() if numbers - set(tags)}
+    assert missing == {}
+
+
+def test_equations_stand_in_their_sections_in_order_of_sections() -> None:
+    theory = (DOCS / "theory.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## (\d+)\. ", theory, flags=re.MULTILINE)[1:]
+    assert [int(number) for number in sections[::2]] == list(range(1, SECTIONS + 1))
+    for number, text in zip(sections[::2], sections[1::2], strict=True):
+        assert {tag.split(".")[0] for tag in re.findall(r"\\tag\{([\d.]+)\}", text)} <= {number}
+
+
+def test_every_section_that_is_cited_exists() -> None:
+    theory = (DOCS / "theory.md").read_text(encoding="utf-8")
+    headings = set(re.findall(r"^###? (\d+(?:\.\d+)?)\.? ", theory, re.MULTILINE))
+    cited: set[str] = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        for text in re.findall(r"theory\.md,\s+(?:sections? )?([^)]*)", prose_of(path)):
+            cited |= set(re.findall(r"\b\d+(?:\.\d+)?\b", text.split(".\n")[0]))
+    assert len(cited) > 10
+    assert cited <= headings
 
 
 @pytest.fixture(scope="module")
