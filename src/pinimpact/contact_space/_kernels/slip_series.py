@@ -1,7 +1,7 @@
 """Turning slip as one series, on which v₃ is monotone: its state at any x.
 
 The series is one in x = 2t/p(0) (`slip_equations`), or one around an invariant direction, with x = |L|
-from here (`invariant_direction`); here the two are one thing. (theory.md, 3.3 and 4.2)
+from here (`invariant_direction`); here the two are one thing. (theory.md, 3.3 and 4)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Slip that turns: to its next event, or as far as one series carries. (theory.md, 3.3 and 4.2)"""
+"""Slip that turns: to its next event, or as far as one series carries. (theory.md, 3.3 and 4)"""
 
 from __future__ import annotations
 
