@@ -94,6 +94,24 @@ def test_every_section_that_is_cited_exists() -> None:
     assert cited <= headings
 
 
+def test_terms_of_the_glossary_are_in_order_and_have_links() -> None:
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^(\S.*)\n:   ((?:.+\n)+)", text, re.MULTILINE)
+    terms = [term.lower() for term, _ in entries]
+    assert terms == sorted(terms)
+    wanted = (
+        "delassus matrix",
+        "hodograph",
+        "invariant direction",
+        "island",
+        "jam",
+        "locked (by friction)",
+        "patch",
+    )
+    assert {*wanted, "normal impulse", "restitution law", "slip", "stick", "release"} <= set(terms)
+    assert [term for term, entry in entries if not re.search(r"\]\([a-z-]+\.md", entry)] == []
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the built site."""
