@@ -127,7 +127,7 @@ class Hits:
         """Return the results as arrays (N,), by name.
 
         They are the friction and restitution used, v after the impact by coordinate, the impulse in contact
-        axes t₁, t₂, n [N s], the works [J], and the names of status and flags.
+        axes t₁, t₂, n [N s], the work [J], and the names of status and flags.
         """
         work, asked = self.work, self._rows
         names = {
