@@ -252,3 +252,50 @@ def test_a_ball_falls_for_a_time_given_as_an_integer():
     q, v = trajectory.sample(0.5)
     np.testing.assert_array_equal(trajectory.at(0.5)[0], q)
     np.testing.assert_array_equal(trajectory.at(0.5)[1], v)
+
+
+PROBLEM = ImpactProblem(W, U, 0.3, 0.5)
+RUN = simulate(SCENE, Q, V, 0.05)
+RAGGED = [[1], [1, 2]]
+TWICE = np.array(["left", "right"])
+OF_ANOTHER_KIND = {
+    "method: a number": ("method", lambda: pinimpact.solve_impact(PROBLEM, method=3)),
+    "method: a list": ("method", lambda: pinimpact.solve_impact(PROBLEM, method=["exact"])),
+    "steps: a truth value": ("steps", lambda: pinimpact.solve_impact(PROBLEM, "euler", steps=True)),
+    "law: an array": ("law", lambda: Contact("tip", Plane(), law=TWICE)),
+    "law: of a problem": ("law", lambda: pinimpact.solve_impact(ImpactProblem(W, U, 0.3, 0.5, TWICE))),
+    "law: of a batch": ("law", lambda: pinimpact.impacts(MODEL, DATA, Q, V, TIP, law=["poisson"])),
+    "simultaneous: an array": ("simultaneous", lambda: Scene(MODEL, [TIP], simultaneous=TWICE)),
+    "simultaneous: a list": ("simultaneous", lambda: Scene(MODEL, [TIP], simultaneous=["together"])),
+    "held: a truth value": ("held", lambda: pinimpact.impact(MODEL, DATA, Q, V, TIP, held=True)),
+    "held: a number": ("held", lambda: pinimpact.contact_matrices(MODEL, DATA, Q, TIP, held=3)),
+    "held: of a scene": ("held", lambda: Scene(MODEL, [TIP], held=3)),
+    "contacts: none": ("contacts", lambda: Scene(MODEL, None)),
+    "locked: a truth value": ("locked", lambda: pinimpact.impact(MODEL, DATA, Q, V, TIP, locked=True)),
+    "locked: a number": ("locked", lambda: pinimpact.impact(MODEL, DATA, Q, V, TIP, locked=3.5)),
+    "locked: a list of none": ("locked", lambda: pinimpact.impact(MODEL, DATA, Q, V, TIP, locked=[None])),
+    "locked: of a scene": ("locked", lambda: Scene(MODEL, [TIP], locked=None)),
+    "friction: ragged": (
+        "friction",
+        lambda: pinimpact.impacts(MODEL, DATA, Q, V, TIP, friction=[[1], [1, 2]]),
+    ),
+    "friction: ragged batch": ("friction", lambda: pinimpact.solve_impacts(W, U, RAGGED, 0.5)),
+    "threads: a truth value": ("threads", lambda: pinimpact.solve_impacts(W, U, 0.3, 0.5, threads=True)),
+    "contact: a number": ("contact", lambda: RUN.forces(3, 0.01)),
+    "contact: a list": ("contact", lambda: RUN.forces(["tip"], 0.01)),
+    "source: a number": ("source", lambda: RUN.mode_at(3, 0.01)),
+    "side: an array": ("side", lambda: RUN.at(0.01, side=TWICE)),
+    "side: of forces": ("side", lambda: RUN.forces("tip on plane", 0.01, side=["left"])),
+    "rows: a list": ("rows", lambda: RUN.columns(["samples"])),
+    "scheme: a list": ("scheme", lambda: simulate(SCENE, Q, V, 0.1, scheme=["event-driven"])),
+    "path: a number": ("path", lambda: pinimpact.Trajectory.load(3)),
+    "path: none": ("path", lambda: RUN.save(None)),
+}
+
+
+@pytest.mark.parametrize(("field", "call"), OF_ANOTHER_KIND.values(), ids=OF_ANOTHER_KIND)
+def test_what_is_of_another_kind_is_refused(field, call):
+    with pytest.raises(PinimpactError, match=rf"^\W*{field}: ") as told:
+        call()
+    assert told.value.field == field
+    assert len(str(told.value)) < 250

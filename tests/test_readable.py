@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
+from pinimpact import Contact, ImpactProblem, Plane, Scene, impact, solve_impact
 from pinimpact.scene.records import Note, group_notes
 
 PROBLEM = pinimpact.ImpactProblem(
@@ -171,3 +172,36 @@ def test_surfaces_have_names():
     assert pinimpact.Contact("hand", pinimpact.Plane(body="tray")).label == "hand on tray"
     assert pinimpact.Contact("hand", pinimpact.Plane(body="tray", name="tray")).label == "hand on tray"
     assert pinimpact.Contact("hand", pinimpact.Plane(name="table"), name="grip").label == "grip"
+
+
+def test_every_object_shows_itself_in_a_line(toss):
+    robot = pinimpact.load_robot("panda")
+    model, data = robot.model, robot.data
+    hand = Contact("panda_hand_tcp", Plane((0, 0, 0.2)), friction=0.4, restitution=0.5)
+    q, v = np.array([0, 0.3, 0, -1.5, 0, 1.5, 0, 0.02, 0.02]), -np.ones(9)
+    both = ImpactProblem(np.eye(6) + 0.1, [(1, 0, -1), (0, 0, -1)], [0.3, 0.3], [0.5, 0.5])
+    solution = solve_impact(ImpactProblem(np.eye(3), (1.0, 0.5, -1.0), 0.3, 0.5), record=True)
+    scene = Scene(robot, [hand])
+    stepper = pinimpact.Stepper(scene, q, np.zeros(9))
+    shown = {
+        "Scene": scene,
+        "Plan": scene.plan(),
+        "Stepper": stepper,
+        "Solution": solution,
+        "Path": solution.path,
+        "ManySolution": solve_impact(both),
+        "Hit": impact(model, data, q, v, hand),
+        "Hits": pinimpact.impacts(model, data, q, v, hand),
+        "ContactMatrices": pinimpact.contact_matrices(model, data, q, hand),
+        "Trajectory": toss,
+    }
+    for name, item in shown.items():
+        text = repr(item)
+        assert text.startswith(f"{name}("), text
+        assert len(text) < 250, text
+        assert "\n" not in text
+    first = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[-+]?\d+)?", repr(solution).split("impulse")[0])]
+    assert first == pytest.approx(solution.velocity.tolist(), rel=1e-5)
+    assert "gravity" in repr(scene.plan())
+    stepper.step(np.zeros(9), 0.25)
+    assert "t = 0.25 s" in repr(stepper)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError
+from .errors import InputError, UnknownNameError
 
 _DOUBLE = np.dtype(np.float64)
 
@@ -75,9 +75,18 @@ def _short(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
+def file_path(field: str, path: Any) -> Path:
+    """Return a path, or raise `InputError`."""
+    if not isinstance(path, (str, Path)):
+        raise InputError(
+            f"{field}: {_short(path)} given, the path of a file expected", field=field, value=path
+        )
+    return Path(path)
+
+
 def output_file(field: str, path: str | Path) -> Path:
     """Return the path of a file to be written, or raise `InputError` where its folder does not exist."""
-    path = Path(path)
+    path = file_path(field, path)
     if not path.absolute().parent.is_dir():
         raise InputError(
             f"{field}: there is no folder {path.absolute().parent}; make it first, or give another path",
@@ -149,9 +158,47 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what[:-1]}ies" if what.endswith("y") else f"{number} {what}s"
 
 
-def near_matches(name: str, names: Iterable[str]) -> str:
-    """Return a clause that offers the names closest to `name`, or how many there are if none is close."""
+def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
+    """Return `value` if it is one of the names, or raise `UnknownNameError`: saying that it is not `what`."""
+    names = tuple(names)
+    if not isinstance(value, str) or value not in names:
+        raise UnknownNameError(
+            f"{field}: {_short(value)} is not {what}; {near_matches(value, names)}",
+            field=field,
+            value=value,
+        )
+    return value
+
+
+def whole_number(field: str, value: Any, low: int, high: int | None = None) -> int:
+    """Return `value` as an int within bounds, or raise `InputError`."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not number or value < low or (high is not None and value > high):
+        to = "" if high is None else f" to {high}"
+        raise InputError(
+            f"{field}: {_short(value)} given, a whole number from {low}{to} expected",
+            field=field,
+            value=value,
+        )
+    return int(value)
+
+
+def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) -> tuple[Any, ...]:
+    """Return a sequence as a tuple, with one item alone wrapped, or raise `InputError`."""
+    if isinstance(value, one) and not isinstance(value, bool):
+        return (value,)
+    try:
+        return tuple(value)
+    except TypeError:
+        raise InputError(
+            f"{field}: {_short(value)} given, {what} or a sequence of them expected", field=field, value=value
+        ) from None
+
+
+def near_matches(given: Any, names: Iterable[str]) -> str:
+    """Return a clause that offers the names closest to one, or how many there are if none is close."""
     names = sorted(set(names))
+    name = given if isinstance(given, str) else ""
     lowered = {known.lower(): known for known in names}
     close = [lowered[match] for match in difflib.get_close_matches(name.lower(), lowered, n=5, cutoff=0.5)]
     close += [known for known in names if name and name.lower() in known.lower() and known not in close][:5]

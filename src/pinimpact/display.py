@@ -8,6 +8,9 @@ from html import escape
 from inspect import isfunction
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return a table; numbers have six digits and stand to the right."""
@@ -40,6 +43,14 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
         text = value.__name__ if isfunction(value) else " ".join(repr(value).split())
         found.append(f"{field.name}={text if len(text) <= width else text[: width - 1] + '…'}")
     return found
+
+
+def in_a_line(values: ArrayLike, width: int = 70) -> str:
+    """Return an array with six digits, cut where it takes more than `width` characters."""
+    digits = {"float_kind": lambda x: f"{x:.6g}"}
+    text = np.array2string(np.asarray(values), separator=", ", threshold=12, formatter=digits)  # type: ignore[arg-type]
+    text = " ".join(text.split())
+    return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
 def _same(value: Any, default: Any) -> bool:

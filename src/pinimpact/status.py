@@ -72,6 +72,10 @@ class Flag(enum.IntFlag):
     def __format__(self, format_spec: str) -> str:
         return format(str(self), format_spec)
 
+    def names(self) -> str:
+        """Return the names of the flags that are set, "STICK|JAM"; nothing where none is."""
+        return "|".join(flag.name or "" for flag in Flag if flag & self)
+
     def describe(self) -> tuple[str, ...]:
         """Return one sentence for each flag that is set, in the order of their values."""
         return tuple(text for flag, text in _FLAG_TEXTS.items() if self & flag)

@@ -9,9 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
-import numpy as np
-
-from ..errors import InputError
+from ..checks import whole_number
 
 T = TypeVar("T")
 
@@ -72,8 +70,4 @@ def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]
 
 def thread_count(threads: Any) -> int:
     """Return a number of threads, or raise `InputError`."""
-    if not isinstance(threads, (int, np.integer)) or threads < 1:
-        raise InputError(
-            f"threads: {threads!r} given, a whole number from 1 expected", field="threads", value=threads
-        )
-    return int(threads)
+    return whole_number("threads", threads, 1)

@@ -122,7 +122,10 @@ def solve_impacts(
             value=velocity,
         )
     lengths = [len(a) for a, once in ((velocities, 1), (matrices, 2)) if a.ndim > once]
-    lengths += [np.size(a) for a in (friction, restitution) if np.ndim(a) == 1]
+    scale = 0.0 if velocity_scale is None else velocity_scale
+    named = {"friction": friction, "restitution": restitution, "velocity_scale": scale}
+    numbers = {name: real_numbers(name, value) for name, value in named.items()}
+    lengths += [len(a) for a in numbers.values() if a.ndim == 1]
     count = lengths[0] if lengths else 1
     if velocities.ndim == 1:
         velocities = np.tile(velocities, (count, 1))
@@ -135,12 +138,12 @@ def solve_impacts(
             value=delassus,
         )
     coefficients = []
-    scale = 0.0 if velocity_scale is None else velocity_scale
-    for name, value in (("friction", friction), ("restitution", restitution), ("velocity_scale", scale)):
-        array = np.asarray(real_numbers(name, value), order="C")
+    for name, array in numbers.items():
         if array.shape not in ((), (count,)):
             raise InputError(
-                f"{name}: shape {array.shape} given, a number or ({count},) expected", field=name, value=value
+                f"{name}: shape {array.shape} given, a number or ({count},) expected",
+                field=name,
+                value=named[name],
             )
         coefficients.append(np.array(np.broadcast_to(array, (count,))))
     mu, e, scales = coefficients

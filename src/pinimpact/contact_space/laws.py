@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ..errors import UnknownNameError
+from ..checks import choice
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +74,12 @@ COUNTED = tuple(law.counts for law in _LAWS)
 
 def find_law(name: str) -> Law:
     """Return the law of that name, or raise `UnknownNameError`."""
-    for law in _LAWS:
-        if law.name == name:
-            return law
-    raise UnknownNameError(
-        f"law: {name!r} is not a restitution law; the laws are {', '.join(map(repr, LAWS))}",
-        field="law",
-        value=name,
-    )
+    return _LAWS[law_code(name)]
 
 
 def law_code(name: str) -> int:
     """Return the kernels' code of a law, or raise `UnknownNameError`."""
-    return find_law(name).code
+    return LAWS.index(choice("law", name, LAWS, "a restitution law"))
 
 
 def law_of_code(code: int) -> Law:

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..display import html_lines, html_table
+from ..display import html_lines, html_table, in_a_line
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
@@ -173,8 +173,8 @@ class ManySolution:
 
     def __repr__(self) -> str:
         return (
-            f"ManySolution({self.simultaneous}: velocity={self.velocity.tolist()}, "
-            f"impulse={self.impulse.tolist()}, status={self.status.name}, events={self.events})"
+            f"ManySolution({self.simultaneous}: velocity={in_a_line(self.velocity)}, "
+            f"impulse={in_a_line(self.impulse)}, status={self.status.name}, events={self.events})"
         )
 
 

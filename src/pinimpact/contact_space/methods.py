@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import near_matches
-from ..errors import InputError, PinimpactError, UnknownNameError
+from ..checks import choice, whole_number
+from ..errors import InputError, PinimpactError
 from ..status import Status
 from .inputs import Array, Inputs
 
@@ -75,20 +75,14 @@ def register_method(name: str, method: Method, *, replace: bool = False) -> None
 
 def load_method(name: str) -> Run:
     """Return the function that runs a registered method, or raise `UnknownNameError`."""
-    run = _loaded.get(name)
-    if run is None:
-        run = _loaded[name] = find_method(name).load()
-    return run
+    if name not in tuple(_loaded):
+        _loaded[name] = find_method(name).load()
+    return _loaded[name]
 
 
 def find_method(name: str) -> Method:
     """Return a registered method, or raise `UnknownNameError`."""
-    method = _methods.get(name)
-    if method is None:
-        raise UnknownNameError(
-            f"method: {name!r} is not registered; {near_matches(name, _methods)}", field="method", value=name
-        )
-    return method
+    return _methods[choice("method", name, _methods, "a registered method")]
 
 
 def _load_exact() -> Run:
@@ -99,15 +93,6 @@ def _load_exact() -> Run:
         return result
 
     return run
-
-
-def _checked_steps(steps: Any) -> int:
-    """Return `steps` as an int, or raise `InputError`."""
-    if not isinstance(steps, (int, np.integer)) or not 1 <= steps <= 10**9:
-        raise InputError(
-            f"steps: {steps!r} given, a whole number from 1 to 1e9 expected", field="steps", value=steps
-        )
-    return int(steps)
 
 
 def _checked_rtol(rtol: Any) -> float:
@@ -138,7 +123,7 @@ def _load_euler() -> Run:
     from ._kernels.butcher import EULER
 
     def run(inputs: Inputs, trace: Array, path: Array, steps: int = 1000) -> Raw:
-        return _step(inputs, EULER, _checked_steps(steps), 0.0, trace, path)
+        return _step(inputs, EULER, whole_number("steps", steps, 1, MOST_STEPS), 0.0, trace, path)
 
     return run
 
@@ -147,11 +132,12 @@ def _load_rk4() -> Run:
     from ._kernels.butcher import RK4
 
     def run(inputs: Inputs, trace: Array, path: Array, steps: int = 100) -> Raw:
-        return _step(inputs, RK4, _checked_steps(steps), 0.0, trace, path)
+        return _step(inputs, RK4, whole_number("steps", steps, 1, MOST_STEPS), 0.0, trace, path)
 
     return run
 
 
+MOST_STEPS = 10**9
 FIRST_STEPS = 10
 """The adaptive method starts with this part of the scale of the compression."""
 

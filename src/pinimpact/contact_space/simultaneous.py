@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import finite_array, real_numbers
+from ..checks import choice, finite_array, real_numbers
 from ..errors import (
     BoundReachedWarning,
     InputError,
@@ -128,14 +128,7 @@ def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: 
 
 def find_policy(name: str) -> Policy:
     """Return the policy of that name, or raise `UnknownNameError`."""
-    policy = POLICIES.get(name)
-    if policy is None:
-        raise UnknownNameError(
-            f"simultaneous: {name!r} is not a policy; they are {', '.join(map(repr, POLICIES))}",
-            field="simultaneous",
-            value=name,
-        )
-    return policy
+    return POLICIES[choice("simultaneous", name, POLICIES, "a policy")]
 
 
 _compiled: set[Any] = set()

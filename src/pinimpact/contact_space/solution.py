@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..display import html_lines, html_table
+from ..checks import counted
+from ..display import html_lines, html_table, in_a_line
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_ROWS, Array, Inputs
 from .methods import load_method
@@ -54,7 +55,7 @@ class Work:
         return self.compression + self.restitution + self.friction + self.surface
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Path:
     """The recorded path, from the first touch to the end.
 
@@ -67,6 +68,10 @@ class Path:
     normal_impulse: Array
     velocity: Array
     impulse: Array
+
+    def __repr__(self) -> str:
+        end = float(self.normal_impulse[-1]) if len(self.normal_impulse) else 0.0
+        return f"Path({counted(len(self.normal_impulse), 'point')}, normal impulse to {end:.6g} N s)"
 
 
 class Solution:
@@ -200,6 +205,6 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution(velocity={self.velocity.tolist()}, impulse={self.impulse.tolist()}, "
-            f"status={self.status.name}, flags={self.flags!r})"
+            f"Solution(velocity={in_a_line(self.velocity)}, impulse={in_a_line(self.impulse)}, "
+            f"status={self.status.name}, flags={self.flags.names() or 'NONE'})"
         )

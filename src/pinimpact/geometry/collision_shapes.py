@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import near_matches
+from ..checks import near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
 
 Array = NDArray[np.float64]
@@ -137,12 +137,8 @@ def check_rim_points(value: Any) -> None:
     Raises:
         InputError: Neither None nor a whole number of at least 3.
     """
-    if value is not None and (not isinstance(value, (int, np.integer)) or value < 3):
-        raise InputError(
-            f"rim_points: {value!r} given, a whole number of at least 3 expected",
-            field="rim_points",
-            value=value,
-        )
+    if value is not None:
+        whole_number("rim_points", value, 3)
 
 
 def _points(kind: str, points: Array, part: str) -> ShapeTips:

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._compile.threads import in_threads, thread_count
-from ..checks import counted, float_array
+from ..checks import counted, float_array, real_numbers
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
 from ..contact_space.solution import Work
@@ -26,7 +26,7 @@ from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
 from .held import HELD_TOLERANCE, HeldContactWarning
 from .matrices import contact_matrices
-from .names import coordinate_names, free_velocities, model_of, singular_mass
+from .names import coordinate_names, free_velocities, joint_keys, model_of, singular_mass
 from .pinocchio_bridge import call_addresses
 from .robot_impact import Hit, impact, restitution_of_approach
 from .struck import strike
@@ -210,13 +210,16 @@ def impacts(
     mu = contact.friction if friction is None else friction
     coefficient = contact.restitution if restitution is None else restitution
     e = None if callable(coefficient) else coefficient
+    q, v, mu = real_numbers("q", q), real_numbers("v", v), real_numbers("friction", mu)
+    e = None if e is None else real_numbers("restitution", e)
     given = ((q, 1), (v, 1), (mu, 0), (e, 0))
-    count = next((len(value) for value, ndim in given if np.ndim(value) > ndim), 1)  # type: ignore[arg-type]
+    count = next((len(value) for value, ndim in given if value is not None and value.ndim > ndim), 1)
     q = _per_row("q", q, count, cache.q_shape)
     v = _per_row("v", v, count, cache.v_shape)
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
-    in_steps = bool(held) or len(np.atleast_1d(np.asarray(locked, dtype=object))) > 0
+    locked = joint_keys(locked)
+    in_steps = bool(held or locked)
     usable = np.ones(count, dtype=np.bool_)  # where nothing else is told, the kernel looks at q
     if cache.tree is None or e is None or in_steps:
         usable = np.array(np.isfinite(q).all(axis=1))
@@ -239,10 +242,6 @@ def impacts(
         return _in_steps(data, rows)
     codes, after, impulses, _ = _solve_by_kernel(cache, data, rows, 0)
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
-
-
-def _flag_names(code: int) -> str:
-    return "|".join(flag.name or "" for flag in Flag if flag & code)
 
 
 def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero, at_least_zero, coefficient
+from ..checks import above_zero, as_tuple, at_least_zero, coefficient
 from ..contact_space.laws import law_code
 from ..display import changed_fields
 from ..errors import InputError
@@ -300,7 +300,7 @@ def check_contact(field: str, value: Any) -> None:
 
 def check_held(held: Contact | Sequence[Contact]) -> tuple[Contact, ...]:
     """Return the held contacts as a tuple; one alone need not be wrapped."""
-    anchors = (held,) if isinstance(held, (Contact, str)) else tuple(held)
+    anchors = as_tuple("held", held, (Contact, str), "a Contact")
     for anchor in anchors:
         check_contact("held", anchor)
     return anchors

@@ -15,7 +15,7 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import compile_policy
 from ..contact_space.solve import solve_impact
-from ..display import html_table
+from ..display import html_table, in_a_line
 from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.responses import half_solve, respond
@@ -60,8 +60,8 @@ class ManyHit:
 
     def __repr__(self) -> str:
         return (
-            f"ManyHit(v={self.v}, impulses_world={self.impulses_world.tolist()}, "
-            f"status={str(self.solution.status)!r})"
+            f"ManyHit(v={in_a_line(self.v)}, impulses_world={in_a_line(self.impulses_world)}, "
+            f"status={self.solution.status.name})"
         )
 
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..contact_space.inputs import FACTOR, triangle_of
+from ..display import in_a_line
 from ._kernels import contact_kinematics
 from ._kernels.delassus_factor import delassus_factor
 from ._kernels.responses import half_solve, respond
@@ -25,7 +26,7 @@ _placement = pin.updateFramePlacement
 _WORLD = pin.Convention.WORLD
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ContactGeometry:
     """Where a contact is and how its point moves.
 
@@ -46,6 +47,9 @@ class ContactGeometry:
     h: Array
     surface_velocity: Array
 
+    def __repr__(self) -> str:
+        return f"ContactGeometry(point={in_a_line(self.point)}, gap={self.gap:.6g})"
+
     @property
     def jacobian(self) -> Array:
         """(3, nv) J = [K h]ᵀ: velocity of the point relative to the surface's carrier, in contact axes."""
@@ -61,7 +65,7 @@ class ContactGeometry:
         return float(np.sum(moving + np.abs(self.surface_velocity)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ContactMatrices(ContactGeometry):
     """What the robot is, seen from one contact; M Δq̇ = [K h] P for an impulse P in contact axes.
 
@@ -82,6 +86,9 @@ class ContactMatrices(ContactGeometry):
     held_response: Array
     factor: Array | None
     factor_scale: float | None
+
+    def __repr__(self) -> str:
+        return f"ContactMatrices(gap={self.gap:.6g}, delassus={in_a_line(self.delassus)})"
 
 
 def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact) -> ContactGeometry:

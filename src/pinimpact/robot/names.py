@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..checks import near_matches
+from ..checks import as_tuple, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
 
 
@@ -88,9 +88,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
         UnknownNameError: A name that no joint bears, or a number out of range.
     """
     free = np.ones(model.nv, dtype=np.bool_)
-    if isinstance(locked, (str, int)):
-        locked = (locked,)
-    for key in locked:
+    for key in joint_keys(locked):
         joint = key
         if isinstance(key, str):
             joint = model.getJointId(key)
@@ -100,7 +98,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
                     field="locked",
                     value=key,
                 )
-        elif not 0 < key < model.njoints:
+        elif not 0 < whole_number("locked", key, 0) < model.njoints:
             raise UnknownNameError(
                 f"locked: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}",
                 field="locked",
@@ -108,6 +106,11 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
             )
         free[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = False
     return free
+
+
+def joint_keys(locked: Any) -> tuple[str | int, ...]:
+    """Return joints, by name or id, as a tuple; one alone need not be wrapped."""
+    return as_tuple("locked", locked, (str, int, np.integer), "the name or id of a joint")
 
 
 def joint_of_velocity(model: pin.Model, velocity: int) -> str:

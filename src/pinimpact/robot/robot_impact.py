@@ -16,7 +16,7 @@ from ..contact_space.one_contact import solve_inputs
 from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
-from ..display import html_table
+from ..display import html_table, in_a_line
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
@@ -130,7 +130,10 @@ class Hit:
         return table + self.solution._repr_html_()
 
     def __repr__(self) -> str:
-        return f"Hit(v={self.v}, impulse_world={self.impulse_world}, status={str(self.solution.status)!r})"
+        return (
+            f"Hit(v={in_a_line(self.v)}, impulse_world={in_a_line(self.impulse_world)}, "
+            f"status={self.solution.status.name})"
+        )
 
     def _inputs(self) -> Inputs:
         w11, w12, w13, w22, w23, w33, v1, v2, v3 = self._part(kernel.DELASSUS, 9).tolist()

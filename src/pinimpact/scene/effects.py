@@ -54,7 +54,7 @@ class Effect:
     changes_answer: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Plan:
     """The effects of a scene, each with its reason; ``str(plan)`` is a table, ``plan["gravity"]`` one line.
 
@@ -81,6 +81,11 @@ class Plan:
     def switched_off(self) -> tuple[str, ...]:
         """Effects switched off although the scene calls for them, so that the answer changes."""
         return tuple(effect.name for effect in self.effects if effect.changes_answer)
+
+    def __repr__(self) -> str:
+        computed = ", ".join(effect.name for effect in self.effects if effect.on)
+        off = f"; switched off: {', '.join(self.switched_off)}" if self.switched_off else ""
+        return f"Plan({computed or 'no effects'}{off})"
 
     def _repr_html_(self) -> str:
         rows = [

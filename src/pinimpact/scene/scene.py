@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import above_zero, at_least_zero, coefficient, counted
+from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted
 from ..contact_space.simultaneous import find_policy
 from ..display import changed_fields
 from ..errors import InputError
@@ -21,7 +21,7 @@ from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
-from ..robot.names import frame_id, free_velocities, model_of, motion_signs
+from ..robot.names import frame_id, free_velocities, joint_keys, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
 from ..robot.solids import Shape, Solid
 from .controls import Control, JointPD
@@ -113,7 +113,7 @@ class Scene:
         assign(self, "contacts", tuple(named[: len(contacts)]))
         assign(self, "held", tuple(named[len(contacts) :]))
         self._check_names([contact.label for contact in named])
-        assign(self, "locked", (self.locked,) if isinstance(self.locked, (str, int)) else tuple(self.locked))
+        assign(self, "locked", joint_keys(self.locked))
         free_velocities(self.model, self.locked)
         assign(self, "without", check_names(self.without))
         assign(self, "events", as_events(self.events))
@@ -240,7 +240,7 @@ class Scene:
     def __repr__(self) -> str:
         """Return the scene in a line: the robot, its contacts, and what differs from the defaults."""
         parts = [
-            f"{self.model.name}: {counted(self.model.nv, 'velocity')}",
+            f"{self.model.name or 'unnamed model'}: {counted(self.model.nv, 'velocity')}",
             counted(len(self.contacts), "contact"),
         ]
         if self.held:
@@ -378,14 +378,7 @@ def _named(contacts: Sequence[Contact]) -> list[Contact]:
 
 
 def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...]:
-    if isinstance(contacts, Contact):
-        contacts = (contacts,)
-    try:
-        contacts = tuple(contacts)
-    except TypeError:
-        raise InputError(
-            f"{field}: {contacts!r} is no sequence of contacts", field=field, value=contacts
-        ) from None
+    contacts = as_tuple(field, contacts, Contact, "a Contact")
     for contact in contacts:
         check_contact(field, contact)
     for frame in dict.fromkeys(contact.frame for contact in contacts):

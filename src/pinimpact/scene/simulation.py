@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from ..checks import near_matches
-from ..errors import PinimpactError, UnknownNameError
+from ..checks import choice
+from ..errors import PinimpactError
 from .motion import Motion, Progress, check_numbers
 from .scene import Scene
 from .trajectory import Trajectory
@@ -59,10 +59,7 @@ def simulate(
             an impact without an answer.
     """
     check_numbers(duration=duration)
-    if scheme not in SCHEMES:
-        raise UnknownNameError(
-            f"scheme: {scheme!r} given; {near_matches(str(scheme), SCHEMES)}", field="scheme", value=scheme
-        )
+    choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
         motion: Motion = Motion(scene, q0, v0, rtol, atol, max_step, max_impacts)
     else:

@@ -121,6 +121,9 @@ class Stepper:
         self._failed = False
         return self.q, self.v
 
+    def __repr__(self) -> str:
+        return f"Stepper({self._scene!r} at t = {self.t:.6g} s)"
+
     @property
     def t(self) -> float:
         """The time [s]."""

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import counted, near_matches, real_number, real_numbers
+from ..checks import choice, counted, near_matches, real_number, real_numbers
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 AXES = ("t1", "t2", "n")
 """Names of the contact axes in tables."""
+
+SIDES = ("left", "right")
 
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
@@ -113,8 +115,7 @@ class Trajectory:
         Raises:
             InputError: A time outside the trajectory, or an unknown side.
         """
-        if side not in ("left", "right"):
-            raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        choice("side", side, SIDES, "a side")
         t = self._covered(t)
         if side == "right" and t >= self.t[-1]:
             return self.q[-1].copy(), self.v[-1].copy()
@@ -133,8 +134,7 @@ class Trajectory:
 
         They are those of `energy` in between its samples. Raises what `at` does.
         """
-        if side not in ("left", "right"):
-            raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        choice("side", side, SIDES, "a side")
         t = self._covered(t)
         if not self._segments:
             return np.zeros(WORKS)
@@ -245,8 +245,7 @@ class Trajectory:
         source = self._forces
         if source is None:
             raise InputError("path: the file was written before forces were stored", field="path")
-        if side not in ("left", "right"):
-            raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        choice("side", side, SIDES, "a side")
         found = []
         times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
         for time in map(self._covered, times):
@@ -305,18 +304,14 @@ class Trajectory:
                 [J], friction, restitution, and v before and after. "modes": source, mode, start, end [s].
 
         Raises:
-            InputError: Unknown rows.
+            UnknownNameError: Unknown rows.
         """
         tables = {
             "samples": self._sample_columns,
             "impacts": self._impact_columns,
             "modes": self._mode_columns,
         }
-        if rows not in tuple(tables):
-            raise InputError(
-                f"rows: {rows!r} given, one of {', '.join(tables)} expected", field="rows", value=rows
-            )
-        return tables[rows]()
+        return tables[choice("rows", rows, tables, "a table")]()
 
     def to_dataframe(self, rows: Literal["samples", "impacts", "modes"] = "samples") -> Any:
         """Return `columns` as a pandas DataFrame; raise `InputError` also where pandas is not installed."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import output_file
+from ..checks import file_path, output_file
 from ..contact_space.problem import ImpactProblem
 from ..errors import InputError
 from ..geometry.plane import Plane
@@ -137,6 +137,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: A file that is missing, or is no trajectory.
     """
+    path = file_path("path", path)
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
