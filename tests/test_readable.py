@@ -193,7 +193,7 @@ def test_every_object_shows_itself_in_a_line(toss):
         "Hit": impact(model, data, q, v, hand),
         "Hits": pinimpact.impacts(model, data, q, v, hand),
         "ContactMatrices": pinimpact.contact_matrices(model, data, q, hand),
-        "Trajectory": toss,
+        "Trajectory": toss[1],
     }
     for name, item in shown.items():
         text = repr(item)
