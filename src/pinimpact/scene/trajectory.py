@@ -298,9 +298,9 @@ class Trajectory:
         """Return a table as arrays of equal length, by the names of its columns.
 
         Args:
-            rows: "samples": t [s]; q and v by coordinate; energies and works [J]; of each contact its mode
+            rows: "samples": t [s]; q and v by coordinate; energies and work [J]; of each contact its mode
                 and force in contact axes t₁, t₂, n [N]. At an impact's time there are two rows, before and
-                after it. "impacts": time [s], source, approach [m/s], impulse in contact axes [N s], works
+                after it. "impacts": time [s], source, approach [m/s], impulse in contact axes [N s], work
                 [J], friction, restitution, and v before and after. "modes": source, mode, start, end [s].
 
         Raises:

@@ -66,7 +66,9 @@ def _add_texture_coordinates(library: ElementTree.Element) -> None:
         return
     for geometry in library:
         mesh = geometry.find(f"{_TAG}mesh")
-        bare = [part for part in mesh or () if part in surfaces and part.find(texture) is None]
+        bare = [
+            part for part in (() if mesh is None else mesh) if part in surfaces and part.find(texture) is None
+        ]
         if mesh is None or not bare:
             continue
         count = max(int(accessor.get("count", "0")) for accessor in mesh.iter(f"{_TAG}accessor"))
