@@ -158,7 +158,7 @@ def test_a_saved_run_has_the_same_samples(landing, tmp_path):
 
 
 def test_what_cannot_be_made_is_refused(landing, monkeypatch, tmp_path):
-    with pytest.raises(InputError, match="rows: 'forces' given, one of samples, impacts, modes expected"):
+    with pytest.raises(UnknownNameError, match="rows: 'forces' is not a table"):
         landing.to_dataframe("forces")
     with pytest.raises(InputError, match=r"output: .*ends in \.csv or \.parquet"):
         check_table_path("output", tmp_path / "a.xlsx")

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 AXES = ("t1", "t2", "n")
 """Names of the contact axes in tables."""
 
-SIDES = ("left", "right")
-
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
 
@@ -115,7 +113,7 @@ class Trajectory:
         Raises:
             InputError: A time outside the trajectory, or an unknown side.
         """
-        choice("side", side, SIDES, "a side")
+        _check_side(side)
         t = self._covered(t)
         if side == "right" and t >= self.t[-1]:
             return self.q[-1].copy(), self.v[-1].copy()
@@ -134,7 +132,7 @@ class Trajectory:
 
         They are those of `energy` in between its samples. Raises what `at` does.
         """
-        choice("side", side, SIDES, "a side")
+        _check_side(side)
         t = self._covered(t)
         if not self._segments:
             return np.zeros(WORKS)
@@ -245,7 +243,7 @@ class Trajectory:
         source = self._forces
         if source is None:
             raise InputError("path: the file was written before forces were stored", field="path")
-        choice("side", side, SIDES, "a side")
+        _check_side(side)
         found = []
         times = np.ravel(real_numbers("t", t, "a time, or an array of them, in seconds")).tolist()
         for time in map(self._covered, times):
@@ -473,6 +471,11 @@ class Trajectory:
         )
         changes = html_table("Energy, change over the run [J]", ("", ""), rows)
         return impacts + changes + html_lines([self.termination, *map(str, group_notes(self.notes))])
+
+
+def _check_side(side: str) -> None:
+    if not isinstance(side, str) or side not in ("left", "right"):
+        raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
 
 
 def _restored(parts: dict[str, Any]) -> Trajectory:
