@@ -107,9 +107,7 @@ def public_docstrings() -> Iterator[tuple[str, str]]:
 SOURCES = sorted(path for path in (ROOT / "src").rglob("*.py") if "_kernels" not in path.parts)
 """Modules that have messages: kernels have none."""
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-UNREAD = {"architecture"}
-"""Pages that still use retired words."""
-PAGES = [page for page in [*pages.pages(), ROOT / "CONTRIBUTING.md"] if page.stem not in UNREAD]
+PAGES = [*pages.pages(), ROOT / "CONTRIBUTING.md"]
 MODULE_NAMES = re.compile(r"benchmarks\.sweeps|test_sweeps\w+")
 
 
