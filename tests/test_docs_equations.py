@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from pinimpact._numeric import coulomb_problem
+from pinimpact.scene import locked_posture, motion, scene_impacts, simulation_state
+from pinimpact.scene._kernels import contact_forces, contact_modes, force_sweeps, slip
 from tools import pages
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -92,6 +95,49 @@ def test_every_section_that_is_cited_exists() -> None:
             cited |= set(re.findall(r"\b\d+(?:\.\d+)?\b", text.split(".\n")[0]))
     assert len(cited) > 10
     assert cited <= headings
+
+
+NUMBERS = [
+    (force_sweeps.SWEEPS, 200, "at most 200 projected Gauss–Seidel iterations"),
+    (force_sweeps.TOLERANCE, 1e-12, "change by less than $10^{-12}$ of the largest"),
+    (contact_modes.ROUNDS, 4, "repeated, up to four times"),
+    (contact_modes.NOTHING, 1e-3, "below $10^{-3}$ of the sticking speed"),
+    (contact_modes.ACCURACY, 1e-10, "up to a residual of $10^{-10}$ of the largest load"),
+    (contact_modes.ROUNDED, 1e-11, r"$\varepsilon = 10^{-11}$ if the forces are unique"),
+    (contact_modes.ROUNDED_SHARED, 1e-9, "and $10^{-9}$ otherwise"),
+    (coulomb_problem.COMPLIANCE, 1e-9, r"$\varepsilon = 10^{-9}$ makes the matrix definite"),
+    (coulomb_problem.FACTOR, 10.0, r"$\rho$ is multiplied or divided by 10"),
+    (contact_forces.SINGULAR_STILL, 1e-7, "is decided at $10^{-7}$ of its largest pivot"),
+    (contact_forces.MISSING, 1e-9, "a residual above $10^{-9}$ of its terms"),
+    (contact_forces.FINEST, 1e-13, "else at $10^{-13}$"),
+    (slip.CERTAIN, 10.0, r"\le 10\,\eta"),
+    (simulation_state.STICK_FRACTION, 0.1, "the sticking speed (a tenth of the resting speed)"),
+    (simulation_state.SINGULAR, 1e-8, "effects on the normals cancel to $10^{-8}$"),
+    (simulation_state.CLEAR, 10.0, "is less than ten times that fraction"),
+    (simulation_state.PASSED, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
+    (simulation_state.MOST_JAMS, 10, "After ten such impacts at one instant"),
+    (motion.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
+    (motion.UNSETTLED, 1e-3, "and $10^{-3}$ where slip or dry joints reverse"),
+    (motion.CROWD, 10, "ends ten times within the time"),
+    (motion.MAX_STALLED, 200, "Where 200 steps make no progress"),
+    (motion.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
+    (motion.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
+    (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
+    (scene_impacts.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
+    (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
+    (scene_impacts.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
+    (locked_posture.SINGULAR, 1e-13, "$W$ is singular at $10^{-13}$ of its largest eigenvalue"),
+]
+"""Constants of the code, and where the theory page gives them."""
+
+
+@pytest.mark.parametrize(("constant", "written", "sentence"), NUMBERS)
+def test_constants_of_the_theory_are_those_of_the_code(
+    constant: float, written: float, sentence: str
+) -> None:
+    text = " ".join((DOCS / "theory.md").read_text(encoding="utf-8").split())
+    assert constant == written
+    assert sentence in text
 
 
 def test_terms_of_the_glossary_are_in_order_and_have_links() -> None:
