@@ -6,6 +6,7 @@ import ast
 import re
 import shutil
 import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -164,7 +165,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mkdocs", reason="pip install pinimpact[docs] builds the site")
     pytest.importorskip("mkdocstrings", reason="pip install pinimpact[docs] builds the site")
     folder = tmp_path_factory.mktemp("site")
-    command = [shutil.which("mkdocs") or "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
     assert built.returncode == 0, built.stderr[-3000:]
     return folder
@@ -196,7 +197,7 @@ def test_every_file_of_a_style_sheet_is_served(site: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_every_formula_is_typeset(site: Path) -> None:
+def test_every_formula_is_typeset(site: Path, tmp_path: Path) -> None:
     with_formulas = {
         path: count
         for path in site.rglob("*.html")
@@ -204,25 +205,63 @@ def test_every_formula_is_typeset(site: Path) -> None:
     }
     assert site / "theory" / "index.html" in with_formulas
     for path, count in with_formulas.items():
-        dom = rendered(path)
+        dom = rendered(path, tmp_path)
         assert "katex-error" not in dom, re.findall(r'katex-error" title="([^"]+)"', dom)
         assert dom.count('<annotation encoding="application/x-tex">') == count, path
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
-def test_a_formula_with_an_error_is_noticed(site: Path) -> None:
+def test_a_formula_with_an_error_is_noticed(site: Path, tmp_path: Path) -> None:
     page = site / "theory" / "broken.html"
     text = (site / "theory" / "index.html").read_text(encoding="utf-8")
     wrong = '<span class="arithmatex">\\(\\nosuchcommand{1}\\)</span></article>'
     page.write_text(text.replace("</article>", wrong), encoding="utf-8")
-    assert rendered(page).count('katex-error" title=') == 1
+    assert rendered(page, tmp_path).count('katex-error" title=') == 1
     page.unlink()
 
 
-def rendered(page: Path) -> str:
-    """Return the document of a page after its scripts have run."""
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=10000", "--dump-dom"]
-    command = [str(CHROMIUM), *options, page.as_uri()]
+OVERLAPS = """<script>
+window.addEventListener("load", () => {
+  const found = [];
+  for (const formula of document.querySelectorAll(".katex-display")) {
+    const tag = formula.querySelector(".tag");
+    const parts = [...formula.querySelectorAll(".katex-html > .base")];
+    const right = Math.max(...parts.map((part) => part.getBoundingClientRect().right));
+    const end = tag ? tag.getBoundingClientRect().left : formula.getBoundingClientRect().right;
+    const wide = right > end || formula.scrollWidth > formula.clientWidth + 1;
+    if (wide) found.push(formula.textContent.slice(0, 60));
+  }
+  document.body.innerHTML = "<pre id=overlaps>" + found.join("\\n") + "</pre>";
+});
+</script></body>"""
+"""Leaves the formulas of a page that are too wide for it."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium renders the formulas; none is installed")
+def test_no_formula_runs_into_its_number(site: Path, tmp_path: Path) -> None:
+    wide = r"<div class='arithmatex'>\[" + "x+" * 80 + r"x \tag{0}\]</div></article>"
+    text = (site / "theory" / "index.html").read_text(encoding="utf-8").replace("</body>", OVERLAPS)
+    for page, too_wide in ((text, 0), (text.replace("</article>", wide), 1)):
+        path = site / "theory" / "measured.html"
+        path.write_text(page, encoding="utf-8")
+        found = re.search(r'<pre id="overlaps">(.*?)</pre>', rendered(path, tmp_path), re.DOTALL)
+        path.unlink()
+        assert found is not None
+        assert len(found[1].splitlines()) == too_wide, found[1]
+
+
+def rendered(page: Path, profile: Path) -> str:
+    """Return the document of a page after its scripts have run, in a browser with a profile of its own."""
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=10000",
+        "--window-size=1300,2000",
+        "--dump-dom",
+    ]
+    command = [str(CHROMIUM), *options, f"--user-data-dir={profile}", page.as_uri()]
     run = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     return run.stdout
