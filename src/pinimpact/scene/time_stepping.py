@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.force_evaluation import places_of_contacts
@@ -64,13 +62,13 @@ class _Island(NamedTuple):
     Attributes:
         contacts, scalars: Their numbers among the rows.
         order: The rows of the contacts, three each, then those of the scalars.
-        moves: How many velocities the bodies have.
+        moves: The velocities of the bodies.
     """
 
     contacts: Integers
     scalars: Integers
     order: Integers
-    moves: int
+    moves: Integers
 
 
 class _Rows(NamedTuple):
@@ -130,27 +128,31 @@ class _Rows(NamedTuple):
             np.concatenate([unbounded, np.where(limits, math.inf, 0.0), self.bound]),
         )
 
-    def islands(self, trees: list[Integers], active: NDArray[np.bool_]) -> list[_Island]:
-        """Return the groups of rows that share trees of joints."""
+    def islands(self, members: Array, active: NDArray[np.bool_]) -> list[_Island]:
+        """Return the groups of rows that share trees of joints.
+
+        Args:
+            members: (nv, trees) one where a velocity belongs to a tree, else zero.
+            active: (nc + nl,) contacts and limits that take part.
+        """
         nc = len(self.contacts)
-        moves = np.array([np.abs(self.jacobian[:, tree]).max(axis=1, initial=0.0) > 0.0 for tree in trees]).T
-        items = np.concatenate([moves[: 3 * nc].reshape(nc, 3, len(trees)).any(axis=1), moves[3 * nc :]])
-        items[:nc][~active[:nc]] = False
+        moved = (self.jacobian != 0.0).astype(float) @ members > 0.0
+        of_contacts = moved[: 3 * nc].reshape(nc, 3, members.shape[1]).any(axis=1) & active[:nc, None]
+        items = np.concatenate([of_contacts, moved[3 * nc :]])
+        labels = np.arange(members.shape[1])  # of trees: those of an island have that of the first of them
+        for joined in items[items.sum(axis=1) > 1]:
+            own = labels[joined]
+            if own.min() < own.max():
+                labels[np.isin(labels, own)] = own.min()
         touched = items.any(axis=1)
-        if not touched.any():
-            return []
-        count, size = len(items), len(trees)
-        graph = np.block(
-            [[np.zeros((count, count), dtype=bool), items], [items.T, np.zeros((size, size), bool)]]
-        )
-        _, labels = connected_components(csr_array(graph))
-        widths = np.array([len(tree) for tree in trees])
+        island_of = np.where(touched, labels[items.argmax(axis=1)], -1)
         found = []
-        for label in np.unique(labels[:count][touched]).tolist():
-            inside = np.flatnonzero((labels[:count] == label) & touched)
+        for label in np.unique(island_of[touched]).tolist():
+            inside = np.flatnonzero(island_of == label)
             contacts, scalars = inside[inside < nc], inside[inside >= nc] - nc
             order = np.concatenate([(3 * contacts[:, None] + np.arange(3)).ravel(), 3 * nc + scalars])
-            found.append(_Island(contacts, scalars, order, int(widths[labels[count:] == label].sum())))
+            moves = np.flatnonzero(members[:, labels == label].any(axis=1))
+            found.append(_Island(contacts, scalars, order, moves))
         return found
 
 
@@ -168,7 +170,12 @@ class TimeStepping(Motion):
         model, work = self.model, self.work
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
         self._faces = FacingShapes(model, self.dynamics, scene.layout())
-        self._trees = _trees(model)
+        self._members = _members(model)
+        each = [np.flatnonzero(tree) for tree in self._members.T]
+        # the velocities of trees of equal size, whose matrices are inverted at once
+        self._alike = [
+            np.array([tree for tree in each if len(tree) == size]) for size in sorted({len(t) for t in each})
+        ]
         self._unsolved = 0.0
         # what has no restitution closes within a step's contact problem, by Moreau's law
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
@@ -245,7 +252,8 @@ class TimeStepping(Motion):
         shift = np.zeros(len(jacobian))
         shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
         shift[rows.held_normals] = 2.0 * rows.off / h
-        impulse = self._impulses(inverse, rows, ~arrives, u_free + shift)
+        islands = rows.islands(self._members, ~arrives)
+        impulse = self._impulses(inverse, rows, islands, ~arrives, u_free + shift)
         v_end = v_free + inverse @ (jacobian.T @ impulse)
         predicted = v
         for _ in range(CORRECTIONS):
@@ -253,7 +261,7 @@ class TimeStepping(Motion):
             acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
             v_free = v_end + inverse @ (mass @ (h * acceleration - (v_end - v)))
             free = jacobian @ v_free + rows.offset + shift
-            impulse = self._impulses(inverse, rows, ~arrives, free, impulse)
+            impulse = self._impulses(inverse, rows, islands, ~arrives, free, impulse)
             v_end = v_free + inverse @ (jacobian.T @ impulse)
         u_end = jacobian @ v_end + rows.offset
         closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
@@ -331,28 +339,36 @@ class TimeStepping(Motion):
         mass = np.array(pin.crba(self.model, self.data, q))
         mass = np.triu(mass) + np.triu(mass, 1).T
         inverse = np.zeros_like(mass)
-        for tree in self._trees:
-            block = np.ix_(tree, tree)
-            inverse[block] = np.linalg.inv(mass[block] + np.diag(added[tree]))
+        softened = mass + np.diag(added)
+        for columns in self._alike:
+            block = columns[:, :, None], columns[:, None, :]
+            inverse[block] = np.linalg.inv(softened[block])
         return inverse, mass
 
     def _impulses(
-        self, inverse: Array, rows: _Rows, active: NDArray[np.bool_], free: Array, guess: Array | None = None
+        self,
+        inverse: Array,
+        rows: _Rows,
+        islands: list[_Island],
+        active: NDArray[np.bool_],
+        free: Array,
+        guess: Array | None = None,
     ) -> Array:
         """Solve the contact problem, island by island.
 
         Args:
             inverse: (nv, nv) inverse of what the impulses move.
             rows: Its rows.
+            islands: Of the rows.
             active: (nc + nl,) contacts and limits that take part.
             free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
             guess: (n,) where to begin; if given, of several solutions that of small compliances is taken.
         """
         impulse, (lower, upper) = np.zeros(len(free)), rows.bounds(active)
-        for island in rows.islands(self._trees, active):
-            jacobian = rows.jacobian[island.order]
-            delassus = jacobian @ inverse @ jacobian.T
-            redundant = guess is not None and len(island.order) > island.moves
+        for island in islands:
+            jacobian = rows.jacobian[np.ix_(island.order, island.moves)]
+            delassus = jacobian @ inverse[np.ix_(island.moves, island.moves)] @ jacobian.T
+            redundant = guess is not None and len(island.order) > len(island.moves)
             found = np.zeros(len(island.order)) if guess is None or redundant else guess[island.order]
             off = step_impulses(
                 np.ascontiguousarray(0.5 * (delassus + delassus.T)),
@@ -461,14 +477,15 @@ class TimeStepping(Motion):
             contacts=_NO_NUMBERS, held=_NO_NUMBERS, limits=_NO_NUMBERS, jacobian=jacobian, friction=_NONE
         )
         correction = np.zeros(self.model.nv)
-        for island in along.islands(self._trees, np.zeros(0, dtype=bool)):
-            part, found = jacobian[island.order], np.zeros(len(island.order))
-            delassus = part @ inverse @ part.T
+        for island in along.islands(self._members, np.zeros(0, dtype=bool)):
+            part, found = jacobian[np.ix_(island.order, island.moves)], np.zeros(len(island.order))
+            change = inverse[np.ix_(island.moves, island.moves)] @ part.T
+            delassus = part @ change
             step_impulses(
                 np.ascontiguousarray(0.5 * (delassus + delassus.T)),
                 *(free[island.order], _NONE, lower[island.order], upper[island.order], _NONE, found),
             )
-            correction += inverse @ (part.T @ found)
+            correction[island.moves] += change @ found
         self.state.q = pin.integrate(self.model, self.state.q, correction)
         step.coefficients[0, : self.model.nv] += correction
 
@@ -505,13 +522,11 @@ def _touch(gap: float, first: float, last: float) -> float:
     return min(max(share, 0.0), 1.0)
 
 
-def _trees(model: pin.Model) -> list[Integers]:
-    """Return the velocities of each tree of joints that hangs in the world by itself."""
-    roots: dict[int, int] = {}
-    found: dict[int, list[int]] = {}
+def _members(model: pin.Model) -> Array:
+    """Return (nv, trees) one where a velocity belongs to a tree of joints, zero elsewhere."""
+    roots, trees = [-1], np.zeros(model.nv, dtype=np.int64)
     for joint in range(1, model.njoints):
-        parent = model.parents[joint]
-        roots[joint] = joint if parent == 0 else roots[parent]
-        start = model.idx_vs[joint]
-        found.setdefault(roots[joint], []).extend(range(start, start + model.nvs[joint]))
-    return [np.array(columns) for columns in found.values() if columns]
+        parent, start = model.parents[joint], model.idx_vs[joint]
+        roots.append(joint if parent == 0 else roots[parent])
+        trees[start : start + model.nvs[joint]] = roots[joint]
+    return (trees[:, None] == np.unique(trees)).astype(float)
