@@ -13,6 +13,7 @@ import pinimpact
 from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
 from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
+from pinimpact.scene._kernels.step_impulses import redundant_impulses
 
 from .scene_models import UP, G, ball, box_on, pendulum, slider, unbounded
 
@@ -218,3 +219,60 @@ def test_a_patch_has_the_corners_that_two_faces_share_and_their_gaps():
     np.testing.assert_allclose(corners[:, 1], [-1.0, 1.0, -1.0, 1.0], atol=1e-12)
     middle = np.array([0.7, 0.0, 1.5001]) - 0.5 * turn[:, 2]  # of the upper box's lower face
     np.testing.assert_allclose(gaps, (middle - corners) @ turn[:, 2], atol=1e-14)
+
+
+def redundant_problem(rng):
+    """Return a box, or two in a row, on many points under a random load."""
+    bodies, points = rng.integers(1, 3), rng.integers(4, 9)
+    m, nc = 6 * bodies, bodies * points
+    mass = np.diag(np.tile([1.0, 1.0, 1.0, 0.02, 0.03, 0.04], bodies)) * rng.uniform(0.3, 3.0)
+    jacobian = np.zeros((3 * nc, m))
+    for i in range(nc):
+        body = i % bodies
+        x, y, z = rng.uniform(-1, 1), rng.uniform(-1, 1), -0.5
+        rows = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
+        jacobian[3 * i : 3 * i + 3, 6 * body : 6 * body + 6] = rows
+        if i == nc - 1 and bodies == 2:  # of one body against the other
+            jacobian[3 * i : 3 * i + 3, :6] = -rows
+    free = jacobian @ (rng.normal(size=m) - np.tile([0, 0, 1.0, 0, 0, 0], bodies))
+    return mass, jacobian, free, rng.uniform(0.0, 1.0, nc)
+
+
+def test_more_rows_than_velocities_obey_coulombs_law():
+    """The law is read off row by row, where the solver says that it is met; nearly everywhere it is."""
+    rng, unsolved, none = np.random.default_rng(7), 0, np.empty(0)
+    for _ in range(400):
+        mass, jacobian, free, mu = redundant_problem(rng)
+        inverse, impulse = np.linalg.inv(mass), np.zeros(len(free))
+        compliance = np.ones(len(mu))
+        off = redundant_impulses(mass, inverse, jacobian, free, mu, none, none, compliance, impulse)
+        if off > 1e-7:
+            unsolved += 1
+            continue
+        u = (free + jacobian @ inverse @ jacobian.T @ impulse).reshape(-1, 3)
+        size, force, largest = np.abs(free).max(), impulse.reshape(-1, 3), np.abs(impulse).max()
+        slip, pushed = np.linalg.norm(u[:, :2], axis=1), np.linalg.norm(force[:, :2], axis=1)
+        assert u[:, 2].min() > -1e-6 * size
+        assert force[:, 2].min() >= 0.0
+        assert np.minimum(u[:, 2] / size, force[:, 2] / max(largest, 1e-300)).max() < 1e-5
+        assert (pushed <= mu * force[:, 2] * (1 + 1e-9) + 1e-12).all()
+        work = -(force[:, :2] * u[:, :2]).sum(
+            axis=1
+        )  # μ f_n |u_t| where friction is along slip and at its bound
+        np.testing.assert_allclose(work, mu * force[:, 2] * slip, atol=1e-5 * size * largest)
+    assert unsolved <= 12
+
+
+def test_where_impulses_are_not_unique_they_are_those_of_equal_compliances():
+    # a box on n points in line with equal loads: to each its part, and with compliances in proportion to them
+    n = 5
+    x = np.linspace(-1.0, 1.0, n)
+    jacobian = np.zeros((3 * n, 3))
+    jacobian[::3, 0] = 1.0
+    jacobian[2::3, 1], jacobian[2::3, 2] = 1.0, x
+    mass, none = np.diag([2.0, 2.0, 1.0]), np.empty(0)
+    for compliance in (np.ones(n), np.array([1.0, 2.0, 4.0, 2.0, 1.0])):
+        impulse = np.zeros(3 * n)
+        system = mass, np.linalg.inv(mass), jacobian, jacobian @ [0.0, -1.0, 0.0], np.full(n, 0.3)
+        redundant_impulses(*system, none, none, compliance, impulse)
+        np.testing.assert_allclose(impulse[2::3], 2.0 / compliance / (1.0 / compliance).sum(), rtol=1e-9)

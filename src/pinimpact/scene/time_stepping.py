@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.force_evaluation import places_of_contacts
 from ._kernels.lie_charts import chart_rate
-from ._kernels.step_impulses import step_impulses
+from ._kernels.step_impulses import redundant_impulses, step_impulses
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -32,8 +32,9 @@ TOUCHING = 1e-8
 """Part of the robot's size within which what approaches takes part in an impact: the drift that the midpoint
 rule leaves in a step of a millisecond, which would otherwise put impacts of one instant one after another."""
 
-USABLE = 1e-8
-"""What the contact problem may miss, in parts of its velocities, before that is noted."""
+USABLE = 1e-7
+"""What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
+less than steps of any useful length do."""
 
 SLACK = 4.0
 """What gaps may close by within a step beside their rates, in parts of h² g."""
@@ -253,7 +254,8 @@ class TimeStepping(Motion):
         shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
         shift[rows.held_normals] = 2.0 * rows.off / h
         islands = rows.islands(self._members, ~arrives)
-        impulse = self._impulses(inverse, rows, islands, ~arrives, u_free + shift)
+        moved = mass + np.diag(softened), inverse
+        impulse = self._impulses(moved, rows, islands, ~arrives, u_free + shift)
         v_end = v_free + inverse @ (jacobian.T @ impulse)
         predicted = v
         for _ in range(CORRECTIONS):
@@ -261,7 +263,7 @@ class TimeStepping(Motion):
             acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
             v_free = v_end + inverse @ (mass @ (h * acceleration - (v_end - v)))
             free = jacobian @ v_free + rows.offset + shift
-            impulse = self._impulses(inverse, rows, islands, ~arrives, free, impulse)
+            impulse = self._impulses(moved, rows, islands, ~arrives, free, impulse)
             v_end = v_free + inverse @ (jacobian.T @ impulse)
         u_end = jacobian @ v_end + rows.offset
         closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
@@ -347,7 +349,7 @@ class TimeStepping(Motion):
 
     def _impulses(
         self,
-        inverse: Array,
+        moved: tuple[Array, Array],
         rows: _Rows,
         islands: list[_Island],
         active: NDArray[np.bool_],
@@ -357,28 +359,31 @@ class TimeStepping(Motion):
         """Solve the contact problem, island by island.
 
         Args:
-            inverse: (nv, nv) inverse of what the impulses move.
+            moved: The matrix (nv, nv) of what the impulses move, and its inverse.
             rows: Its rows.
             islands: Of the rows.
             active: (nc + nl,) contacts and limits that take part.
             free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-            guess: (n,) where to begin; if given, of several solutions that of small compliances is taken.
+            guess: (n,) where to begin.
         """
+        mass, inverse = moved
         impulse, (lower, upper) = np.zeros(len(free)), rows.bounds(active)
         for island in islands:
+            block = np.ix_(island.moves, island.moves)
             jacobian = rows.jacobian[np.ix_(island.order, island.moves)]
-            delassus = jacobian @ inverse[np.ix_(island.moves, island.moves)] @ jacobian.T
-            redundant = guess is not None and len(island.order) > len(island.moves)
-            found = np.zeros(len(island.order)) if guess is None or redundant else guess[island.order]
-            off = step_impulses(
-                np.ascontiguousarray(0.5 * (delassus + delassus.T)),
-                free[island.order],
-                rows.friction[island.contacts],
-                lower[island.scalars],
-                upper[island.scalars],
-                rows.compliance[island.contacts] if redundant else _NONE,
-                found,
-            )
+            bounds = lower[island.scalars], upper[island.scalars]
+            given = free[island.order], rows.friction[island.contacts], *bounds
+            found = np.zeros(len(island.order)) if guess is None else guess[island.order]
+            if len(island.order) > len(island.moves):
+                compliance, begin = rows.compliance[island.contacts], np.zeros(len(found))
+                off = redundant_impulses(mass[block], inverse[block], jacobian, *given, compliance, found)
+            else:
+                compliance, begin, off = _NONE, found, math.inf
+            if off > USABLE:
+                delassus = jacobian @ inverse[block] @ jacobian.T
+                left = step_impulses(0.5 * (delassus + delassus.T), *given, compliance, begin)
+                if left < off:
+                    off, found = left, begin
             if guess is not None and off > max(USABLE, self._unsolved):
                 if self._unsolved == 0.0:
                     self.state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")

@@ -8,6 +8,7 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import jit
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
 from ..._numeric.loops import flags
+from ..._numeric.proximal_newton import SYSTEM, solve_velocities
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
@@ -32,3 +33,10 @@ def step_impulses(delassus, free, friction, lower, upper, compliance, impulse):
             delassus, free, velocity, friction, least, held, lower, upper, impulse, compliance
         )
     return solve_coulomb(delassus, free, velocity, friction, least, held, lower, upper, impulse)
+
+
+@declared(*SYSTEM, result=float)
+@jit
+def redundant_impulses(mass, inverse, jacobian, free, friction, lower, upper, compliance, impulse):
+    """Do so where there are more rows than velocities; arguments as of `solve_velocities`."""
+    return solve_velocities(mass, inverse, jacobian, free, friction, lower, upper, compliance, impulse)
