@@ -24,6 +24,7 @@ NAMES = (
     "scene_ladder",
     "persistent_contact",
     "geometry",
+    "everyday",
 )
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 

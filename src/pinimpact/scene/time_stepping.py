@@ -32,7 +32,7 @@ TOUCHING = 1e-8
 """Part of the robot's size within which what approaches takes part in an impact: the drift that the midpoint
 rule leaves in a step of a millisecond, which would otherwise put impacts of one instant one after another."""
 
-USABLE = 1e-7
+USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
 less than steps of any useful length do."""
 

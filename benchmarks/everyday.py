@@ -1,0 +1,155 @@
+"""Everyday scenes in time steps: dominoes, stacks, piles and free boxes, beside MuJoCo at the same step.
+
+    python benchmarks/everyday.py
+
+Seconds of computing for a second of motion. Both take steps of a millisecond on one thread, with the same
+masses, sizes, friction and start. MuJoCo (elliptic cones, Newton's method) has soft contacts: the times are
+compared, not the answers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from typing import NamedTuple
+
+import coal
+import mujoco
+import numpy as np
+import pinocchio as pin
+from benchmarks.timing import keep
+
+from pinimpact import Contact, Plane, Scene, Shape, simulate
+
+STEP = 1e-3
+
+
+class Boxes(NamedTuple):
+    """Free boxes on a floor.
+
+    Attributes:
+        name: In the table.
+        size: (3,) edges [m].
+        mass: Of each [kg].
+        floor, between: Coefficients of friction.
+        places: (n, 3) centres at the start [m].
+        first: (6,) velocity of the first one.
+        duration: Of the motion [s].
+    """
+
+    name: str
+    size: tuple[float, float, float]
+    mass: float
+    floor: float
+    between: float
+    places: np.ndarray
+    first: np.ndarray
+    duration: float
+
+
+def dominoes(count: int) -> Boxes:
+    thick, high, rate = 0.008, 0.048, 6.0
+    places = np.array([(0.028 * k, 0.0, 0.5 * high) for k in range(count)])
+    first = np.array([0.5 * rate * high, 0, 0.5 * rate * thick, 0, rate, 0])
+    return Boxes(
+        f"{count} dominoes fall", (thick, 0.024, high), 0.01, 0.6, 0.3, places, first, 0.1 + 0.04 * count
+    )
+
+
+def stack(count: int) -> Boxes:
+    places = np.array([(0.0, 0.0, 0.05 + 0.1 * k) for k in range(count)])
+    return Boxes(f"{count} boxes stand", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 1.0)
+
+
+def pile(count: int) -> Boxes:
+    rng = np.random.default_rng(0)
+    places = np.array([(*rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k) for k in range(count)])
+    return Boxes(f"{count} boxes pile up", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 2.0)
+
+
+def apart(count: int) -> Boxes:
+    side = int(np.ceil(np.sqrt(count)))
+    places = np.array([(0.5 * (k % side), 0.5 * (k // side), 0.06) for k in range(count)])
+    return Boxes(f"{count} boxes apart", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 0.5)
+
+
+def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+    """Return seconds of computing and a remark."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    size = np.array(boxes.size)
+    inertia = boxes.mass / 12.0 * np.diag(np.sum(size**2) - size**2)
+    contacts = []
+    for k in range(len(boxes.places)):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box_{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(boxes.mass, np.zeros(3), inertia), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
+        contacts.append(
+            Contact(geometry=f"box_{k}_0", plane=Plane(), friction=boxes.floor, name=f"floor {k}")
+        )
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+    for i, j in pairs:
+        other = Shape(f"box_{i}_0")
+        contacts.append(
+            Contact(geometry=f"box_{j}_0", plane=other, friction=boxes.between, name=f"pair {i} {j}")
+        )
+    scene = Scene(pin.RobotWrapper(model, shapes, shapes), contacts)
+    q0 = np.hstack([boxes.places, np.tile([0, 0, 0, 1.0], (len(boxes.places), 1))]).ravel()
+    v0 = np.zeros(model.nv)
+    v0[:6] = boxes.first
+    simulate(scene, q0, v0, 3 * STEP, scheme="time-stepping", dt=STEP)
+    begun = time.process_time()
+    run = simulate(scene, q0, v0, boxes.duration, scheme="time-stepping", dt=STEP)
+    return time.process_time() - begun, "; ".join(note.text for note in run.notes)
+
+
+def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
+    """Return MuJoCo's seconds of computing."""
+    half = " ".join(str(0.5 * x) for x in boxes.size)
+    bodies = "".join(
+        f'<body name="b{k}" pos="{x} {y} {z}"><freejoint/><geom name="g{k}" type="box" size="{half}" '
+        f'mass="{boxes.mass}" contype="0" conaffinity="0"/></body>'
+        for k, (x, y, z) in enumerate(boxes.places.tolist())
+    )
+    touching = [("floor", f"g{k}", boxes.floor) for k in range(len(boxes.places))]
+    touching += [(f"g{i}", f"g{j}", boxes.between) for i, j in pairs]
+    contact = "".join(
+        f'<pair geom1="{a}" geom2="{b}" friction="{mu} {mu} 0 0 0" condim="3"/>' for a, b, mu in touching
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP}" cone="elliptic"/><worldbody><geom name="floor" type="plane" '
+        f'size="50 50 1" contype="0" conaffinity="0"/>{bodies}</worldbody>'
+        f"<contact>{contact}</contact></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qvel[:6] = boxes.first
+    begun = time.process_time()
+    for _ in range(round(boxes.duration / STEP)):
+        mujoco.mj_step(model, data)
+    return time.process_time() - begun
+
+
+def main() -> None:
+    rows, table = {}, [f"{'scene':<20}{'pinimpact':>12}{'MuJoCo':>10}{'ratio':>8}"]
+    for boxes in (dominoes(5), dominoes(20), stack(5), stack(10), pile(10), apart(10), apart(30)):
+        count = len(boxes.places)
+        near = boxes.name.endswith(("fall", "stand"))
+        every = itertools.pairwise(range(count)) if near else itertools.combinations(range(count), 2)
+        pairs = list(every)
+        own, remark = ours(boxes, pairs)
+        other = theirs(boxes, pairs)
+        rows[boxes.name] = {
+            "seconds": own / boxes.duration,
+            "mujoco": other / boxes.duration,
+            "ratio": own / other,
+            "remark": remark,
+        }
+        table.append(
+            f"{boxes.name:<20}{own / boxes.duration:>10.2f} s"
+            f"{other / boxes.duration:>8.3f} s{own / other:>8.0f}"
+        )
+    keep("everyday", "\n".join(table) + "\n", {"step": STEP, "scenes": rows})
+
+
+if __name__ == "__main__":
+    main()
