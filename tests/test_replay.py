@@ -517,6 +517,21 @@ def test_the_robot_fills_the_window_beside_the_panels(page, tmp_path: Path) -> N
     assert max(np.ptp(rows) / (tall - 56), np.ptp(columns) / (wide - left)) > 0.6
 
 
+@in_a_browser
+@pytest.mark.parametrize("tall", [340, 460, 900])
+def test_the_words_of_an_impact_are_whole_in_any_window(page, tmp_path: Path, tall: int) -> None:
+    told = """<script>setInterval(() => {
+      const words = document.getElementById("overlay");
+      document.body.dataset.cut = words.scrollHeight > words.clientHeight + 1;
+      document.body.dataset.inset = !document.getElementById("hodograph").hidden;
+    }, 100);</script></body>"""
+    asked = tmp_path / "asked.html"
+    asked.write_text(page.html.replace("</body>", told), encoding="utf-8")
+    dom = open_page(BROWSER, asked, "impact=1", size=(800, tall)).dom
+    assert 'data-cut="false"' in dom
+    assert f'data-inset="{str(tall == 900).lower()}"' in dom or tall == 460
+
+
 def test_a_grid_lies_under_a_base_that_would_float() -> None:
     """A ball of 0.1 m falls from 1 m onto a table at 0.5 m beside a post: the grid is at the lowest point."""
     robot = shaped_body(coal.Sphere(0.1), pin.Inertia.FromSphere(1.0, 0.1))

@@ -23,6 +23,8 @@ LONGEST = 40
 """Rows that a table shows at most, unless all are asked for."""
 ROUNDING = 32.0 * 2.0**-52
 """Part of the numbers that a sum was formed from, below which it is zero to rounding."""
+CONDITION = 1e3
+"""By how much M magnifies rounding in velocities after an impact, as a mass matrix of many bodies does."""
 WIDE = 160
 """Columns that a page has which is not a terminal's."""
 
@@ -60,7 +62,11 @@ def impact_report(
         _columns(
             "Joint velocities [rad/s or m/s]",
             ("", "before", "after"),
-            zip(velocity_names(model), rounded(impact.v_before), rounded(impact.v_after), strict=True),
+            zip(
+                velocity_names(model),
+                *(rounded(v, CONDITION * float(np.abs(v).max())) for v in (impact.v_before, impact.v_after)),
+                strict=True,
+            ),
         ),
         _columns(
             "Segments",

@@ -19,6 +19,7 @@
   const [place, value, wide, tall, kind] = location.hash.slice(1).split(/[=,]/);
   const room = { get wide() { return Number(wide) || innerWidth; }, get tall() { return Number(tall) || innerHeight; } };
   const data = JSON.parse(find("motion").textContent);
+  const LEAST = 90;  // side of a hodograph that can be read [px]
   const GAP = 8, BAR = 56;  // between panels, and the height of the bar with its gaps [px]
   const upright = () => room.wide < room.tall;
   const sideWidth = () => upright() ? room.wide - 2 * GAP : Math.min(300, Math.max(215, 0.27 * room.wide));
@@ -325,9 +326,12 @@
 
   const canvas = find("hodograph");
   function drawPanel(mark, share, named) {
-    canvas.hidden = !mark;
-    if (!mark) return;
-    const wide = panelWidth();
+    canvas.hidden = true;
+    // beside the words, which come first: what they leave of the side's height
+    const left = room.tall - BAR - 3 * GAP - find("overlay").scrollHeight - find("legend").scrollHeight - Drawing.TITLES;
+    const wide = data.within ? panelWidth() : Math.min(panelWidth(), left);
+    if (!mark || wide < LEAST) return;
+    canvas.hidden = false;
     const square = wide + Drawing.TITLES, tall = data.within ? Math.min(square + 200, room.tall - 70) : square;
     const dense = window.devicePixelRatio || 1;
     canvas.width = wide * dense;
@@ -395,12 +399,12 @@
     const held = data.impacts.some(impact => impact.contacts.length), { longest } = data.scales;
     const rows = [];
     if (held) rows.push(
-      ["impulse", `impulse (max. ${digits(longest.impulse)} N s)`],
+      ["impulse", `impulse (max. ${digits(longest.impulse)}\u00a0N\u00a0s)`],
       ["cone", "friction cone"],
-      ["before", `velocity before (max. ${digits(longest.velocity)} m/s)`],
+      ["before", `velocity before (max. ${digits(longest.velocity)}\u00a0m/s)`],
       ["after", "velocity after"]);
     if (contacts.some(contact => contact.forces))
-      rows.push(["force", `contact force (max. ${digits(longest.force)} N)`]);
+      rows.push(["force", `contact force (max. ${digits(longest.force)}\u00a0N)`]);
     if (contacts.length && !data.within) rows.push(["path", "path of the contact point"]);
     if (data.surfaces.length)
       rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);

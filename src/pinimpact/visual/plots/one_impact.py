@@ -267,7 +267,8 @@ def _mark_segments(ax: Axes, solution: Solution) -> None:
 def _number(ax: Axes, start: float, value: float, row: int) -> None:
     """Write a bar's value beyond its end."""
     side = "left" if value >= 0.0 else "right"
-    ax.annotate(f" {value:.3g} ", (start + value, row), ha=side, va="center", size=8)
+    text = f" {value:.3g} ".replace("-", "−")  # as the axes write it
+    ax.annotate(text, (start + value, row), ha=side, va="center", size=8)
 
 
 def _draw_flow(ax: Axes, problem: ImpactProblem, radius: float) -> None:
