@@ -18,6 +18,7 @@ from ..robot.contact import Contact
 from ..robot.loading import load_robot
 from ..robot.names import frame_id
 from ..scene.controls import Control, JointPD
+from ..scene.events import Event
 from ..scene.records import ImpactRecord
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 
 BEFORE, AFTER = 0.15, 0.25
 """How long the demo shows before and after the touch [s], for a robot of 1 m; less for smaller ones."""
+SUNK = 0.01
+"""How far a part without contact may be in the table before the demo ends, in parts of the robot's size."""
 SLIDE = 0.2
 """How far the striking point moves along the table before and after the touch [m], of a robot of 1 m."""
 FRICTION, RESTITUTION = 0.3, 0.5
@@ -152,8 +155,17 @@ def run_demo(
     pace = min(1.0, body.size)
     start, v, before = _take_back(model, contacts, touch, BEFORE * pace)
     control = _hold_posture(body, touch.q) if free_base(model) else _hold_speeds(model)
+    # what has no contact would go through the table after the impact
+    plane = touch.contact.plane
+    assert isinstance(plane, Plane)
+    ends = Event(
+        lambda t, q, v: body.height(q, np.array(plane.point), plane.axes) + SUNK * body.size,
+        terminal=True,
+        direction=-1,
+        name="another part reaches the table",
+    )
     trajectory, stopped = _run(
-        Scene(model, contacts, control=control, record=True, without=NO_JOINT_EFFECTS),
+        Scene(model, contacts, control=control, record=True, without=NO_JOINT_EFFECTS, events=[ends]),
         start,
         v,
         before + AFTER * pace,
@@ -420,6 +432,8 @@ def _run(scene: Scene, q: Array, v: Array, duration: float) -> tuple[Trajectory,
         if error.partial is None:
             raise
         return error.partial, str(error)
+    if trajectory.events:
+        return trajectory, trajectory.termination
     if not trajectory.complete:
         raise KeyboardInterrupt
     return trajectory, None

@@ -105,6 +105,12 @@ class Body:
         middle: Array = 0.5 * (least.min(axis=0) + least.max(axis=0))
         return middle + (heights.min() - middle @ normal) * normal
 
+    def height(self, q: Array, point: Array, axes: Array) -> float:
+        """Return how high the lowest corner over a plate as large as the robot is [m]."""
+        across = (np.vstack(self.at(q)) - point) @ axes.T
+        inside = np.linalg.norm(across[:, :2], axis=1) < 0.5 * self.size
+        return float(across[inside, 2].min(initial=self.size))
+
     def clearance(self, point: Array, axes: Array, reach: float, own: Collection[int]) -> float:
         """Return how far shapes of other joints stay from a plate [m]; < 0 in it.
 
