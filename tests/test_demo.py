@@ -264,7 +264,7 @@ def test_every_named_robot_strikes_and_moves_on(name: str) -> None:
 def test_a_demo_ends_before_a_part_without_contact_sinks_in(name: str) -> None:
     shown = run_demo(name)
     model, shapes, plane = shown.robot.model, shown.robot.visual_model, shown.contact.plane
-    data, heights, up = model.createData(), [], plane.axes[2]
+    data, heights = model.createData(), []
     for q in shown.trajectory.q:
         pin.forwardKinematics(model, data, q)
         places = [data.oMi[shape.parentJoint] * shape.placement for shape in shapes.geometryObjects]
