@@ -155,17 +155,16 @@ def run_demo(
     pace = min(1.0, body.size)
     start, v, before = _take_back(model, contacts, touch, BEFORE * pace)
     control = _hold_posture(body, touch.q) if free_base(model) else _hold_speeds(model)
-    # what has no contact would go through the table after the impact
     plane = touch.contact.plane
     assert isinstance(plane, Plane)
-    ends = Event(
-        lambda t, q, v: body.height(q, np.array(plane.point), plane.axes) + SUNK * body.size,
-        terminal=True,
-        direction=-1,
-        name="another part reaches the table",
-    )
+
+    def clear(t: float, q: Array, v: Array) -> float:  # what has no contact would go through the table
+        return body.height(q, np.array(plane.point), plane.axes) + SUNK * body.size if t > before else 1.0
+
+    ends = Event(clear, terminal=True, direction=-1, name="another part reaches the table")
+    above = clear(np.inf, touch.q, touch.v) > 0.0
     trajectory, stopped = _run(
-        Scene(model, contacts, control=control, record=True, without=NO_JOINT_EFFECTS, events=[ends]),
+        Scene(model, contacts, control=control, record=True, without=NO_JOINT_EFFECTS, events=[ends] * above),
         start,
         v,
         before + AFTER * pace,
