@@ -100,7 +100,7 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`.
 
     A number will do for an array of one. The array is writable: kernels are compiled for such arrays, and
-    read-only ones would have them compiled anew.
+    read-only ones would have them compiled again.
     """
     given = real_numbers(field, value, f"an array of real numbers of shape {shape}")
     array = np.atleast_1d(given if given.flags.carray else np.array(given, order="C"))

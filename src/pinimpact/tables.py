@@ -17,6 +17,9 @@ from .errors import InputError
 Columns = Mapping[str, NDArray[Any]]
 """The columns of a table by name, arrays of equal length."""
 
+AXES = ("t1", "t2", "n")
+"""Names of the contact axes."""
+
 SUFFIXES = (".csv", ".parquet")
 
 

@@ -12,12 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ..checks import counted
+from ..contact_space.solution import CAUSES
 from ..robot.contact import Contact
 from ..scene.records import ImpactRecord, Note, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag
 
-CAUSES = ("compression", "restitution", "friction", "surface")
 WORKS = ("control", "joints", "friction", "surface", "impacts")
 LONGEST = 40
 """Rows that a table shows at most, unless all are asked for."""

@@ -33,6 +33,10 @@ class Segment:
     end: float
 
 
+CAUSES = ("compression", "restitution", "friction", "surface")
+"""What does work in an impact, the attributes of `Work`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Work:
     """Where the energy went [J]; floats, or arrays (N,) in a batch.

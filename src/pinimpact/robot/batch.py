@@ -16,10 +16,10 @@ from .._compile.threads import in_threads, thread_count
 from ..checks import counted, float_array, real_numbers
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
-from ..contact_space.solution import Work
+from ..contact_space.solution import CAUSES, Work
 from ..errors import InputError
 from ..status import Flag, Status
-from ..tables import by_component, data_frame
+from ..tables import AXES, by_component, data_frame
 from ._kernels import robot_impact as kernel
 from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
@@ -132,18 +132,14 @@ class Hits:
         work, asked = self.work, self._rows
         names = {
             "status": np.array([Status(code).name for code in self.status.tolist()], dtype=object),
-            "flags": np.array(
-                ["|".join(f.name or "" for f in Flag if f & code) for code in self.flags.tolist()],
-                dtype=object,
-            ),
+            "flags": np.array([Flag(code).names() for code in self.flags.tolist()], dtype=object),
         }
-        causes = ("compression", "restitution", "friction", "surface", "total")
         return {
             "friction": asked.mu,
             "restitution": asked.e,
             **by_component("v", coordinate_names(asked.model)[1], self.v),
-            **by_component("impulse", ("t1", "t2", "n"), self.impulse),
-            **{f"work.{cause}": getattr(work, cause) for cause in causes},
+            **by_component("impulse", AXES, self.impulse),
+            **{f"work.{cause}": getattr(work, cause) for cause in (*CAUSES, "total")},
             **names,
         }
 

@@ -292,7 +292,7 @@ class Motion:
         return _continued(self._made_of, self._values())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the scene and the values reached; workspaces and addresses are made anew."""
+        """Pickle the scene and the values reached; workspaces and addresses are rebuilt."""
         return _continued, (self._made_of, self._values())
 
     def _values(self) -> dict[str, Any]:

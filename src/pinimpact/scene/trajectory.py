@@ -12,21 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, counted, near_matches, real_number, real_numbers
+from ..contact_space.solution import CAUSES
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
-from ..tables import by_component, data_frame
+from ..tables import AXES, by_component, data_frame
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
 from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
-
-
-AXES = ("t1", "t2", "n")
-"""Names of the contact axes in tables."""
 
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
@@ -174,12 +171,7 @@ class Trajectory:
             InputError: A time outside the trajectory, an unknown side, or a file that was written before
                 forces were stored.
         """
-
-        def in_axes(forces: Forces, i: int) -> Array:
-            force = forces.world[i]
-            return contact_axes(forces.normals[i]) @ force if force.any() else force
-
-        return self._of_contact(contact, t, side, in_axes)
+        return self._of_contact(contact, t, side, _in_axes)
 
     def forces_world(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
         """Return what `forces` does, in world axes."""
@@ -330,11 +322,7 @@ class Trajectory:
             numbers = [self._contact(label) for label in labels]
 
             def in_axes(at: Forces | None) -> Array:
-                found = np.zeros((len(labels), 3))
-                for k, i in enumerate(numbers):
-                    if at is not None and i is not None and at.world[i].any():
-                        found[k] = contact_axes(at.normals[i]) @ at.world[i]
-                return found
+                return np.array([_in_axes(at, i) for i in numbers])
 
             for side, chosen in (("left", before), ("right", ~before)):
                 if chosen.any():
@@ -369,8 +357,8 @@ class Trajectory:
             "approach": stack([-np.asarray(i.problem.velocity)[2] for i in rows]),
         }
         found |= by_component("impulse", AXES, stack([i.solution.impulse for i in rows], 3))
-        causes = ("compression", "restitution", "friction", "surface", "total")
-        found |= {f"work.{cause}": stack([getattr(work, cause) for work in works]) for cause in causes}
+        for cause in (*CAUSES, "total"):
+            found[f"work.{cause}"] = stack([getattr(work, cause) for work in works])
         for name in ("friction", "restitution"):
             found[name] = stack([getattr(i.problem, name) for i in rows])
         for name in ("v_before", "v_after"):
@@ -476,6 +464,13 @@ class Trajectory:
 def _check_side(side: str) -> None:
     if not isinstance(side, str) or side not in ("left", "right"):
         raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+
+
+def _in_axes(forces: Forces | None, i: int | None) -> Array:
+    """Return the force (3,) at a contact in its axes, zero where there is none."""
+    if forces is None or i is None or not forces.world[i].any():
+        return np.zeros(3)
+    return contact_axes(forces.normals[i]) @ forces.world[i]
 
 
 def _restored(parts: dict[str, Any]) -> Trajectory:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
-from ...contact_space.solution import Path, Segment, Solution, Work
+from ...contact_space.solution import CAUSES, Path, Segment, Solution, Work
 from ...contact_space.solve import solve_impact
 from ...errors import InputError
 from ...robot.many_impact import ManyHit
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-
-CAUSES = ("compression", "restitution", "friction", "surface")
 
 
 Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
