@@ -117,9 +117,9 @@ def check_alone(impact: Impact, what: str) -> None:
 
 
 def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
-    """Draw the path of the sliding velocity v_t in the tangential plane.
+    """Draw the path of the sliding velocity vₜ in the tangential plane.
 
-    Behind it stand the flow of slip dv_t/dP₃ = b − μ A v_t/|v_t|, the invariant directions, in which slip
+    Behind it stand the flow of slip dvₜ/dP₃ = b − μ A vₜ/|vₜ|, the invariant directions, in which slip
     does not turn (solid where its neighbours turn towards it, dashed where away), and, shaded, the directions
     in which the normal acceleration is negative, dv₃/dP₃ < 0 (jam). An impact at many contacts has none of
     them; there a thin line shows the impulses of other contacts.
@@ -134,7 +134,7 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
         InputError: No impact; no such contact; many contacts resolved by a policy that has no path.
     """
     impact = solved(impact, contact)
-    ax = axes_for(ax, (5.6, 7.0))
+    ax = axes_for(ax, (5.6, 6.4))
     path = smooth_path(impact.problem, impact.solution)
     radius = 1.15 * max(float(np.abs(path.velocity[:, :2]).max()), 1e-12)
     if impact.solution.part_of is None:
@@ -159,7 +159,7 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
     ax.axvline(0.0, color=FLOW, lw=0.7, zorder=0)
     ax.set(xlim=(-radius, radius), ylim=(-radius, radius), xlabel="v₁ [m/s]", ylabel="v₂ [m/s]")
     ax.set_title("Sliding velocity (hodograph)")
-    ax.set_aspect("equal")
+    ax.set_aspect("equal", anchor="N")
     legend(ax, below=True)
     return ax
 
@@ -182,7 +182,7 @@ def velocities(impact: Impact, *, contact: int | None = None, ax: Axes | None = 
 
 
 def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
-    """Draw the tangential impulse over the normal impulse (ZL, fig. 4), within the cone |P_t| ≤ μP₃.
+    """Draw the tangential impulse over the normal impulse (ZL, fig. 4), within the cone |Pₜ| ≤ μP₃.
 
     Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
     """
@@ -193,7 +193,7 @@ def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = No
     rows = ((path.impulse[:, 0], "P₁", GREEN, "-"), (path.impulse[:, 1], "P₂", RESUMED, "--"))
     for values, name, color, dash in rows:
         ax.plot(p3, values, dash, color=color, label=name)
-    ax.plot(p3, np.hypot(path.impulse[:, 0], path.impulse[:, 1]), color=BLACK, label="|P_t|")
+    ax.plot(p3, np.hypot(path.impulse[:, 0], path.impulse[:, 1]), color=BLACK, label="|Pₜ|")
     for sign in (1.0, -1.0):
         ax.plot(p3[[0, -1]], sign * mu * p3[[0, -1]], ":", color=COMPRESSION, label="± μP₃")
     _mark_segments(ax, impact.solution)
@@ -270,7 +270,7 @@ def _number(ax: Axes, start: float, value: float, row: int) -> None:
 
 
 def _draw_flow(ax: Axes, problem: ImpactProblem, radius: float) -> None:
-    """Draw the streamlines of dv_t/dP₃ = b − μ A v_t/|v_t|."""
+    """Draw the streamlines of dvₜ/dP₃ = b − μ A vₜ/|vₜ|."""
     w = np.asarray(problem.delassus, dtype=float)
     ticks = np.linspace(-radius, radius, 40)
     slip = np.array(np.meshgrid(ticks, ticks))

@@ -38,7 +38,7 @@ def regime_map(
     against: Literal["slip angle", "restitution"] = "slip angle",
     *,
     friction: float | None = None,
-    resolution: int = 180,
+    resolution: int = 540,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw which regime an impact is in, over μ and one more of its data; a star stands where it is itself.

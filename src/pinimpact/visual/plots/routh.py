@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
     """Draw the path of the impulse in the space of impulses, after Routh.
 
-    With it stand the friction cone |P_t| = μP₃, the line of sticking v_t° + A P_t + b P₃ = 0, and where
-    compression is at its maximum, v₃° + bᵀP_t + c P₃ = 0. An impact that stays in one plane is drawn in it,
+    With it stand the friction cone |Pₜ| = μP₃, the line of sticking vₜ° + A Pₜ + b P₃ = 0, and where
+    compression is at its maximum, v₃° + bᵀPₜ + c P₃ = 0. An impact that stays in one plane is drawn in it,
     where the last two are Routh's lines; any other in three dimensions.
 
     Args:
@@ -44,7 +44,7 @@ def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
             value=ax,
         )
     if solid:
-        ax = axes_for(ax, (6.0, 6.2), projection="3d")
+        ax = axes_for(ax, (6.0, 6.0), projection="3d")
         _draw_solid(ax, impact, path.impulse)
     else:
         assert direction is not None
@@ -99,14 +99,14 @@ def _draw_flat(ax: Any, problem: ImpactProblem, impulse: Array, direction: Array
     _line(ax, b, c, float(v[2]), "line of maximum compression", BLACK, "-.", aside, top)
     turned = np.degrees(np.arctan2(direction[1], direction[0])) + 0.0  # no negative zero
     ax.set(
-        xlim=(-aside, aside), ylim=(0.0, top), xlabel=f"P_t at {turned:.3g}° from t₁ [N s]", ylabel="P₃ [N s]"
+        xlim=(-aside, aside), ylim=(0.0, top), xlabel=f"Pₜ at {turned:.3g}° from t₁ [N s]", ylabel="P₃ [N s]"
     )
 
 
 def _line(
     ax: Any, along: float, up: float, start: float, name: str, color: str, dash: str, aside: float, top: float
 ) -> None:
-    """Draw start + along P_t + up P₃ = 0 across the picture."""
+    """Draw start + along Pₜ + up P₃ = 0 across the picture."""
     if along == up == 0.0:
         return
     reach = 4.0 * np.hypot(aside, top)
@@ -139,5 +139,5 @@ def _draw_solid(ax: Any, impact: OneImpact, impulse: Array) -> None:
     ax.set(xlim=(-aside, aside), ylim=(-aside, aside), zlim=(0.0, top))
     ax.set(xlabel="P₁ [N s]", ylabel="P₂ [N s]", zlabel="P₃ [N s]")
     ax.locator_params(nbins=5)
-    ax.set_box_aspect((1.0, 1.0, 1.0), zoom=0.85)
+    ax.set_box_aspect((1.0, 1.0, 1.0), zoom=0.87)
     ax.view_init(elev=18.0, azim=-55.0)

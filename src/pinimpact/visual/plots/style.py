@@ -36,6 +36,6 @@ def legend(ax: Axes, below: bool = False, columns: int = 3, handles: Sequence[An
     if below:
         # under the tick labels and the name of the axis, in parts of the size of the letters
         place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 5.0, "ncols": columns}
-    if ax.name == "3d":  # whose room is as large as the figure, with space below what is drawn
-        place |= {"loc": "lower center", "borderaxespad": 0.0}
+    if ax.name == "3d":  # whose room is as large as the figure, with space above what is drawn
+        place |= {"bbox_to_anchor": (0.5, 1.0), "borderaxespad": 0.0}
     ax.legend(once.values(), once.keys(), fontsize="small", frameon=False, **place)
