@@ -637,6 +637,25 @@ def test_meshes_are_split_by_material() -> None:
         assert bound == pieces[instance.get("url").lstrip("#")]
 
 
+def test_numbers_of_meshes_are_rounded_where_nobody_sees_it() -> None:
+    """Positions to 5 digits, normals to 3 (relative half units 5e-5 and 5e-3), and less text."""
+    exact = np.random.default_rng(1).normal(size=(2, 30))
+    sources = "".join(
+        f'<source id="{name}"><float_array>{" ".join(map(repr, row.tolist()))}</float_array></source>'
+        for name, row in zip("pn", exact, strict=True)
+    )
+    inputs = '<triangles><input semantic="NORMAL" source="#n"/></triangles>'
+    document = (
+        f'<COLLADA xmlns="{NAMESPACE}"><library_geometries><geometry id="g"><mesh>{sources}{inputs}'
+        "</mesh></geometry></library_geometries></COLLADA>"
+    )
+    text = for_viewer(document)
+    arrays = ElementTree.fromstring(text).iter(f"{{{NAMESPACE}}}float_array")
+    for array, row, relative in zip(arrays, exact, (5e-5, 5e-3), strict=True):
+        np.testing.assert_allclose(np.array(array.text.split(), dtype=float), row, rtol=relative)
+    assert len(text) < 0.6 * len(document)
+
+
 def test_all_triangles_have_texture_coordinates_or_none() -> None:
     """The viewer refuses a mixture; what is added points at zeros, of a source that is long enough."""
     points = (

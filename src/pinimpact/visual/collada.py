@@ -7,6 +7,8 @@ from xml.etree import ElementTree
 
 NAMESPACE = "http://www.collada.org/2005/11/COLLADASchema"
 _TAG = f"{{{NAMESPACE}}}"
+DIGITS, NORMAL_DIGITS = 5, 3
+"""Of the numbers of a mesh and of its normals; a page shows no more, and most of its size is their text."""
 _PRIMITIVES = tuple(_TAG + name for name in ("triangles", "polylist", "polygons", "lines"))
 
 
@@ -14,13 +16,15 @@ def for_viewer(document: str) -> str:
     """Return a Collada document as meshcat's viewer shows it whole.
 
     Of a mesh with several materials the viewer drops all but one, with the triangles that wear them: meshes
-    are split by material. It fails where only some have texture coordinates: all get some.
+    are split by material. It fails where only some have texture coordinates: all get some. Numbers are rounded
+    to `DIGITS`.
     """
     ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(document)
     library = root.find(f"{_TAG}library_geometries")
     if library is None:
         return document
+    _round(library)
     _add_texture_coordinates(library)
     pieces: dict[str, list[tuple[str, str | None]]] = {}
     for geometry in list(library):
@@ -56,6 +60,16 @@ def for_viewer(document: str) -> str:
                             common.remove(binding)
                 node.append(part)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _round(library: ElementTree.Element) -> None:
+    """Round the numbers of meshes."""
+    normal = f".//{_TAG}input[@semantic='NORMAL']"
+    normals = {part.get("source", "")[1:] for part in library.iterfind(normal)}
+    for source in library.iter(f"{_TAG}source"):
+        digits = NORMAL_DIGITS if source.get("id") in normals else DIGITS
+        for array in source.iter(f"{_TAG}float_array"):
+            array.text = " ".join([f"{float(number):.{digits}g}" for number in (array.text or "").split()])
 
 
 def _add_texture_coordinates(library: ElementTree.Element) -> None:

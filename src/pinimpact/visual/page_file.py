@@ -87,7 +87,7 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
 def _shapes(commands: list[bytes]) -> str:
     """Return commands one after another, each with its length before it, compressed, in base64."""
     whole = b"".join(len(command).to_bytes(4, "little") + command for command in commands)
-    return base64.b64encode(gzip.compress(whole, 2, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(whole, 6, mtime=0)).decode("ascii")
 
 
 def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:
