@@ -16,8 +16,8 @@ def for_viewer(document: str) -> str:
     """Return a Collada document as meshcat's viewer shows it whole.
 
     Of a mesh with several materials the viewer drops all but one, with the triangles that wear them: meshes
-    are split by material. It fails where only some have texture coordinates: all get some. Numbers are rounded
-    to `DIGITS`.
+    are split by material. It fails where only some have texture coordinates: all get some. Numbers are
+    rounded to `DIGITS`.
     """
     ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(document)
