@@ -234,7 +234,7 @@ def test_contacts_that_do_not_feel_each_other_are_drawn_as_if_alone() -> None:
         ax = plots.hodograph(many, contact=k)
         np.testing.assert_allclose(lines(ax, "separation")[0][0], solution.velocity[:2], atol=1e-7)
         assert not [line for line in ax.lines if "invariant" in str(line.get_label())]
-        (whole,) = lines(plots.impulses(many, contact=k), "|P_t|")
+        (whole,) = lines(plots.impulses(many, contact=k), "|Pₜ|")
         assert whole[-1] == pytest.approx([solution.impulse[2], np.hypot(*solution.impulse[:2])])
         *_, bar = plots.energy_ledger(many, contact=k).patches
         assert bar.get_width() == pytest.approx(solution.work.total)
@@ -279,7 +279,7 @@ def test_velocities_and_impulses_over_the_normal_impulse() -> None:
     ax = plots.impulses(ROD)
     (p1,), (p2,) = lines(ax, "P₁"), lines(ax, "P₂")
     np.testing.assert_allclose((p1[-1, 1], p2[-1, 1]), solution.impulse[:2], atol=1e-12)
-    (whole,) = lines(ax, "|P_t|")
+    (whole,) = lines(ax, "|Pₜ|")
     assert (whole[:, 1] <= ROD.friction * whole[:, 0] + 1e-12).all()
 
 
