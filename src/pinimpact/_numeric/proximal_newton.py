@@ -20,25 +20,29 @@ import numpy as np
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
 from .coulomb_problem import into_cone
-from .lu import factorize
-from .lu import substitute as solve_factored
 from .products import apply, dot
 
-SYSTEM = (FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
-"""Types: M, its inverse, J, u_free, friction, bounds, compliances, and the impulses."""
+SYSTEM = (
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOAT_ROWS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    float,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+)
+"""Types: M, its inverse, J, u_free, friction, bounds, compliances, accuracy, begin, w and the impulses."""
 
-PROXIMAL = 1e-5
+PROXIMAL = 1e-4
 """The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
 
 ITERATIONS = 40
 """Of the proximal point method, at most."""
-
-EXPLICIT = 6
-"""Iterations with s of the velocities before. Then every other one has s of its own velocities: its equations
-are not those of a least value, but s cannot swing."""
-
-SOFTER, SOFT = 20, 100.0
-"""Until this iteration those after `EXPLICIT` have r larger by this factor: s then changes less at a time."""
 
 STEPS = 40
 """Of Newton's method in an iteration, and of a line search, at most."""
@@ -46,10 +50,21 @@ STEPS = 40
 BALANCED = 1e-11
 """Part of the largest momentum that M w − Jᵀf may be off after Newton's method."""
 
-ENOUGH = 1e-11
-"""Part of u_free that f⁺ − f may change velocities by, at the end."""
+ACCURATE = 1e-11
+"""Part of u_free that f⁺ − f may change velocities by at the end, where rounding lets it."""
 
-SLOPE = 1e-3
+STALLED = 1e-5
+"""The same, from which on the iterations end once `PATIENCE` of them have not halved it."""
+
+PATIENCE = 3
+
+INEXACT = 1e-2
+"""Part of what the iteration before has changed that Newton's method may be off."""
+
+FARTHEST = 5.0
+"""Of changes of s an extrapolation goes at most."""
+
+SLOPE = 0.1
 """Part of the slope at the start of a line search that may be left at its end."""
 
 
@@ -68,6 +83,33 @@ def slip(u, mu, shift):
     """Fill s (nc,) = μ|u_t|."""
     for i in range(len(mu)):
         shift[i] = mu[i] * math.hypot(u[3 * i], u[3 * i + 1])
+
+
+@inlined
+def extrapolate(u, mu, iteration, shift, last, gain):
+    """Replace s (nc,) by the next one: that of u, and from the second iteration on extrapolated by a secant.
+
+    Args:
+        u: (n,) velocities.
+        mu: (nc,) coefficients of friction.
+        iteration: Its number.
+        shift: (nc,) s.
+        last: (nc,) μ|u_t| an iteration before; takes the present one.
+        gain: (nc,) by how much that was off its s; takes the present one.
+    """
+    along = across = 0.0
+    for i in range(len(mu)):
+        now = mu[i] * math.hypot(u[3 * i], u[3 * i + 1]) - shift[i]
+        turn = now - gain[i]
+        along += now * turn
+        across += turn * turn
+    part = along / across if iteration > 1 and across > 0.0 else 0.0
+    part = min(max(part, -FARTHEST), 0.5)
+    for i in range(len(mu)):
+        now = mu[i] * math.hypot(u[3 * i], u[3 * i + 1])
+        gain[i] = now - shift[i]
+        shift[i] = max((1.0 - part) * now + part * last[i], 0.0)
+        last[i] = now
 
 
 @external
@@ -90,7 +132,7 @@ def cone_derivative(z1, z2, z3, mu, d):
         for b in range(3):
             d[a, b] = 0.0
     length = math.hypot(z1, z2)
-    if length <= mu * z3:  # sticks
+    if length < mu * z3:  # sticks
         d[0, 0] = d[1, 1] = d[2, 2] = 1.0
     elif mu * length > -z3:  # slips
         s1, s2 = z1 / max(length, 1e-300), z2 / max(length, 1e-300)
@@ -105,8 +147,8 @@ def cone_derivative(z1, z2, z3, mu, d):
 
 
 @external
-def fill_system(mass, jacobian, mu, lower, upper, r, u, shift, before, columns, counts, implicit, system):
-    """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J, and with ∂s/∂u if it is `implicit`."""
+def fill_system(mass, jacobian, mu, lower, upper, r, u, shift, before, columns, counts, system):
+    """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J."""
     m, nc = len(mass), len(mu)
     d = np.empty((3, 3))
     for a in range(m):
@@ -121,11 +163,6 @@ def fill_system(mass, jacobian, mu, lower, upper, r, u, shift, before, columns, 
             mu[i],
             d,
         )
-        speed = math.hypot(u[j], u[j + 1])
-        if implicit and speed > 0.0:
-            for a in range(3):
-                d[a, 0] += d[a, 2] * mu[i] * u[j] / speed
-                d[a, 1] += d[a, 2] * mu[i] * u[j + 1] / speed
         for k in range(counts[j]):
             c = columns[j, k]
             j0, j1, j2 = jacobian[j, c] / r[j], jacobian[j + 1, c] / r[j], jacobian[j + 2, c] / r[j]
@@ -175,7 +212,6 @@ def balance(
     columns,
     counts,
     before,
-    implicit,
     w,
     shift,
     u,
@@ -183,13 +219,11 @@ def balance(
     momentum,
     out,
 ):
-    """Fill u, f⁺, M w and M w − Jᵀ f⁺, and s if it is `implicit`; return how large the last is, in parts."""
+    """Fill u, f⁺, M w and M w − Jᵀ f⁺; return how large the last is, in parts."""
     largest = square = 0.0
     rates(jacobian, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += free[a]
-    if implicit:
-        slip(u, mu, shift)
     impulses(u, shift, before, mu, lower, upper, r, f)
     apply(mass, w, momentum)
     for a in range(len(out)):
@@ -209,27 +243,27 @@ def balance(
 def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvature):
     """Return the part of a step after which the convex function is least, one at most.
 
-    u (n,) changes by du over the whole step d; `slope` is dᵀM w at its start, `curvature` dᵀM d.
+    u (n,) changes by du over the whole step d; `slope` is dᵀM w at its start, `curvature` dᵀM d. f (n,) are
+    the impulses at the start, and will be those at the end.
     """
     trial = np.empty(len(u))
-    start, low, high, at_low, at_high, share = 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    start = slope - dot(du, f)
+    low, high, at_low, at_high, share, side = 0.0, 1.0, start, 0.0, 1.0, 0
     for k in range(STEPS):
         for a in range(len(u)):
             trial[a] = u[a] + share * du[a]
         impulses(trial, shift, before, mu, lower, upper, r, f)
         now = slope + share * curvature - dot(du, f)
-        if k == 0:
-            start = at_low = now
-            share = 1.0
-            continue
-        if abs(now) <= SLOPE * abs(start) or (k == 1 and now <= 0.0):
+        if abs(now) <= SLOPE * abs(start) or (k == 0 and now <= 0.0):
             break
+        # Illinois: the end that stays counts half
         if now > 0.0:
-            high, at_high = share, now
+            high, at_high, at_low = share, now, (0.5 * at_low if side > 0 else at_low)
+            side = 1
         else:
-            low, at_low = share, now
+            low, at_low, at_high = share, now, (0.5 * at_high if side < 0 else at_high)
+            side = -1
         share = low - (high - low) * at_low / (at_high - at_low)
-        share = min(max(share, low + 0.05 * (high - low)), high - 0.05 * (high - low))
     return share
 
 
@@ -279,7 +313,7 @@ def fill_compliances(inverse, jacobian, columns, counts, compliance, diagonal, g
 
 @declared(*SYSTEM, result=float)
 @external
-def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance, x):
+def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance, accuracy, begin, w, x):
     """Fill x with impulses that obey the law.
 
     Args:
@@ -291,8 +325,12 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
         lower: (ns,) least scalar impulses.
         upper: (ns,) largest scalar impulses.
         compliance: (nc,) of the contacts, up to a factor.
-        x: (n,) impulses with whose velocities to begin; takes those found. Where several obey the law they
-            are nearly those of least norm in the metric of the compliances.
+        accuracy: Part of u_free that f⁺ − f may change velocities by at the end; see `ACCURATE`.
+        begin: (m,) change of the velocities with which to begin; takes that of the first iteration, with
+            which a problem that is nearly the same begins best.
+        w: (m,) takes the change by the impulses.
+        x: (n,) takes the impulses. Where several obey the law they are nearly those of least norm in the
+            metric of the compliances.
 
     Returns:
         How far they are from the law, in parts of u_free.
@@ -300,72 +338,54 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
     n, m = jacobian.shape
     nc = len(mu)
     columns, counts = np.empty((n, m), dtype=np.int64), np.empty(n, dtype=np.int64)
-    first, order = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    first = np.empty(m, dtype=np.int64)
     find_columns(mass, jacobian, nc, columns, counts, first)
-    diagonal, given, r = np.empty(n), np.empty(n), np.empty(n)
-    fill_compliances(inverse, jacobian, columns, counts, compliance, diagonal, given)
+    diagonal, r = np.empty(n), np.empty(n)
+    fill_compliances(inverse, jacobian, columns, counts, compliance, diagonal, r)
     u, f, du, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros(nc)
-    w, off, d, trial, md = np.empty(m), np.zeros(m), np.empty(m), np.empty(m), np.empty(m)
+    last, gain = np.zeros(nc), np.zeros(nc)
+    off, d, md = np.empty(m), np.empty(m), np.empty(m)
     momentum, system = np.empty(m), np.empty((m, m))
-    size = 0.0
+    size, balanced = 0.0, max(BALANCED, 0.1 * accuracy)
     for a in range(n):
-        for k in range(counts[a]):
-            off[columns[a, k]] += jacobian[a, columns[a, k]] * x[a]
         x[a] = 0.0
         size = max(size, abs(free[a]))
     if size == 0.0:
+        for a in range(m):
+            w[a] = begin[a] = 0.0
         return 0.0
-    apply(inverse, off, w)
+    for a in range(m):
+        w[a] = begin[a]
     rates(jacobian, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
+    lowest, since, reached = math.inf, 0, INEXACT
     for iteration in range(ITERATIONS):
-        softer = SOFT if EXPLICIT <= iteration < SOFTER else 1.0
-        for a in range(n):
-            r[a] = softer * given[a]
-        implicit = iteration >= EXPLICIT and iteration % 2 == 0
-        slip(u, mu, shift)
+        extrapolate(u, mu, iteration, shift, last, gain)
         before = math.inf
         for _ in range(STEPS):
             now = balance(
-                *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x, implicit),
+                *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x),
                 *(w, shift, u, f, momentum, off),
             )
-            if now <= BALANCED or (now < 1e3 * BALANCED and now > 0.5 * before):
+            if now <= max(balanced, INEXACT * reached) or (now < 1e3 * balanced and now > 0.5 * before):
                 break
             before = now
-            fill_system(
-                *(mass, jacobian, mu, lower, upper, r, u, shift, x, columns, counts, implicit, system)
-            )
+            fill_system(*(mass, jacobian, mu, lower, upper, r, u, shift, x, columns, counts, system))
             for a in range(m):
                 d[a] = -off[a]
-            share = 1.0
-            if implicit:
-                if not factorize(system, order):
-                    break
-                solve_factored(system, order, d)
-                while share > SLOPE:
-                    for a in range(m):
-                        trial[a] = w[a] + share * d[a]
-                    fallen = balance(
-                        *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x, implicit),
-                        *(trial, shift, u, f, momentum, off),
-                    )
-                    if fallen < now:
-                        break
-                    share *= 0.5
-                if share <= SLOPE:
-                    break
-            else:
-                solve_profile(system, first, d)
-                rates(jacobian, columns, counts, d, du)
-                apply(mass, d, md)
-                share = length_of_step(mu, lower, upper, r, x, shift, u, du, f, dot(d, momentum), dot(d, md))
+            solve_profile(system, first, d)
+            rates(jacobian, columns, counts, d, du)
+            apply(mass, d, md)
+            share = length_of_step(mu, lower, upper, r, x, shift, u, du, f, dot(d, momentum), dot(d, md))
             for a in range(m):
                 w[a] += share * d[a]
+        if iteration == 0:
+            for a in range(m):
+                begin[a] = w[a]
         change = swing = 0.0
         balance(
-            *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x, implicit),
+            *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x),
             *(w, shift, u, f, momentum, off),
         )
         for a in range(n):
@@ -373,8 +393,20 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
             x[a] = f[a]
         for i in range(nc):
             swing = max(swing, abs(mu[i] * math.hypot(u[3 * i], u[3 * i + 1]) - shift[i]))
-        if change <= ENOUGH * size and swing <= ENOUGH * size:
+        reached = max(change, swing) / size
+        since = since + 1 if reached > 0.5 * lowest else 0
+        lowest = min(lowest, reached)
+        if reached <= accuracy or (since >= PATIENCE and reached <= STALLED):
             break
+    for a in range(m):
+        momentum[a] = 0.0
+    for a in range(n):
+        for k in range(counts[a]):
+            momentum[columns[a, k]] += jacobian[a, columns[a, k]] * x[a]
+    apply(inverse, momentum, w)
+    rates(jacobian, columns, counts, w, u)
+    for a in range(n):
+        u[a] += free[a]
     slip(u, mu, shift)
     impulses(u, shift, x, mu, lower, upper, diagonal, f)
     missed = 0.0

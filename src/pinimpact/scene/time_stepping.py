@@ -14,10 +14,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from .._numeric.proximal_newton import ACCURATE
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.force_evaluation import places_of_contacts
 from ._kernels.lie_charts import chart_rate
-from ._kernels.step_impulses import redundant_impulses, step_impulses
+from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -32,15 +33,8 @@ TOUCHING = 1e-8
 """Part of the robot's size within which what approaches takes part in an impact: the drift that the midpoint
 rule leaves in a step of a millisecond, which would otherwise put impacts of one instant one after another."""
 
-USABLE = 1e-5
-"""What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
-less than steps of any useful length do."""
-
 SLACK = 4.0
 """What gaps may close by within a step beside their rates, in parts of h² g."""
-
-CORRECTIONS = 1
-"""Of the mean velocity at which velocity-dependent forces are taken: one makes them of second order."""
 
 TOGETHER = 1e-2
 """Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
@@ -54,22 +48,10 @@ SHORTEST = 1e-9
 STILL = 1e-7
 """Part of the resting speed below which slip is reported as stick: what the contact problem leaves."""
 
-_NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
+PREDICTED = 1e-6
+"""Part of its velocities to which the contact problem is solved for the mean velocity of forces."""
 
-
-class _Island(NamedTuple):
-    """Contacts and scalar rows that share moving bodies.
-
-    Attributes:
-        contacts, scalars: Their numbers among the rows.
-        order: The rows of the contacts, three each, then those of the scalars.
-        moves: The velocities of the bodies.
-    """
-
-    contacts: Integers
-    scalars: Integers
-    order: Integers
-    moves: Integers
+_NONE = np.empty(0)
 
 
 class _Rows(NamedTuple):
@@ -129,33 +111,6 @@ class _Rows(NamedTuple):
             np.concatenate([unbounded, np.where(limits, math.inf, 0.0), self.bound]),
         )
 
-    def islands(self, members: Array, active: NDArray[np.bool_]) -> list[_Island]:
-        """Return the groups of rows that share trees of joints.
-
-        Args:
-            members: (nv, trees) one where a velocity belongs to a tree, else zero.
-            active: (nc + nl,) contacts and limits that take part.
-        """
-        nc = len(self.contacts)
-        moved = (self.jacobian != 0.0).astype(float) @ members > 0.0
-        of_contacts = moved[: 3 * nc].reshape(nc, 3, members.shape[1]).any(axis=1) & active[:nc, None]
-        items = np.concatenate([of_contacts, moved[3 * nc :]])
-        labels = np.arange(members.shape[1])  # of trees: those of an island have that of the first of them
-        for joined in items[items.sum(axis=1) > 1]:
-            own = labels[joined]
-            if own.min() < own.max():
-                labels[np.isin(labels, own)] = own.min()
-        touched = items.any(axis=1)
-        island_of = np.where(touched, labels[items.argmax(axis=1)], -1)
-        found = []
-        for label in np.unique(island_of[touched]).tolist():
-            inside = np.flatnonzero(island_of == label)
-            contacts, scalars = inside[inside < nc], inside[inside >= nc] - nc
-            order = np.concatenate([(3 * contacts[:, None] + np.arange(3)).ravel(), 3 * nc + scalars])
-            moves = np.flatnonzero(members[:, labels == label].any(axis=1))
-            found.append(_Island(contacts, scalars, order, moves))
-        return found
-
 
 class TimeStepping(Motion):
     """A motion in steps of a given length; see `Motion`.
@@ -171,12 +126,9 @@ class TimeStepping(Motion):
         model, work = self.model, self.work
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
         self._faces = FacingShapes(model, self.dynamics, scene.layout())
-        self._members = _members(model)
-        each = [np.flatnonzero(tree) for tree in self._members.T]
-        # the velocities of trees of equal size, whose matrices are inverted at once
-        self._alike = [
-            np.array([tree for tree in each if len(tree) == size]) for size in sorted({len(t) for t in each})
-        ]
+        self._tree = _trees(model)
+        self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
+        self._begin = np.zeros(model.nv)  # see `step_impulses`
         self._unsolved = 0.0
         # what has no restitution closes within a step's contact problem, by Moreau's law
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
@@ -238,8 +190,9 @@ class TimeStepping(Motion):
             self.dynamics.set_saturation(middle, v)
         rows, acceleration = self._rows(t + 0.5 * h, middle, v, h)
         softened = self._softening(h)
-        inverse, mass = self._inverse(middle, softened)
-        v_free = v + inverse @ (h * (mass @ acceleration))
+        self._invert(middle, softened)
+        inverse = self._inverse
+        v_free = v + h * (acceleration - inverse @ (softened * acceleration))
         jacobian, normals, gap, count = rows.jacobian, rows.normals, rows.gap, self.work.contacts
         u_start, u_free = jacobian @ v + rows.offset, jacobian @ v_free + rows.offset
         # what is apart and closes faster than the step's own acceleration makes: an impact
@@ -253,18 +206,12 @@ class TimeStepping(Motion):
         shift = np.zeros(len(jacobian))
         shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
         shift[rows.held_normals] = 2.0 * rows.off / h
-        islands = rows.islands(self._members, ~arrives)
-        moved = mass + np.diag(softened), inverse
-        impulse = self._impulses(moved, rows, islands, ~arrives, u_free + shift)
-        v_end = v_free + inverse @ (jacobian.T @ impulse)
-        predicted = v
-        for _ in range(CORRECTIONS):
-            predicted, mean = v_end, 0.5 * (v + v_end)
-            acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
-            v_free = v_end + inverse @ (mass @ (h * acceleration - (v_end - v)))
-            free = jacobian @ v_free + rows.offset + shift
-            impulse = self._impulses(moved, rows, islands, ~arrives, free, impulse)
-            v_end = v_free + inverse @ (jacobian.T @ impulse)
+        v_end = v_free + self._impulses(rows, ~arrives, u_free + shift, PREDICTED)[1]
+        predicted, mean = v_end, 0.5 * (v + v_end)
+        acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
+        v_free = v + h * acceleration - inverse @ (softened * (h * acceleration - (v_end - v)))
+        impulse, change = self._impulses(rows, ~arrives, jacobian @ v_free + rows.offset + shift, ACCURATE)
+        v_end = v_free + change
         u_end = jacobian @ v_end + rows.offset
         closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
         share = min(
@@ -336,60 +283,34 @@ class TimeStepping(Motion):
             )
         return added
 
-    def _inverse(self, q: Array, added: Array) -> tuple[Array, Array]:
-        """Return the inverse of M with what is added to its diagonal, and M."""
-        mass = np.array(pin.crba(self.model, self.data, q))
-        mass = np.triu(mass) + np.triu(mass, 1).T
-        inverse = np.zeros_like(mass)
-        softened = mass + np.diag(added)
-        for columns in self._alike:
-            block = columns[:, :, None], columns[:, None, :]
-            inverse[block] = np.linalg.inv(softened[block])
-        return inverse, mass
+    def _invert(self, q: Array, added: Array) -> None:
+        """Compute M with what is added to its diagonal, and its inverse."""
+        invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _impulses(
-        self,
-        moved: tuple[Array, Array],
-        rows: _Rows,
-        islands: list[_Island],
-        active: NDArray[np.bool_],
-        free: Array,
-        guess: Array | None = None,
-    ) -> Array:
-        """Solve the contact problem, island by island.
+        self, rows: _Rows, active: NDArray[np.bool_], free: Array, accuracy: float
+    ) -> tuple[Array, Array]:
+        """Solve the contact problem; return the impulses (n,) and the change (nv,) of velocities.
 
         Args:
-            moved: The matrix (nv, nv) of what the impulses move, and its inverse.
             rows: Its rows.
-            islands: Of the rows.
             active: (nc + nl,) contacts and limits that take part.
             free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-            guess: (n,) where to begin.
+            accuracy: Part of them to which to solve it.
         """
-        mass, inverse = moved
-        impulse, (lower, upper) = np.zeros(len(free)), rows.bounds(active)
-        for island in islands:
-            block = np.ix_(island.moves, island.moves)
-            jacobian = rows.jacobian[np.ix_(island.order, island.moves)]
-            bounds = lower[island.scalars], upper[island.scalars]
-            given = free[island.order], rows.friction[island.contacts], *bounds
-            found = np.zeros(len(island.order)) if guess is None else guess[island.order]
-            if len(island.order) > len(island.moves):
-                compliance, begin = rows.compliance[island.contacts], np.zeros(len(found))
-                off = redundant_impulses(mass[block], inverse[block], jacobian, *given, compliance, found)
-            else:
-                compliance, begin, off = _NONE, found, math.inf
-            if off > USABLE:
-                delassus = jacobian @ inverse[block] @ jacobian.T
-                left = step_impulses(0.5 * (delassus + delassus.T), *given, compliance, begin)
-                if left < off:
-                    off, found = left, begin
-            if guess is not None and off > max(USABLE, self._unsolved):
-                if self._unsolved == 0.0:
-                    self.state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
-                self._unsolved = off
-            impulse[island.order] = found
-        return impulse
+        nc, impulse, change = len(rows.contacts), np.empty(len(free)), np.empty(self.work.nv)
+        scalars = np.ones(len(free) - 3 * nc, dtype=bool)
+        scalars[3 * len(rows.held) :][: len(rows.limits)] = active[nc:]
+        off = step_impulses(
+            *(self._mass, self._inverse, rows.jacobian, free, rows.friction, *rows.bounds(active)),
+            *(rows.compliance, np.concatenate([active[:nc], scalars]), self._tree, accuracy),
+            *(self._begin, change, impulse),
+        )
+        if off > max(USABLE, self._unsolved):
+            if self._unsolved == 0.0:
+                self.state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
+            self._unsolved = off
+        return impulse, change
 
     def _dense(
         self,
@@ -473,24 +394,17 @@ class TimeStepping(Motion):
         off = rows.off
         if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self.largest_drift:
             return
-        inverse, _ = self._inverse(self.state.q, np.zeros(self.model.nv))
+        self._invert(self.state.q, np.zeros(self.model.nv))
         normals = np.concatenate([rows.normals[active], rows.held_normals])
-        jacobian, free = rows.jacobian[normals], np.concatenate([gap[active], off])
+        free = np.concatenate([gap[active], off])
         upper = np.full(len(free), math.inf)
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
-        along = rows._replace(
-            contacts=_NO_NUMBERS, held=_NO_NUMBERS, limits=_NO_NUMBERS, jacobian=jacobian, friction=_NONE
+        correction = np.empty(self.model.nv)
+        step_impulses(
+            *(self._mass, self._inverse, rows.jacobian[normals], free, _NONE, lower, upper, _NONE),
+            *(np.ones(len(free), dtype=bool), self._tree, ACCURATE, np.zeros(self.model.nv)),
+            *(correction, np.empty(len(free))),
         )
-        correction = np.zeros(self.model.nv)
-        for island in along.islands(self._members, np.zeros(0, dtype=bool)):
-            part, found = jacobian[np.ix_(island.order, island.moves)], np.zeros(len(island.order))
-            change = inverse[np.ix_(island.moves, island.moves)] @ part.T
-            delassus = part @ change
-            step_impulses(
-                np.ascontiguousarray(0.5 * (delassus + delassus.T)),
-                *(free[island.order], _NONE, lower[island.order], upper[island.order], _NONE, found),
-            )
-            correction[island.moves] += change @ found
         self.state.q = pin.integrate(self.model, self.state.q, correction)
         step.coefficients[0, : self.model.nv] += correction
 
@@ -527,11 +441,11 @@ def _touch(gap: float, first: float, last: float) -> float:
     return min(max(share, 0.0), 1.0)
 
 
-def _members(model: pin.Model) -> Array:
-    """Return (nv, trees) one where a velocity belongs to a tree of joints, zero elsewhere."""
+def _trees(model: pin.Model) -> Integers:
+    """Return (nv,) the number of the tree of joints that each velocity belongs to, without gaps."""
     roots, trees = [-1], np.zeros(model.nv, dtype=np.int64)
     for joint in range(1, model.njoints):
         parent, start = model.parents[joint], model.idx_vs[joint]
         roots.append(joint if parent == 0 else roots[parent])
         trees[start : start + model.nvs[joint]] = roots[joint]
-    return (trees[:, None] == np.unique(trees)).astype(float)
+    return np.asarray(np.unique(trees, return_inverse=True)[1], dtype=np.int64)

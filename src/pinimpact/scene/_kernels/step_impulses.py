@@ -1,42 +1,218 @@
-"""The contact impulses of a time step. (theory.md, 16)"""
+"""The contact impulses of a time step, island by island. (theory.md, 16)"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
-from ..._compile.jit import jit
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
-from ..._numeric.loops import flags
-from ..._numeric.proximal_newton import SYSTEM, solve_velocities
+from ..._numeric.loops import assign, flags
+from ..._numeric.lu import factorize
+from ..._numeric.lu import substitute as solve_factored
+from ..._numeric.products import products
+from ..._numeric.proximal_newton import solve_velocities
+
+USABLE = 1e-5
+"""What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
+less than steps of any useful length do."""
 
 
-@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, result=float)
+@declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def step_impulses(delassus, free, friction, lower, upper, compliance, impulse):
-    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.
-
-    Of several solutions the limit of small compliances is taken. (11.5)
+def invert_trees(upper, added, tree, mass, inverse):
+    """Fill M (nv, nv) with what is added to its diagonal, and its inverse, tree by tree.
 
     Args:
-        delassus: (n, n) W of the contacts, three rows (t₁, t₂, n) each, then of scalar rows.
+        upper: (nv, nv) M; its upper triangle counts.
+        added: (nv,) to the diagonal.
+        tree: (nv,) number of the tree that each velocity belongs to; other entries stay as they are, zero.
+        mass, inverse: To be filled.
+    """
+    nv = len(tree)
+    moves = np.empty(nv, dtype=np.int64)
+    for k in range(nv):
+        size = 0
+        for a in range(nv):
+            if tree[a] == k:
+                moves[size] = a
+                size += 1
+        if size == 0:  # there are no more trees
+            break
+        block, order = np.empty((size, size)), np.empty(size, dtype=np.int64)
+        for a in range(size):
+            for b in range(size):
+                i, j = moves[min(a, b)], moves[max(a, b)]
+                block[a, b] = upper[i, j] + (added[i] if a == b else 0.0)
+                mass[moves[a], moves[b]] = block[a, b]
+        factorize(block, order)
+        column = np.empty(size)
+        for b in range(size):
+            for a in range(size):
+                column[a] = 1.0 if a == b else 0.0
+            solve_factored(block, order, column)
+            for a in range(size):
+                inverse[moves[a], moves[b]] = column[a]
+
+
+@inlined
+def label_trees(jacobian, contacts, active, tree, label, first):
+    """Fill the label of each tree, the same for those of an island, and a tree of each item, −1 for none."""
+    for k in range(len(label)):
+        label[k] = k
+    for i in range(len(active)):
+        first[i] = -1
+        if not active[i]:
+            continue
+        start, end = (3 * i, 3 * i + 3) if i < contacts else (2 * contacts + i, 2 * contacts + i + 1)
+        for c in range(len(tree)):
+            if first[i] >= 0 and label[tree[c]] == label[first[i]]:
+                continue
+            for a in range(start, end):
+                if jacobian[a, c] != 0.0:
+                    if first[i] < 0:
+                        first[i] = tree[c]
+                        break
+                    one, other = label[first[i]], label[tree[c]]
+                    for k in range(len(label)):
+                        if label[k] == one or label[k] == other:
+                            label[k] = min(one, other)
+                    break
+
+
+@external
+def solve_island(
+    mass, inverse, jacobian, free, friction, lower, upper, compliance, accuracy, begin, change, found
+):
+    """Find the impulses of an island; arguments as of `solve_velocities`."""
+    n, m = jacobian.shape
+    nc = len(friction)
+    off = solve_velocities(
+        mass, inverse, jacobian, free, friction, lower, upper, compliance, accuracy, begin, change, found
+    )
+    if off <= USABLE:
+        return off
+    response, delassus = np.empty((n, m)), np.empty((n, n))
+    products(jacobian, inverse, response)
+    products(jacobian, response, delassus)
+    for a in range(n):
+        for b in range(a):
+            delassus[b, a] = delassus[a, b]
+    other, velocity, least, held = np.zeros(n), np.zeros((nc, 2)), np.zeros(nc), flags(nc, False)
+    if n > m and nc > 0:
+        left = solve_compliant(
+            delassus, free, velocity, friction, least, held, lower, upper, other, compliance
+        )
+    else:
+        left = solve_coulomb(delassus, free, velocity, friction, least, held, lower, upper, other)
+    if left >= off:
+        return off
+    assign(found, other)
+    for c in range(m):
+        change[c] = 0.0
+        for a in range(n):
+            change[c] += response[a, c] * found[a]
+    return left
+
+
+@declared(
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
+    *(FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS),
+    result=float,
+)
+@jit
+def step_impulses(
+    mass,
+    inverse,
+    jacobian,
+    free,
+    friction,
+    lower,
+    upper,
+    compliance,
+    active,
+    tree,
+    accuracy,
+    begin,
+    change,
+    impulse,
+):
+    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.
+
+    Of several solutions nearly the limit of small compliances is taken. (11.5)
+
+    Args:
+        mass: (nv, nv) M, zero between trees of joints.
+        inverse: (nv, nv) M⁻¹.
+        jacobian: (n, nv) of the contacts, three rows (t₁, t₂, n) each, then of scalar rows.
         free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
         friction: (nc,) coefficients of friction.
-        lower, upper: (n − 3 nc,) bounds of the scalar rows.
-        compliance: (nc,) relative compliances of the contacts; none where solutions are unique.
-        impulse: (n,) where to begin; takes the impulses.
+        lower, upper: (ns,) bounds of the scalar rows.
+        compliance: (nc,) relative compliances of the contacts.
+        active: (nc + ns,) what takes part.
+        tree: (nv,) number of the tree that each velocity belongs to.
+        accuracy: Part of `free` to which to find them.
+        begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
+            nearly the same begins best.
+        change: (nv,) takes that by the impulses.
+        impulse: (n,) takes the impulses.
     """
-    nc = len(friction)
-    velocity, least, held = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False)
-    if len(compliance) > 0:
-        return solve_compliant(
-            delassus, free, velocity, friction, least, held, lower, upper, impulse, compliance
+    nc, nv = len(friction), len(tree)
+    trees = 0
+    for c in range(nv):
+        trees = max(trees, tree[c] + 1)
+    label, moves = np.empty(trees, dtype=np.int64), np.empty(nv, dtype=np.int64)
+    first, items = np.empty(len(active), dtype=np.int64), np.empty(len(active), dtype=np.int64)
+    rows = np.empty(len(free), dtype=np.int64)
+    label_trees(jacobian, nc, active, tree, label, first)
+    for a in range(len(impulse)):
+        impulse[a] = 0.0
+    worst = 0.0
+    for island in range(trees):
+        m = n = contacts = count = 0
+        for i in range(len(active)):
+            if first[i] >= 0 and label[first[i]] == island:
+                items[count] = i
+                count += 1
+                if i < nc:
+                    contacts += 1
+                    for a in range(3 * i, 3 * i + 3):
+                        rows[n] = a
+                        n += 1
+                else:
+                    rows[n] = 2 * nc + i
+                    n += 1
+        for c in range(nv):
+            if label[tree[c]] == island:
+                moves[m] = c
+                m += 1
+        if count == 0:
+            for k in range(m):
+                change[moves[k]] = begin[moves[k]] = 0.0
+            continue
+        own_mass, own_inverse, own = np.empty((m, m)), np.empty((m, m)), np.empty((n, m))
+        start, moved, given, found = np.empty(m), np.empty(m), np.empty(n), np.empty(n)
+        mu, soft = np.empty(contacts), np.empty(contacts)
+        low, high = np.empty(count - contacts), np.empty(count - contacts)
+        for a in range(m):
+            start[a] = begin[moves[a]]
+            for b in range(m):
+                own_mass[a, b] = mass[moves[a], moves[b]]
+                own_inverse[a, b] = inverse[moves[a], moves[b]]
+        for a in range(n):
+            given[a] = free[rows[a]]
+            for b in range(m):
+                own[a, b] = jacobian[rows[a], moves[b]]
+        for k in range(contacts):
+            mu[k], soft[k] = friction[items[k]], compliance[items[k]]
+        for k in range(contacts, count):
+            low[k - contacts], high[k - contacts] = lower[items[k] - nc], upper[items[k] - nc]
+        off = solve_island(
+            own_mass, own_inverse, own, given, mu, low, high, soft, accuracy, start, moved, found
         )
-    return solve_coulomb(delassus, free, velocity, friction, least, held, lower, upper, impulse)
-
-
-@declared(*SYSTEM, result=float)
-@jit
-def redundant_impulses(mass, inverse, jacobian, free, friction, lower, upper, compliance, impulse):
-    """Do so where there are more rows than velocities; arguments as of `solve_velocities`."""
-    return solve_velocities(mass, inverse, jacobian, free, friction, lower, upper, compliance, impulse)
+        worst = max(worst, off)
+        for a in range(n):
+            impulse[rows[a]] = found[a]
+        for a in range(m):
+            begin[moves[a]], change[moves[a]] = start[a], moved[a]
+    return worst
