@@ -119,6 +119,22 @@ def test_a_free_base_lands_on_its_lowest_foot() -> None:
     assert np.asarray(shown.impact.problem.velocity) == pytest.approx(FREE_BASE, abs=1e-4)
 
 
+@pytest.mark.parametrize("name", ["simple_humanoid", "talos_legs"])
+def test_a_robot_on_two_legs_lands_on_its_feet(name: str) -> None:
+    """The base turns by less than 6° from the touch to the end, and feet push at most ten times the weight.
+
+    A body that leans by all of the tilt falls as an inverted pendulum, by 17° in the same time.
+    """
+    shown = run_demo(name)
+    trajectory, model = shown.trajectory, shown.robot.model
+    first, last = (pin.XYZQUATToSE3(q[:7]).rotation for q in (shown.impact.q, trajectory.q[-1]))
+    assert np.degrees(np.linalg.norm(pin.log3(first.T @ last))) < 6.0
+    times = np.linspace(0.0, trajectory.duration, 300)
+    force = sum(trajectory.forces(contact.label, times)[:, 2] for contact in shown.contacts)
+    assert force.max() < 10.0 * 9.81 * pin.computeTotalMass(model)
+    assert shown.stopped is None
+
+
 ARMS = ("panda", "ur5", "ur3", "xarm7", "kinova", "z1", "talos_arm", "allegro_left_hand")
 WITH_FREE_BASES = ("solo12", "anymal_c", "talos", "icub", "iris", "hector", "bolt")
 

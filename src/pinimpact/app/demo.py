@@ -37,9 +37,10 @@ SLIDE = 0.2
 """How far the striking point moves along the table before and after the touch [m], of a robot of 1 m."""
 FRICTION, RESTITUTION = 0.3, 0.5
 FIXED_BASE, FREE_BASE = (0.5, 0.3, -0.8), (0.6, 0.3, -2.0)
-"""Velocity of the contact point at the touch [m/s], in contact axes."""
+"""Velocity of the contact point at the touch [m/s], in contact axes; the tangential part is less where a
+free base stands on little (`_steadiness`)."""
 TILT = (-0.15, 0.25, 0.0)
-"""Roll, pitch and yaw of a free base at the touch [rad], so that one foot comes first."""
+"""Roll, pitch and yaw of a free base at the touch [rad], so that one foot comes first; less likewise."""
 LEAST_LEVER = 0.01
 """A point moves if joints at 1 rad/s or m/s give it this speed [m/s]."""
 NO_INERTIA = 1e-14
@@ -48,8 +49,12 @@ SINGULAR = 1e-12
 """Least eigenvalue of the mass matrix, scaled to ones on its diagonal, that is not taken for zero."""
 CLEAR = 1e-3
 """Contacts that could touch later are this far away at the touch, in parts of the robot's size."""
-STIFFNESS, DAMPING, G = 1.0, 0.2, 9.81
+STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
 """Of springs in the joints of a free base, in its weight times its size per rad and √(size/g); g [m/s²]."""
+FLOOR = 0.1
+"""What is so far above the lowest foot, in parts of the robot's size, is a hand."""
+LEAST_STEADY = 0.2
+"""With less tilt several points of a foot would touch at once."""
 NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")
 
 
@@ -242,6 +247,7 @@ def _touch(
         keys += [frame_label(model, i) for i in range(model.nframes - 1, 0, -1)]
     axes = None if normal is None else contact_axes(unit_vector("normal", normal))
     default = np.array(FREE_BASE if free else FIXED_BASE)
+    default[:2] *= _steadiness(body, q0) if free else 1.0
     size = float(np.linalg.norm(default)) if speed is None else above_zero("speed", speed)
     along = None if direction is None else np.array(unit_vector("direction", direction))
     if axes is not None and along is not None and float(axes[2] @ along) >= 0.0:
@@ -311,7 +317,7 @@ def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[in
     if not free_base(model):
         reach = MARGIN * body.size + SLIDE * min(1.0, body.size)
         return i, arm_posture(body, q0, joint, origin if exact or body.bare else None, axes, reach)
-    tilted = [_tilted(model, q0, part) for part in TILTS]
+    tilted = [_tilted(model, q0, part * _steadiness(body, q0)) for part in TILTS]
     if exact:
         body.at(tilted[0])
         return i, Strike(tilted[0], body.data.oMf[i].translation.copy())
@@ -368,6 +374,23 @@ def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | No
     left = np.linalg.svd(_jacobian(body, Strike(q0, body.data.oMf[i].translation.copy()), i))[0]
     main = left[:, 0] * (-1.0 if left[int(np.argmax(np.abs(left[:, 0]))), 0] > 0.0 else 1.0)
     return [*tables, contact_axes(-main)]
+
+
+def _steadiness(body: Body, q: Array) -> float:
+    """Return how firmly a free base stands, from `LEAST_STEADY` to 1.
+
+    It is the width of what stands on the floor, as far as the centre of mass is in its middle, in parts of
+    the height of that centre.
+    """
+    axes, feet = np.eye(3), {int(body.model.frames[k].parentJoint) for k in suggested_frames(body.model)}
+    points = np.reshape([point for foot in feet for point in soles(body, q, foot, axes)], (-1, 3))
+    points = points[points[:, 2] < points[:, 2].min(initial=np.inf) + FLOOR * body.size]
+    if len(points) == 0:
+        return 1.0
+    middle = pin.centerOfMass(body.model, body.data, q)
+    away = np.minimum(middle - points.min(axis=0), points.max(axis=0) - middle)[:2].min()
+    height = middle[2] - points[:, 2].min()
+    return float(np.clip(2.0 * away / height, LEAST_STEADY, 1.0)) if height > 0.0 else 1.0
 
 
 def _tilted(model: pin.Model, q: Array, part: float) -> Array:
