@@ -11,6 +11,7 @@ import pytest
 
 import pinimpact
 from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
+from pinimpact.geometry._kernels.box_patch import box_patch
 from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
 from pinimpact.scene._kernels.step_impulses import step_impulses
@@ -219,6 +220,58 @@ def test_a_patch_has_the_corners_that_two_faces_share_and_their_gaps():
     np.testing.assert_allclose(corners[:, 1], [-1.0, 1.0, -1.0, 1.0], atol=1e-12)
     middle = np.array([0.7, 0.0, 1.5001]) - 0.5 * turn[:, 2]  # of the upper box's lower face
     np.testing.assert_allclose(gaps, (middle - corners) @ turn[:, 2], atol=1e-14)
+
+
+def near_boxes(rng, alike):
+    """Return two boxes a little apart or a little overlapping, as placements and halves of their edges."""
+    halves = rng.uniform(0.2, 1.0, (2, 3))
+    turned = pin.exp3(rng.normal(size=3))
+    other = turned @ pin.exp3(alike * rng.normal(size=3))
+    direction, center = rng.normal(size=3), rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    shapes = [coal.Box(*(2.0 * half)) for half in halves]
+    here, near, far = coal.Transform3s(other, center), 0.0, 6.0
+    while far - near > 1e-12:
+        middle = 0.5 * (near + far)
+        there = coal.Transform3s(turned, center + middle * direction)
+        apart = coal.distance(
+            shapes[0], there, shapes[1], here, coal.DistanceRequest(), coal.DistanceResult()
+        )
+        near, far = (near, middle) if apart > 1e-3 else (middle, far)
+    first = center + (far - rng.choice([0.0, 3e-3])) * direction
+    return (turned, first, halves[0]), (other, center, halves[1])
+
+
+def boxes_patch(one, other, within=1e-2):
+    """Return normal, gaps and the points of the first box, as the kernel finds them."""
+    (a, half_a), (b, half_b) = (
+        (np.concatenate([turn.T.ravel(), center]), half) for turn, center, half in (one, other)
+    )
+    normal, points, others, gaps = np.empty(3), np.empty((8, 3)), np.empty((8, 3)), np.empty(8)
+    count = box_patch(a, half_a, b, half_b, within, normal, points, others, gaps)
+    np.testing.assert_allclose(((points - others) @ normal)[:count], gaps[:count], atol=1e-14)
+    return normal, gaps[:count], points[:count]
+
+
+@pytest.mark.parametrize("alike", [0.0, 1e-4, 1.0])
+def test_patches_of_boxes_are_those_of_coals_distance_and_clipped_faces(alike):
+    rng, found = np.random.default_rng(5), 0
+    for _ in range(300):
+        one, other = near_boxes(rng, alike)
+        normal, gaps, points = boxes_patch(one, other)
+        right = patch(*(box(2.0 * half).at(turn, center) for turn, center, half in (one, other)), 1e-2)
+        assert right is not None
+        # coal's normals are good to 1e-7 or so where shapes are apart
+        np.testing.assert_allclose(normal, right.normal, atol=1e-5)
+        order, known = np.lexsort(points.T.round(5)), np.lexsort(right.points.T.round(5))
+        np.testing.assert_allclose(gaps[order], right.gaps[known], atol=1e-6)
+        np.testing.assert_allclose(points[order], right.points[known], atol=1e-5)
+        found += len(gaps)
+        # the other way round: the same points, but for which of two parallel faces gives the normal
+        turned, swapped, _ = boxes_patch(other, one)
+        np.testing.assert_allclose(turned, -normal, atol=1e-3 * (alike > 0.0) + 1e-12)
+        assert len(swapped) == len(gaps)
+    assert found > (600 if alike < 1.0 else 300)
 
 
 def redundant_problem(rng):

@@ -8,14 +8,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..geometry._kernels.constants import AXES, KIND, PLANE, POINT, TIP
+from ..geometry._kernels.box_patch import MOST
 from ..geometry.convex_pair import Touch
-from ..geometry.convex_shape import PlacedShape
 from ..geometry.patch import Patch, patch
-from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
 from ..robot.names import motion_signs
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
+from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
 from .dynamics import SceneDynamics
 from .layout import SceneLayout
 
@@ -24,21 +23,16 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class _Places:
-    """The contacts that are kept for a pair.
+    """The contacts that are kept for a pair of which one shape is no box.
 
     Attributes:
         pair: The shapes.
         numbers: Of the contacts.
-        blanks: What stands there where nothing touches, as contacts and as constants.
-        signs: (nv,) see `SceneWorkspace.velocity_signs`.
         used: How many of them stand for points of the present patch.
     """
 
     pair: ShapePair
     numbers: list[int]
-    blanks: list[Contact]
-    constants: Array
-    signs: Array
     used: int = 0
 
 
@@ -54,27 +48,43 @@ class FacingShapes:
     def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout) -> None:
         self._model, self._data = model, model.createData()
         self._dynamics, self._work = dynamics, dynamics.work
+        self._gravity = float(np.linalg.norm(model.gravity.linear))
+        self._struck: dict[int, Contact] = {}
         groups: dict[int, tuple[Contact, list[int]]] = {}
         for i, contact in enumerate(dynamics.contacts):
             if contact.pair is not None:
                 groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
-        pairs = tuple(contact for contact, _ in groups.values())
-        self._places = [
-            _Places(
-                layout.pairs[contact],
-                numbers,
-                [dynamics.contacts[i] for i in numbers],
-                self._work.contact_constants[numbers].copy(),
-                motion_signs(model, layout.pairs[contact].a.joint, layout.pairs[contact].b.joint),
-            )
-            for contact, numbers in groups.values()
-        ]
-        if pairs:
-            tables = layout.pair_tables(pairs)
-            self._joints = tables.joints.reshape(-1)
-            self._centers, self._reaches = tables.centers, tables.reaches.reshape(-1)
+        every = [(layout.pairs[contact], numbers) for contact, numbers in groups.values()]
+        work = self._work
+        self._blanks = work.contact_constants.copy()
+        for pair, numbers in every:
+            work.contact_joints[numbers] = pair.a.joint, pair.b.joint
+            work.velocity_signs[numbers] = motion_signs(model, pair.a.joint, pair.b.joint)
+        self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
+        self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
 
-    def place(self, q: Array, v: Array, h: float, touching: float | None = None) -> None:
+    def _set_boxes(self, pairs: list[tuple[ShapePair, list[int]]]) -> None:
+        """Set the tables of pairs of boxes, see `facing_boxes.face_boxes`."""
+        boxes = {_key(side): side for pair, _ in pairs for side in (pair.a, pair.b)}
+        number = {key: k for k, key in enumerate(boxes)}
+        self._box_pairs = [pair for pair, _ in pairs]
+        self._joints = np.array([box.joint for box in boxes.values()], dtype=np.int64)
+        self._boxes = np.zeros((len(boxes), BOX))
+        for row, box in zip(self._boxes, boxes.values(), strict=True):
+            row[:9], row[9:HALF] = box.in_joint.rotation.T.ravel(), box.in_joint.translation
+            row[HALF:REACH], row[REACH] = box.shape.collision.halfSide, box.shape.reach
+        self._ranges = np.array(
+            [
+                (number[_key(pair.a)], number[_key(pair.b)], numbers[0], len(numbers))
+                for pair, numbers in pairs
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 4)
+        count = len(pairs)
+        self._used, self._normals = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
+        self._points, self._others = np.zeros((2, count, MOST, 3))
+
+    def place(self, q: Array, v: Array, h: float, touching: float = -1.0) -> None:
         """Fill the places of pairs that may touch within a time.
 
         Args:
@@ -83,69 +93,74 @@ class FacingShapes:
             h: The time [s].
             touching: For impacts, the gap up to which shapes touch [m]; `dynamics.contacts` is filled too.
         """
-        if not self._places:
-            return
-        model, data = self._model, self._data
-        pin.forwardKinematics(model, data, q, v)
-        rotations = np.array([placement.rotation for placement in data.oMi])[self._joints]
-        origins = np.array([placement.translation for placement in data.oMi])[self._joints]
-        centers = np.einsum("ijk,ik->ij", rotations, self._centers) + origins
-        motions = np.array([motion.vector for motion in data.v])[self._joints]
-        speeds = np.linalg.norm(motions[:, :3], axis=1) + np.linalg.norm(motions[:, 3:], axis=1) * (
-            np.linalg.norm(self._centers, axis=1) + self._reaches
-        )
-        gravity = float(np.linalg.norm(model.gravity.linear))
-        within = h * (speeds[::2] + speeds[1::2]) + 8.0 * gravity * h * h
-        if touching is not None:
-            within = np.full(len(self._places), touching)
-        apart = (
-            np.linalg.norm(centers[::2] - centers[1::2], axis=1) - self._reaches[::2] - self._reaches[1::2]
-        )
-        placed: dict[tuple[int, str], PlacedShape] = {}
-        for number, places in enumerate(self._places):
+        for i, blank in self._struck.items():
+            self._dynamics.contacts[i] = blank
+        self._struck.clear()
+        if len(self._ranges):
+            face_boxes(
+                *(self._work, q, v, h, self._gravity, touching, self._joints, self._boxes, self._ranges),
+                *(self._blanks, self._used, self._normals, self._points, self._others),
+            )
+            self._dynamics.check()
+        facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
+        if facing or self._pairs:
+            pin.forwardKinematics(self._model, self._data, q, v)
+        for p in facing:
+            for k in range(int(self._used[p])):
+                ends = self._points[p, k], self._others[p, k]
+                self._strike(self._box_pairs[p], self._ranges[p, 2] + k, self._normals[p], ends)
+        for places in self._pairs:
+            within = touching
+            if touching < 0.0:
+                speed = sum(self._speed(side) for side in (places.pair.a, places.pair.b))
+                within = h * speed + 8.0 * self._gravity * h * h
+            a, b = places.pair.placed(self._data)
+            apart = a.rotation @ a.shape.center + a.translation - b.rotation @ b.shape.center - b.translation
             found = None
-            if apart[number] <= within[number]:
-                shapes = self._placed(placed, places.pair.a), self._placed(placed, places.pair.b)
-                found = patch(*shapes, float(within[number]))
-            self._fill(places, found, touching is not None)
+            if np.linalg.norm(apart) <= a.shape.reach + b.shape.reach + within:
+                found = patch(a, b, within)
+            self._fill(places, found, touching >= 0.0)
 
-    def _placed(self, known: dict[tuple[int, str], PlacedShape], one: CarriedShape) -> PlacedShape:
-        key = one.joint, one.name
-        if key not in known:
-            placement = self._data.oMi[one.joint] * one.in_joint
-            known[key] = one.shape.at(placement.rotation, placement.translation)
-        return known[key]
+    def _speed(self, side: CarriedShape) -> float:
+        """Return what the speeds of a shape's points do not exceed [m/s]."""
+        motion = self._data.v[side.joint]
+        arm = float(np.linalg.norm(side.in_joint.act(side.shape.center))) + side.shape.reach
+        return float(np.linalg.norm(motion.linear) + arm * np.linalg.norm(motion.angular))
 
     def _fill(self, places: _Places, found: Patch | None, contacts: bool) -> None:
-        work, data, pair = self._work, self._data, places.pair
-        count = 0
+        """Fill the places of a pair, as the kernel does for boxes."""
+        work, data, pair, count = self._work, self._data, places.pair, 0
         if found is not None:
             count = min(len(found.gaps), len(places.numbers))
             chosen = np.argsort(found.gaps, kind="stable")[:count]
-            tip, base = data.oMi[pair.a.joint], data.oMi[pair.b.joint]
-            axes = contact_axes(base.rotation.T @ found.normal)
-            for place, k in enumerate(np.sort(chosen).tolist()):
-                i = places.numbers[place]
-                row = work.contact_constants[i]
-                row[:] = 0.0
-                row[TIP : TIP + 3] = tip.actInv(found.points[k])
-                row[POINT : POINT + 3] = base.actInv(found.others[k])
-                row[AXES : AXES + 9] = axes.ravel()
-                row[KIND] = PLANE
-                work.contact_joints[i] = pair.a.joint, pair.b.joint
-                work.velocity_signs[i] = places.signs
+            tip, base = (
+                np.concatenate([pose.rotation.T.ravel(), pose.translation])
+                for pose in (data.oMi[pair.a.joint], data.oMi[pair.b.joint])
+            )
+            for i, k in zip(places.numbers, np.sort(chosen).tolist(), strict=False):
+                ends = found.points[k], found.others[k]
+                fill_contact(work.contact_constants[i], tip, base, found.normal, *ends)
                 if contacts:
-                    core = Touch(
-                        "vertex-face",
-                        found.points[k] + pair.a.shape.radius * found.normal,
-                        found.others[k] - pair.b.shape.radius * found.normal,
-                        (0, 0),
-                    )
-                    self._dynamics.contacts[i] = point_contact(
-                        pair, data, (), found.normal, core, places.blanks[place]
-                    ).instant
-        for place in range(count, places.used):
-            i = places.numbers[place]
-            work.contact_constants[i] = places.constants[place]
-            self._dynamics.contacts[i] = places.blanks[place]
+                    self._strike(pair, i, found.normal, ends)
+        for i in places.numbers[count : places.used]:
+            work.contact_constants[i] = self._blanks[i]
         places.used = count
+
+    def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:
+        """Let a contact be that of two points, for an impact."""
+        core = Touch(
+            "vertex-face",
+            ends[0] + pair.a.shape.radius * normal,
+            ends[1] - pair.b.shape.radius * normal,
+            (0, 0),
+        )
+        blank = self._struck.setdefault(i, self._dynamics.contacts[i])
+        self._dynamics.contacts[i] = point_contact(pair, self._data, (), normal, core, blank).instant
+
+
+def _is_box(one: CarriedShape) -> bool:
+    return type(one.shape.collision).__name__ == "Box"
+
+
+def _key(box: CarriedShape) -> tuple[int, bytes, bytes]:
+    return box.joint, box.in_joint.homogeneous.tobytes(), box.shape.vertices.tobytes()

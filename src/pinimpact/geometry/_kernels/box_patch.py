@@ -1,0 +1,325 @@
+"""The patch in which two boxes face each other; see `geometry.patch`, which does so for all convex shapes.
+
+A box is a placement of twelve numbers (its axes, column by column, and its centre) and half its edges (3,).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import external, inlined, jit
+
+MOST = 8
+"""Corners of a patch: a face clipped by another."""
+
+FACE = 1.0 - 1e-6
+"""Cosine of the angle between a normal and that of a face within which the face is the reference."""
+
+TIE = 1e-13
+"""Part of the boxes' size to which two separations are the same: faces then count before edges."""
+
+PARALLEL = 1e-9
+"""Sine of the angle below which two edges have no normal of their own."""
+
+NEAREST = 1e-9
+"""Part of the boxes' size by which points that are nearest together may differ."""
+
+COINCIDE = 1e-9
+"""Part of a box's size within which corners of a patch are one."""
+
+
+@inlined
+def along(a, i, x1, x2, x3):
+    """Return the product of a box's axis and a vector."""
+    return a[3 * i] * x1 + a[3 * i + 1] * x2 + a[3 * i + 2] * x3
+
+
+@inlined
+def extent(a, half, n1, n2, n3):
+    """Return half a box's width along a direction."""
+    return (
+        half[0] * abs(along(a, 0, n1, n2, n3))
+        + half[1] * abs(along(a, 1, n1, n2, n3))
+        + half[2] * abs(along(a, 2, n1, n2, n3))
+    )
+
+
+@external
+def separate(a, half_a, b, half_b):
+    """Return how far two boxes are apart along the best direction, that (3), and what it is of.
+
+    That is 0, 1, 2 for a face of B, 3, 4, 5 for one of A, 6 + 3 i + j for the edges i of A and j of B.
+    """
+    d1, d2, d3 = a[9] - b[9], a[10] - b[10], a[11] - b[11]
+    size = math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2) + math.sqrt(
+        half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
+    )
+    best, kind, m1, m2, m3 = -math.inf, -1, 0.0, 0.0, 1.0
+    for k in range(15):
+        if k < 3:
+            n1, n2, n3 = b[3 * k], b[3 * k + 1], b[3 * k + 2]
+        elif k < 6:
+            n1, n2, n3 = a[3 * k - 9], a[3 * k - 8], a[3 * k - 7]
+        else:
+            i, j = (k - 6) // 3, (k - 6) % 3
+            n1 = a[3 * i + 1] * b[3 * j + 2] - a[3 * i + 2] * b[3 * j + 1]
+            n2 = a[3 * i + 2] * b[3 * j] - a[3 * i] * b[3 * j + 2]
+            n3 = a[3 * i] * b[3 * j + 1] - a[3 * i + 1] * b[3 * j]
+            length = math.sqrt(n1 * n1 + n2 * n2 + n3 * n3)
+            if length <= PARALLEL:
+                continue
+            n1, n2, n3 = n1 / length, n2 / length, n3 / length
+        height = n1 * d1 + n2 * d2 + n3 * d3
+        value = abs(height) - extent(a, half_a, n1, n2, n3) - extent(b, half_b, n1, n2, n3)
+        if value > best + TIE * size:
+            sign = 1.0 if height >= 0.0 else -1.0
+            best, kind, m1, m2, m3 = value, k, sign * n1, sign * n2, sign * n3
+    return best, m1, m2, m3, kind
+
+
+@inlined
+def facing_axis(a, n1, n2, n3):
+    """Return the axis of a box that is nearest to a direction or its opposite, and their cosine."""
+    best, axis = 0.0, 0
+    for i in range(3):
+        cosine = along(a, i, n1, n2, n3)
+        if abs(cosine) > abs(best):
+            best, axis = cosine, i
+    return axis, best
+
+
+@external
+def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
+    """Fill the corners of a face of A within the sides of a face of B; return how many there are.
+
+    A corner is given along the two other axes of B, from its centre, and as the height over the face.
+
+    Args:
+        a: (12,) placement of A.
+        half_a: (3,) of it.
+        axis: Of the face of A.
+        side: ±1, on which side of A the face is.
+        b: (12,) placement of B.
+        half_b: (3,) of it.
+        face: The axis of the face of B.
+        up: ±1 likewise.
+        polygon: (2 `MOST`, 3).
+    """
+    p, q, k, o = (axis + 1) % 3, (axis + 2) % 3, (face + 1) % 3, (face + 2) % 3
+    other, count = np.empty((2 * MOST, 3)), 4
+    for c in range(4):
+        s = half_a[p] if c in (0, 3) else -half_a[p]
+        t = half_a[q] if c < 2 else -half_a[q]
+        w = side * half_a[axis]
+        x1 = a[9] + w * a[3 * axis] + s * a[3 * p] + t * a[3 * q] - b[9]
+        x2 = a[10] + w * a[3 * axis + 1] + s * a[3 * p + 1] + t * a[3 * q + 1] - b[10]
+        x3 = a[11] + w * a[3 * axis + 2] + s * a[3 * p + 2] + t * a[3 * q + 2] - b[11]
+        polygon[c, 0], polygon[c, 1] = along(b, k, x1, x2, x3), along(b, o, x1, x2, x3)
+        polygon[c, 2] = up * along(b, face, x1, x2, x3) - half_b[face]
+    for c in range(4):
+        along_side, bound = c // 2, half_b[k] if c < 2 else half_b[o]
+        sign = 1.0 if c % 2 == 0 else -1.0
+        kept = 0
+        for m in range(count):
+            following = (m + 1) % count
+            now, then = sign * polygon[m, along_side] - bound, sign * polygon[following, along_side] - bound
+            if now <= 0.0:
+                for e in range(3):
+                    other[kept, e] = polygon[m, e]
+                kept += 1
+            if (now <= 0.0) != (then <= 0.0):
+                share = now / (now - then)
+                for e in range(3):
+                    other[kept, e] = polygon[m, e] + share * (polygon[following, e] - polygon[m, e])
+                kept += 1
+        count = kept
+        for m in range(count):
+            for e in range(3):
+                polygon[m, e] = other[m, e]
+    return count
+
+
+@inlined
+def nearest_on_edges(along_a, half_a, along_b, half_b, cosine):
+    """Return where two segments are nearest, from the middle of each along its direction.
+
+    Args:
+        along_a: From the middle of the second to that of the first, along the first.
+        half_a: Half the length of the first.
+        along_b: As `along_a`, along the second.
+        half_b: Half the length of the second.
+        cosine: Of the angle between them.
+    """
+    determinant = 1.0 - cosine * cosine
+    if determinant > PARALLEL * PARALLEL:
+        s = min(max((cosine * along_b - along_a) / determinant, -half_a), half_a)
+    else:  # the middle of what lies side by side
+        low = min(max(-along_a - half_b, -half_a), half_a)
+        s = 0.5 * (low + min(max(-along_a + half_b, -half_a), half_a))
+    t = min(max(along_b + s * cosine, -half_b), half_b)
+    return min(max(t * cosine - along_a, -half_a), half_a), t
+
+
+@inlined
+def edge_middle(a, half, i, first, second):
+    """Return the middle (3) of an edge along axis i, on these sides of the two axes after it."""
+    p, q = (i + 1) % 3, (i + 2) % 3
+    s, t = first * half[p], second * half[q]
+    return (
+        a[9] + s * a[3 * p] + t * a[3 * q],
+        a[10] + s * a[3 * p + 1] + t * a[3 * q + 1],
+        a[11] + s * a[3 * p + 2] + t * a[3 * q + 2],
+    )
+
+
+@external
+def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others):
+    """Put the nearest points of an edge of A and one of B first; return their distance.
+
+    Args:
+        a, half_a: The box A.
+        i: The axis along the edge.
+        p: ±1, on which side of the next axis it is.
+        q: ±1, on which side of the one after that.
+        b, half_b: The box B.
+        j: As i, p, q of A.
+        k: Likewise.
+        o: Likewise.
+        points: (k, 3) of A.
+        others: (k, 3) of B.
+    """
+    x1, x2, x3 = edge_middle(a, half_a, i, p, q)
+    y1, y2, y3 = edge_middle(b, half_b, j, k, o)
+    r1, r2, r3 = x1 - y1, x2 - y2, x3 - y3
+    cosine = along(a, i, b[3 * j], b[3 * j + 1], b[3 * j + 2])
+    s, t = nearest_on_edges(along(a, i, r1, r2, r3), half_a[i], along(b, j, r1, r2, r3), half_b[j], cosine)
+    square = 0.0
+    for e, (x, y) in enumerate(((x1, y1), (x2, y2), (x3, y3))):
+        points[0, e] = x + s * a[3 * i + e]
+        others[0, e] = y + t * b[3 * j + e]
+        square += (points[0, e] - others[0, e]) ** 2
+    return math.sqrt(square)
+
+
+@external
+def nearest_edges(a, half_a, b, half_b, size, points, others):
+    """Put the mean of the nearest points of all edges of two boxes first; return the distance."""
+    best, count = math.inf, 0
+    one, other = np.empty((1, 3)), np.empty((1, 3))
+    for i in range(3):
+        for j in range(3):
+            for c in range(16):
+                p, q = 1.0 - 2.0 * (c % 2), 1.0 - 2.0 * (c // 2 % 2)
+                k, o = 1.0 - 2.0 * (c // 4 % 2), 1.0 - 2.0 * (c // 8)
+                distance = nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, one, other)
+                if distance < best - NEAREST * size:
+                    best, count = distance, 0
+                if distance <= best + NEAREST * size:
+                    for e in range(3):
+                        before = points[0, e] * count, others[0, e] * count
+                        points[0, e] = (before[0] + one[0, e]) / (count + 1) if count else one[0, e]
+                        others[0, e] = (before[1] + other[0, e]) / (count + 1) if count else other[0, e]
+                    count += 1
+    return best
+
+
+@declared(FLOATS, FLOATS, FLOATS, FLOATS, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, result=int)
+@jit
+def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
+    """Fill where two boxes are nearer than a distance; return the number of points, none if they are not.
+
+    Args:
+        a: (12,) placement of A.
+        half_a: (3,) of it.
+        b: (12,) placement of B.
+        half_b: (3,) of it.
+        within: The distance [m].
+        normal: (3,) from B to A.
+        points: (`MOST`, 3) of A [m].
+        others: (`MOST`, 3) of B, opposite to them.
+        gaps: (`MOST`,) along the normal, negative where they overlap.
+    """
+    value, n1, n2, n3, kind = separate(a, half_a, b, half_b)
+    if value > within:
+        return 0
+    normal[0], normal[1], normal[2] = n1, n2, n3
+    axis_a, cosine_a = facing_axis(a, n1, n2, n3)
+    axis_b, cosine_b = facing_axis(b, n1, n2, n3)
+    of_a = kind >= 3 if kind < 6 else abs(cosine_a) > abs(cosine_b)
+    size = math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2) + math.sqrt(
+        half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
+    )
+    if kind < 6 or max(abs(cosine_a), abs(cosine_b)) >= FACE:
+        up_a, up_b = (-1.0 if cosine_a > 0.0 else 1.0), (1.0 if cosine_b > 0.0 else -1.0)
+        if of_a:
+            count = face_patch(
+                b, half_b, axis_b, up_b, a, half_a, axis_a, up_a, within, normal, others, points, gaps
+            )
+            for e in range(3):
+                normal[e] = -normal[e]
+        else:
+            count = face_patch(
+                a, half_a, axis_a, up_a, b, half_b, axis_b, up_b, within, normal, points, others, gaps
+            )
+        if count >= 0:
+            return count
+        if value <= 0.0:
+            return 0
+        value = nearest_edges(a, half_a, b, half_b, size, points, others)
+        if value <= NEAREST * size:
+            return 0
+        for e in range(3):
+            normal[e] = (points[0, e] - others[0, e]) / value
+    else:
+        i, j = (kind - 6) // 3, (kind - 6) % 3
+        p, q, k, o = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+        nearest_of_two_edges(
+            *(a, half_a, i, -sign(along(a, p, n1, n2, n3)), -sign(along(a, q, n1, n2, n3))),
+            *(b, half_b, j, sign(along(b, k, n1, n2, n3)), sign(along(b, o, n1, n2, n3)), points, others),
+        )
+    gaps[0] = 0.0
+    for e in range(3):
+        gaps[0] += (points[0, e] - others[0, e]) * normal[e]
+    return 1 if gaps[0] <= within else 0
+
+
+@inlined
+def sign(x):
+    """Return ±1."""
+    return -1.0 if x < 0.0 else 1.0
+
+
+@external
+def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps):
+    """Fill the patch of A over a face of B, as `box_patch` does; return −1 where A is beyond its sides.
+
+    Other arguments are as of `clip_face`.
+    """
+    polygon = np.empty((2 * MOST, 3))
+    count = clip_face(a, half_a, axis, side, b, half_b, face, up, polygon)
+    if count == 0:
+        return -1
+    for e in range(3):
+        normal[e] = up * b[3 * face + e]
+    k, o, found = (face + 1) % 3, (face + 2) % 3, 0
+    tolerance = COINCIDE * math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2)
+    for m in range(count):
+        square = 0.0
+        for e in range(3):
+            square += (polygon[m, e] - polygon[m - 1 if m > 0 else count - 1, e]) ** 2
+        if square <= tolerance * tolerance or polygon[m, 2] > within or found == MOST:
+            continue
+        gaps[found] = polygon[m, 2]
+        for e in range(3):
+            others[found, e] = (
+                b[9 + e]
+                + half_b[face] * normal[e]
+                + polygon[m, 0] * b[3 * k + e]
+                + polygon[m, 1] * b[3 * o + e]
+            )
+            points[found, e] = others[found, e] + gaps[found] * normal[e]
+        found += 1
+    return found

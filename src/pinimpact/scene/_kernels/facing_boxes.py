@@ -1,0 +1,106 @@
+"""Pairs of boxes in time steps: their patches, as contacts of single points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.jit import jit
+from ...geometry._kernels.box_patch import MOST, box_patch
+from ...geometry._kernels.constants import AXES, KIND, PLANE, POINT, TIP
+from ...geometry._kernels.contact_axes import contact_axes
+from ...robot._kernels.placement import place, rotate, rotate_back
+from .dynamics import compute_kinematics, set_state
+from .workspace import SceneWorkspace
+
+HALF, REACH, BOX = 12, 15, 16
+"""Where half the edges of a box stand, after its placement in the axes of its joint; then its reach."""
+
+
+@declared(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+@jit
+def fill_contact(row, tip, base, normal, point, other):
+    """Fill the constants of a contact of a point on a plane, from where both are now."""
+    for e in range(len(row)):
+        row[e] = 0.0
+    row[TIP], row[TIP + 1], row[TIP + 2] = rotate_back(
+        tip, point[0] - tip[9], point[1] - tip[10], point[2] - tip[11]
+    )
+    row[POINT], row[POINT + 1], row[POINT + 2] = rotate_back(
+        base, other[0] - base[9], other[1] - base[10], other[2] - base[11]
+    )
+    n1, n2, n3 = rotate_back(base, normal[0], normal[1], normal[2])
+    axes = contact_axes(n1, n2, n3)
+    for e in range(6):
+        row[AXES + e] = axes[e]
+    row[AXES + 6], row[AXES + 7], row[AXES + 8] = n1, n2, n3
+    row[KIND] = PLANE
+
+
+@declared(
+    *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
+    *(INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
+)
+@jit
+def face_boxes(work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, used, normals, points, others):
+    """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
+
+    Args:
+        work: The workspace; its `contact_constants` are filled.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        h: Time within which boxes may meet [s].
+        gravity: [m/s²].
+        touching: The distance within which boxes face each other [m]; below zero it follows from the time.
+        joints: (k,) that carry the boxes.
+        boxes: (k, `BOX`) see `HALF`.
+        pairs: (p, 4) the two boxes, the first contact that is kept for them, and how many are.
+        blanks: (contacts, constants) what stands where nothing is near.
+        used: (p,) how many contacts stand for corners; takes how many do now.
+        normals: (p, 3) takes the normals, from the second box to the first.
+        points: (p, `MOST`, 3) takes the corners on the first box.
+        others: (p, `MOST`, 3) takes them on the second.
+    """
+    set_state(work, q, v)
+    compute_kinematics(work)
+    count = len(boxes)
+    placed, speeds, gaps = np.empty((count, 12)), np.empty(count), np.empty(MOST)
+    for k in range(count):
+        pose, motion, box = work.placements[joints[k]], work.local_velocities[joints[k]], boxes[k]
+        for axis in range(3):
+            n1, n2, n3 = rotate(pose, box[3 * axis], box[3 * axis + 1], box[3 * axis + 2])
+            placed[k, 3 * axis], placed[k, 3 * axis + 1], placed[k, 3 * axis + 2] = n1, n2, n3
+        placed[k, 9], placed[k, 10], placed[k, 11] = place(pose, box, 9)
+        arm = math.sqrt(box[9] ** 2 + box[10] ** 2 + box[11] ** 2) + box[REACH]
+        speeds[k] = math.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2) + arm * math.sqrt(
+            motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2
+        )
+    for p in range(len(pairs)):
+        a, b, first, room = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
+        within = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + 8.0 * gravity * h * h
+        reach = boxes[a, REACH] + boxes[b, REACH] + within
+        square = 0.0
+        for e in range(9, 12):
+            square += (placed[a, e] - placed[b, e]) ** 2
+        found = 0
+        if square <= reach * reach:
+            half_a, half_b = boxes[a, HALF:REACH], boxes[b, HALF:REACH]
+            found = box_patch(
+                placed[a], half_a, placed[b], half_b, within, normals[p], points[p], others[p], gaps
+            )
+        for k in range(min(found, room)):
+            row = work.contact_constants[first + k]
+            fill_contact(
+                row,
+                work.placements[joints[a]],
+                work.placements[joints[b]],
+                normals[p],
+                points[p, k],
+                others[p, k],
+            )
+        for k in range(found, used[p]):
+            for e in range(blanks.shape[1]):
+                work.contact_constants[first + k, e] = blanks[first + k, e]
+        used[p] = min(found, room)
