@@ -1,4 +1,4 @@
-"""Forces by Coulomb's law: how many are found, and in what time, with sweeps before the solver and without.
+"""Forces by Coulomb's law: how many are found, how fast, with Gauss–Seidel iterations first and without.
 
 Problems recorded in runs are read from a file (arrays one after the other; `contacts` and `scalars` give the
 sizes), others are drawn: four contacts, some of which slip, with and without three dry joints, of full rank,
@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from pinimpact._numeric.coulomb_problem import USABLE, solve_coulomb
-from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
+from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 
 Problem = tuple[Any, ...]
 """W, accelerations, velocities of slip, friction, held, lower, upper."""
@@ -33,18 +33,20 @@ def alone(delassus, free, velocity, mu, held, lower, upper, x):
 
 
 @numba.njit
-def sweeps_first(delassus, free, velocity, mu, held, lower, upper, x):
-    """Go on from sweeps where they do not do, as scenes have it."""
+def gauss_seidel_first(delassus, free, velocity, mu, held, lower, upper, x):
+    """Iterate first and solve where that does not converge, as scenes do."""
     force, strength = np.zeros((len(mu), 3)), np.zeros(len(lower))
-    sweeps, jamming = forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, strength)
+    iterations, jamming = forces_by_gauss_seidel(
+        delassus, free, velocity, mu, held, lower, upper, force, strength
+    )
     x[: 3 * len(mu)], x[3 * len(mu) :] = force.ravel(), strength
-    if sweeps >= 0 and jamming < 0:
+    if iterations >= 0 and jamming < 0:
         return 0.0
     return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
 def recorded(path: Path) -> Iterator[tuple[bool, Problem]]:
-    """Yield whether sweeps have left it, and the problem."""
+    """Yield whether iterations have left it, and the problem."""
     data = dict(np.load(path))
     slip, at = data["slip"].reshape(-1, 2), np.zeros(4, dtype=int)
     for nc, ns, hard in zip(data["contacts"], data["scalars"], data["hard"], strict=True):
@@ -105,7 +107,7 @@ def main() -> None:
         print("recorded problems are left out: no file is given")
     for kind, problems in kinds.items():
         found = {}
-        for name, solve in (("after sweeps", sweeps_first), ("alone", alone)):
+        for name, solve in (("after iterations", gauss_seidel_first), ("alone", alone)):
             measure(solve, problems[:1])
             found[name], times = measure(solve, problems)
             print(

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact.scene._kernels import contact_forces
 from pinimpact.scene._kernels.contact_modes import hold_on
-from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
 from pinimpact.scene._kernels.lasting_forces import take_lasting
+from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 
 
 @numba.njit
@@ -196,10 +196,10 @@ def test_sweeps_that_grow_without_end_have_found_no_forces():
     along = delassus.reshape(2, 3, 2, 3)[:, 2] @ [-mu, 0.0, 1.0]
     assert along == pytest.approx(np.array([[1.0, -p], [-p, 1.0]]))
     force, no_force, held = np.zeros((2, 3)), np.zeros(0), np.zeros(2, dtype=bool)
-    sweeps, _ = forces_by_sweeps(
+    iterations, _ = forces_by_gauss_seidel(
         delassus, free, velocity, np.full(2, mu), held, no_force, no_force, force, no_force
     )
-    assert sweeps < 0
+    assert iterations < 0
 
 
 def choices_that_hold(delassus, free, directions, mu):
@@ -456,7 +456,7 @@ def slipping(delassus, free, mu, bound, x):
 
 
 def test_of_several_forces_those_where_the_search_begins_are_taken():
-    """Where sweeps come near forces but take too long, others are not to be found in their place."""
+    """Where iterations come near forces but take too long, others are not to be found in their place."""
     rng = np.random.default_rng(1)
     several = 0
     for *problem, solutions in problems_with_several_solutions():

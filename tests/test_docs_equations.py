@@ -14,7 +14,7 @@ import pytest
 
 from pinimpact._numeric import coulomb_problem
 from pinimpact.scene import locked_posture, motion, scene_impacts, simulation_state
-from pinimpact.scene._kernels import contact_forces, contact_modes, force_sweeps, slip
+from pinimpact.scene._kernels import contact_forces, contact_modes, projected_gauss_seidel, slip
 from tools import pages
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -99,8 +99,8 @@ def test_every_section_that_is_cited_exists() -> None:
 
 
 NUMBERS = [
-    (force_sweeps.SWEEPS, 200, "at most 200 projected Gauss–Seidel iterations"),
-    (force_sweeps.TOLERANCE, 1e-12, "change by less than $10^{-12}$ of the largest"),
+    (projected_gauss_seidel.SWEEPS, 200, "at most 200 projected Gauss–Seidel iterations"),
+    (projected_gauss_seidel.TOLERANCE, 1e-12, "change by less than $10^{-12}$ of the largest"),
     (contact_modes.ROUNDS, 4, "repeated, up to four times"),
     (contact_modes.NOTHING, 1e-3, "below $10^{-3}$ of the sticking speed"),
     (contact_modes.ACCURACY, 1e-10, "up to a residual of $10^{-10}$ of the largest load"),

@@ -32,7 +32,7 @@ def test_friction_that_takes_is_let_alone():
 
 def test_a_contact_that_drives_is_mended():
     motion = sliding()
-    motion.work.closed_friction[:] = -0.3  # as a mode of the wrong sign would
+    motion.work.active_friction[:] = -0.3  # as a mode of the wrong sign would
     motion._begin_motion()
     motion.advance(0.2)
     assert motion.rejected >= 6

@@ -176,7 +176,7 @@ import os, sys, time
 from pinimpact._compile import pool, jit
 jit.WORTH_HELP = -1.0
 pool.possible_helpers = lambda: 1
-share = pool.WorkerPool.share
+shared = pool.WorkerPool.compile_with_others
 
 def wait_for(condition):
     def waiting(self, jobs):
@@ -187,7 +187,7 @@ def wait_for(condition):
     return waiting
 """
 HELPER_DOES_ALL = """
-pool.WorkerPool.share = wait_for(lambda team, job: team._is_locked(job) and team._is_over(job))
+pool.WorkerPool.compile_with_others = wait_for(lambda team, job: team._is_locked(job) and team._is_over(job))
 """
 HELPER_DIES = """
 pool._HELP = '''
@@ -199,8 +199,8 @@ for job in pickle.load(sys.stdin.buffer):
     WorkerPool(folder).lock(job)
 os._exit(3)
 '''
-claimed = wait_for(lambda team, job: team._is_locked(job))
-pool.WorkerPool.share = lambda self, jobs: (claimed(self, jobs), share(self, jobs))
+locked = wait_for(lambda team, job: team._is_locked(job))
+pool.WorkerPool.compile_with_others = lambda self, jobs: (locked(self, jobs), shared(self, jobs))
 """
 NOBODY_IS_LEFT = """
 try:
@@ -259,7 +259,7 @@ def test_what_a_helper_leaves_undone_is_compiled_all_the_same(team: Path) -> Non
 def test_an_interrupt_ends_the_helpers(team: Path) -> None:
     interrupted = (
         "def interrupt(self, jobs):\n    assert len(self._helpers) == 1\n    raise KeyboardInterrupt\n"
-        "pool.WorkerPool.share = interrupt\n"
+        "pool.WorkerPool.compile_with_others = interrupt\n"
         "from pinimpact.scene._kernels import entry\n"
         "try:\n    entry.first(3.0)\nexcept KeyboardInterrupt:\n    print('stopped')\n"
     )
@@ -271,7 +271,7 @@ def test_helpers_end_with_whoever_waited_for_them(team: Path) -> None:
     killed = (
         "pool._HELP += '; import time; time.sleep(300)'\n"
         "def die(self, jobs):\n    [pid] = self._helpers\n    print(pid, flush=True)\n    os._exit(0)\n"
-        "pool.WorkerPool.share = die\n"
+        "pool.WorkerPool.compile_with_others = die\n"
         "from pinimpact.scene._kernels import entry\n"
         "entry.first(3.0)\n"
     )
@@ -319,7 +319,7 @@ jobs = declared.jobs([(entry.first, declared.declared_types(entry.first))])
 pool.present = pool.WorkerPool(Path(tempfile.mkdtemp()))
 assert pool.present.lock(shifted)
 with event.install_recorder("numba:compile") as record:
-    pool.present.share(jobs)
+    pool.present.compile_with_others(jobs)
     pool.present = None
     assert not entry.first.overloads
     print(entry.first(3.0))
@@ -330,7 +330,7 @@ print([one.data["dispatcher"].py_func.__name__ for _, one in record.buffer if on
 def test_callers_of_what_tells_its_result_wait_for_nobody(team: Path) -> None:
     leaf = team / "scene" / "_kernels" / "leaf.py"
     edit(leaf, "@declared(float)", "@declared(float, result=float)")
-    # "first" is compiled while another, who never gets to it, has claimed what it calls
+    # "first" is compiled while another, who never gets to it, has locked what it calls
     assert python(team, SHARED).stdout == "7.0\n['first', 'shifted', 'scaled']\n"
     assert call(team)[0] == [7.0, 130.0, -3.0]
 

@@ -134,7 +134,7 @@ def test_energy_and_impacts_say_what_matters(toss):
     numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", repr(energy))]
     assert len(repr(energy)) < 250
     assert numbers[:2] == pytest.approx([energy.total[0], energy.total[-1]], rel=1e-5)
-    assert numbers[2:7] == pytest.approx([work[-1] for work in energy.works().values()], rel=1e-5)
+    assert numbers[2:7] == pytest.approx([work[-1] for work in energy.by_cause().values()], rel=1e-5)
     assert len(repr(impact)) < 250
     assert impact.source in repr(impact)
     numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", repr(impact).split("velocity")[1])]

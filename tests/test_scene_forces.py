@@ -11,9 +11,9 @@ import pytest
 from scipy.optimize import linprog
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact.scene._kernels import closed_set
+from pinimpact.scene._kernels import active_set
 from pinimpact.scene._kernels.contact_forces import FREE, HELD, SLIP, STICK
-from pinimpact.scene._kernels.force_sweeps import forces_by_sweeps
+from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 from pinimpact.scene.dynamics import SceneDynamics
 
 from .scene_models import G
@@ -21,8 +21,8 @@ from .scene_models import G
 
 @numba.njit
 def close(work, reference):
-    """Close what the modes say; `closed_set.close` is called from kernels only."""
-    closed_set.close(work, reference)
+    """Close what the modes say; `active_set.close` is called from kernels only."""
+    active_set.close(work, reference)
 
 
 def tree(rng):
@@ -132,8 +132,8 @@ def test_forces_by_sweeps_obey_coulomb_and_their_bounds(contacts, seed):
     slip[0] = rng.normal(size=2)
     lower, upper = np.array([0.0, -0.3]), np.array([np.inf, 0.3])
     force, scalar = np.zeros((contacts, 3)), np.zeros(scalars)
-    sweeps, jammed = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, scalar)
-    assert sweeps > 0
+    iterations, jammed = forces_by_gauss_seidel(delassus, free, slip, mu, held, lower, upper, force, scalar)
+    assert iterations > 0
     assert jammed == -1
     a = free + delassus @ np.concatenate([force.ravel(), scalar])
     for k in range(contacts):
@@ -162,7 +162,7 @@ def test_forces_by_sweeps_tell_where_slip_drives_the_surface_in():
     force, scalar, none = np.zeros((1, 3)), np.zeros(0), np.zeros(0)
     for direction, expected in ((1.0, 0), (-1.0, -1)):
         slip = np.array([[direction, 0.0]])
-        _, jammed = forces_by_sweeps(
+        _, jammed = forces_by_gauss_seidel(
             delassus,
             np.array([0, 0, -1.0]),
             slip,

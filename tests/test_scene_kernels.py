@@ -13,7 +13,7 @@ from pinimpact import Contact, Plane, Scene, Sphere, contact_matrices
 from pinimpact.geometry._kernels import surfaces
 from pinimpact.geometry._kernels.constants import RADIUS
 from pinimpact.robot._kernels import contact_motion
-from pinimpact.scene._kernels import closed_set, gap_bounds, lie_charts
+from pinimpact.scene._kernels import active_set, gap_bounds, lie_charts
 from pinimpact.scene._kernels.events.gap import SAFETY
 from pinimpact.scene.dynamics import SceneDynamics
 from pinimpact.scene.joint_charts import joint_table
@@ -353,7 +353,7 @@ def test_what_bounds_the_gap_of_a_rim_holds(body):
 @numba.njit
 def stop_along(rows, velocity, minverse, v):
     """Call the kernel, which only kernels can."""
-    return closed_set.stop_along(rows, velocity, minverse, v)
+    return active_set.stop_along(rows, velocity, minverse, v)
 
 
 @settings(deadline=None)

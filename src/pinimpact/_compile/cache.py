@@ -176,9 +176,9 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        told, found = declared_result(self._kernel, tuple(sig)), cres.signature.return_type
-        if told not in (None, found):
-            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {told} as declared")
+        given, found = declared_result(self._kernel, tuple(sig)), cres.signature.return_type
+        if given not in (None, found):
+            raise TypeError(f"{self._kernel.py_func.__qualname__}: returns {found}, not {given} as declared")
         self._find().save_overload(sig, cres)
         if pool.present is not None:
             pool.present.release(self._job(sig))

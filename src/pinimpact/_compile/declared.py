@@ -44,7 +44,7 @@ class Job(NamedTuple):
     Attributes:
         module, name, types: Which, and the types of its arguments.
         needs: Places of the jobs that have to be done before: those whose code goes into it, or whose results
-            are not told.
+            are not declared.
     """
 
     module: str
@@ -62,12 +62,12 @@ def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
         result: Of what it returns, if that is to be known before it is compiled, for its callers.
     """
 
-    def tell(kernel: K) -> K:
+    def declare(kernel: K) -> K:
         if hasattr(kernel, "py_func"):  # else it is plain Python
             kernel.declared, kernel.result = kinds, result  # type: ignore[attr-defined]
         return kernel
 
-    return tell
+    return declare
 
 
 def numba_type(kind: Any) -> Any:
@@ -95,7 +95,7 @@ def declared_types(kernel: Any) -> tuple[Any, ...]:
 
 
 def declared_result(kernel: Any, types: tuple[Any, ...]) -> Any:
-    """Return the type of what a kernel returns, None where it is not told for these types of arguments."""
+    """Return the type of what a kernel returns, None where it is not declared for these types."""
     result = getattr(kernel, "result", None)
     return None if result is None or types != declared_types(kernel) else numba_type(result)
 

@@ -15,7 +15,7 @@ Kernels with a declared signature (`declared`) are compiled by several processes
 The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
 writable, every process compiles for itself.
 
-Whoever has to wait is told: see `waiting`.
+See `waiting` for what is reported to whoever has to wait.
 
 With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMBA=1, or where numba is not as
 `linking` needs it, plain numba compiles them: see `plain`.
@@ -32,7 +32,7 @@ import numba
 
 from . import plain
 from .declared import Job, declared_types, jobs, kernel_of
-from .waiting import COUNT, LOG, expected, tell
+from .waiting import COUNT, LOG, announce, expected
 
 WHY_PLAIN = plain.reason()
 if not WHY_PLAIN:
@@ -199,7 +199,7 @@ def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
             if missing:
                 kept = all(kernel._cache.on_disk for kernel in _together)
                 helped = bool(helpers) and kept and expected(_together) > WORTH_HELP
-                tell(_together, kept, 1 + helpers * helped)
+                announce(_together, kept, 1 + helpers * helped)
                 if helped:
                     stack.enter_context(pool.worker_pool(helpers))(jobs(missing))
             for done, (kernel, types) in enumerate(wanted, start=1):

@@ -98,18 +98,18 @@ class WorkerPool:
         return claimed.with_suffix(".done").exists()
 
     def borrow(self, kernel: Any, job: Job) -> Any:
-        """Return what stands for a kernel that is not the one at work, if its result is told; else None."""
+        """Return a stand-in for a kernel other than the one at work, if its result is declared; else None."""
         if self._at_work is None:
             return None
         self._borrowed.append((kernel, job.types))
         result = None if self._is_at_work(job) else declared_result(kernel, job.types)
         return None if result is None else stand_in(kernel, job.types, result)
 
-    def share(self, jobs: Sequence[Job]) -> None:
+    def compile_with_others(self, jobs: Sequence[Job]) -> None:
         """Compile what nobody else has begun, as soon as all that it needs is there, for the cache alone."""
         try:
             with to_be_kept_only():
-                self._share(jobs)
+                self._compile_with_others(jobs)
         finally:
             self._at_work = None
             for kernel, types in self._borrowed:
@@ -120,7 +120,7 @@ class WorkerPool:
                 for one in others:
                     kernel.add_overload(one)
 
-    def _share(self, jobs: Sequence[Job]) -> None:
+    def _compile_with_others(self, jobs: Sequence[Job]) -> None:
         left = list(jobs)
         while left := [job for job in left if not self._is_locked(job)]:
             over = [self._is_locked(job) and self._is_over(job) for job in jobs]
@@ -175,15 +175,15 @@ def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
             for _ in range(helpers):
                 started.append(_helper())
 
-        def share(jobs: Sequence[Job]) -> None:
+        def compile_with_others(jobs: Sequence[Job]) -> None:
             global present
             if started:
                 for helper in started:
-                    _tell(helper, (numba.config.CACHE_DIR, folder, memory.known), list(jobs))
+                    _send(helper, (numba.config.CACHE_DIR, folder, memory.known), list(jobs))
                 present = WorkerPool(folder, started)
-                present.share(jobs)
+                present.compile_with_others(jobs)
 
-        yield share
+        yield compile_with_others
 
 
 def _end(helpers: Sequence[subprocess.Popen[bytes]]) -> None:
@@ -205,11 +205,11 @@ def _helper() -> subprocess.Popen[bytes]:
         stderr=subprocess.DEVNULL,
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
-    _tell(helper, [str(ROOT.parent), *(path for path in sys.path if path)])
+    _send(helper, [str(ROOT.parent), *(path for path in sys.path if path)])
     return helper
 
 
-def _tell(helper: subprocess.Popen[bytes], *messages: Any) -> None:
+def _send(helper: subprocess.Popen[bytes], *messages: Any) -> None:
     assert helper.stdin is not None
     with suppress(OSError):  # it has died already
         for one in messages:
@@ -228,7 +228,7 @@ def help_out() -> None:
     sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]  # numba's; no kernel calls it
     threading.Thread(target=_end_with, args=(source,), daemon=True).start()
     present = WorkerPool(folder)
-    present.share(jobs)
+    present.compile_with_others(jobs)
 
 
 def _end_with(source: Any) -> None:

@@ -29,7 +29,7 @@ BYTES_PER_SECOND = 5500
 SHORT = 1.0
 """A wait [s] that needs no word."""
 
-_told: set[str] = set()
+_announced: set[str] = set()
 
 
 def expected(kernels: Iterable[Any], processes: int = 1) -> float:
@@ -38,7 +38,7 @@ def expected(kernels: Iterable[Any], processes: int = 1) -> float:
     return code / BYTES_PER_SECOND / processes**0.5
 
 
-def tell(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
+def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     """Say that kernels are being compiled.
 
     Args:
@@ -49,9 +49,9 @@ def tell(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     modules = {kernel.py_func.__module__ for kernel in kernels}
     purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
     seconds = expected(kernels, processes)
-    if purpose in _told or seconds < SHORT:
+    if purpose in _announced or seconds < SHORT:
         return
-    _told.update((purpose, IMPACTS))  # scenes need those of impacts
+    _announced.update((purpose, IMPACTS))  # scenes need those of impacts
     often = (
         "once per machine (`pinimpact warmup` compiles all)"
         if kept

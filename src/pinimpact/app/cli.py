@@ -65,11 +65,11 @@ def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 def _warnings_as_lines() -> Iterator[None]:
     """Print each warning in one line, without its place in the source."""
 
-    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    def print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
         click.echo(f"Warning: {message}", err=True)
 
     with warnings.catch_warnings():
-        warnings.showwarning = tell
+        warnings.showwarning = print_warning
         yield
 
 
@@ -122,14 +122,14 @@ def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
     console = Console(stderr=True, quiet=quiet)
     with console.status(what) as status, compiling_shown(console, status.update):
 
-        def tell(line: str) -> None:
+        def write(line: str) -> None:
             status.update(what)
             console.print(line, highlight=False, soft_wrap=True)
 
-        yield tell
+        yield write
 
 
-def _tell(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
+def _print(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
     """Print a result as JSON, as tables or text, or not at all."""
     if quiet:
         return
@@ -216,7 +216,7 @@ def demo(
     )
     picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
     page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], speed=0.2)
-    _tell(
+    _print(
         lambda: {
             "robot": robot,
             "contact": contact.label,
@@ -279,7 +279,7 @@ def info(robot: str, every: bool, as_json: bool) -> None:
     from .robot_info import robot_facts
 
     facts = robot_facts(robot, load_robot(robot))
-    _tell(lambda: facts, lambda: robot_report(facts, every), as_json, False)
+    _print(lambda: facts, lambda: robot_report(facts, every), as_json, False)
 
 
 @main.command()
@@ -295,7 +295,7 @@ def plan(scene: Path, as_json: bool) -> None:
     from .scene_loader import load_scene
 
     found = load_scene(scene).scene.plan()
-    _tell(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
+    _print(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
 
 
 def _plain(text: str) -> float | str:
@@ -366,7 +366,7 @@ def run(
     for rows, file in tables.items():
         write_table(file, trajectory.columns(rows))
         files[f"Table of {rows}"] = str(file)
-    _tell(
+    _print(
         lambda: {**run_facts(trajectory), "files": files},
         lambda: run_report(trajectory, every),
         as_json,
@@ -452,9 +452,9 @@ def cost(
 
         with _working(quiet, "simulating"):
             problems = {robot: run_demo(robot).impact.problem}
-    with _working(quiet, "measuring") as tell:
+    with _working(quiet, "measuring") as write:
         report = run_cost(
-            problems, methods or None, time_cap=time_cap, progress=lambda name: tell(f"measuring {name}")
+            problems, methods or None, time_cap=time_cap, progress=lambda name: write(f"measuring {name}")
         )
 
     def words() -> str:
@@ -465,6 +465,6 @@ def cost(
     picture, figures = (folder / name for name in COST_FILES)
     report.plot(picture)
     report.save(figures)
-    _tell(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
+    _print(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
     if not (as_json or quiet):
         click.echo(f"Diagram: {picture}\nFigures: {figures}")

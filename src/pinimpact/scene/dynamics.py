@@ -18,8 +18,9 @@ from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
 from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels import (
+    active_set,
     approach,
-    closed_set,
+    constraint_drift,
     contact_modes,
     dense_output,
     drives,
@@ -30,7 +31,6 @@ from ._kernels import (
     step_drives,
     step_radau,
 )
-from ._kernels import drift as drifting
 from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
 from .controls import ContinuousControl, JointPD, no_drives
@@ -168,7 +168,7 @@ class SceneDynamics:
             control.work = self.work
         self.work.stiff_joints = stiff
         self.work.force_margin = math.inf
-        closed_set.close_held(self.work)
+        active_set.close_held(self.work)
 
     # ---- calls from kernels
 
@@ -207,19 +207,19 @@ class SceneDynamics:
     def slipping(self) -> tuple[Integers, Integers, Array]:
         """Return what `slip_as` takes: what slips now."""
         work = self.work
-        return work.closed_index.copy(), work.closed_mode.copy(), work.sliding_friction.copy()
+        return work.active_index.copy(), work.active_mode.copy(), work.sliding_friction.copy()
 
     def slip_as(self, closed: Integers, modes: Integers, sliding: Array) -> None:
         """Let modes that are set next take for slipping what has been, whatever was found in between.
 
         Args:
-            closed: (k,) `closed_index` of the workspace as it was.
-            modes: (k,) `closed_mode` likewise.
+            closed: (k,) `active_index` of the workspace as it was.
+            modes: (k,) `active_mode` likewise.
             sliding: (nv,) `sliding_friction` likewise.
         """
         work = self.work
-        work.closed_contacts = len(closed)
-        work.closed_index[:], work.closed_mode[:], work.sliding_friction[:] = closed, modes, sliding
+        work.active_contacts = len(closed)
+        work.active_index[:], work.active_mode[:], work.sliding_friction[:] = closed, modes, sliding
 
     def pushes(self, t: float, q: Array, v: Array, touching: Sequence[int]) -> Array:
         """Return accelerations (k,) of gaps of contacts, and of limits past those, without contact forces."""
@@ -239,11 +239,11 @@ class SceneDynamics:
     def hold_at(self, gaps: Array) -> None:
         """Let the contacts keep these gaps (n,) where they are closed, and close what the scene holds."""
         self.work.rest_gap[:] = gaps
-        closed_set.close_held(self.work)
+        active_set.close_held(self.work)
 
-    def correct_drift(self, t: float, q: Array, v: Array) -> float:
+    def correct_constraint_drift(self, t: float, q: Array, v: Array) -> float:
         """Bring what is closed back, changing q and v; return the kinetic energy gained."""
-        energy = drifting.correct_drift(self.work, t, q, v)
+        energy = constraint_drift.correct_constraint_drift(self.work, t, q, v)
         self.check()
         return float(energy)
 
@@ -263,7 +263,7 @@ class SceneDynamics:
     @property
     def constrained(self) -> bool:
         """Whether anything is closed."""
-        return self.work.closed_contacts + self.work.closed_scalars > 0
+        return self.work.active_contacts + self.work.active_scalars > 0
 
     def set_saturation(self, q: Array, v: Array) -> None:
         """Tell which drives are at the bounds of their efforts at a state."""
@@ -342,18 +342,18 @@ def _compile(rough: bool, stiff: bool, policy: str | None) -> None:
         return
     _compiled.add((rough, stiff, policy))
     kernels = [
-        closed_set.close_held,
+        active_set.close_held,
         smooth_motion.gaps_at,
         smooth_motion.free_motion_at,
         approach.fastest_approach,
         contact_modes.set_modes,
         smooth_motion.begin,
-        smooth_motion.modes_go_on,
+        smooth_motion.modes_continue,
         force_bound.margin_of_forces,
         force_choice.doubtful_margin,
         step_dop853.attempt,
         smooth_motion.finish,
-        drifting.correct_drift,
+        constraint_drift.correct_constraint_drift,
         jamming.forces_unbounded,
         dense_output.state,
         dense_output.interpolate,

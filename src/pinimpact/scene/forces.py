@@ -62,9 +62,9 @@ class ClosedSet(NamedTuple):
             work: The workspace.
             swapped: See above.
         """
-        if work.closed_contacts + work.closed_scalars == 0 and not work.sliding_friction.any():
+        if work.active_contacts + work.active_scalars == 0 and not work.sliding_friction.any():
             return None
-        index, modes, friction = work.closed_index, work.closed_mode.tolist(), work.closed_friction.tolist()
+        index, modes, friction = work.active_index, work.active_mode.tolist(), work.active_friction.tolist()
         slips = SLIP in modes
         rubs = slips and any(m == SLIP and mu > 0.0 for m, mu in zip(modes, friction, strict=True))
         return cls(

@@ -198,7 +198,7 @@ class Motion:
         self.work = self.dynamics.work
         self.work.rtol, self.work.atol = rtol, atol
         self.rtol, self.atol = rtol, atol
-        self.largest_drift = self.state.shapes.tolerance = max(self.work.touching_gap, atol)
+        self.drift_tolerance = self.state.shapes.tolerance = max(self.work.touching_gap, atol)
         self.switched_off = scene.plan().switched_off if without else ()
         names = (drive_name(model, j) for j in self.work.drive_velocity.tolist())
         self.sources = (*layout.sources, *names)
@@ -277,7 +277,7 @@ class Motion:
             return
         self.work.control_force[:] = tau
         self._begin_motion()
-        if not smooth_motion.modes_go_on(self.work):
+        if not smooth_motion.modes_continue(self.work):
             self._settle_and_begin()
 
     def resume(self) -> None:
@@ -497,12 +497,14 @@ class Motion:
         state.q, state.v = work.q0.copy(), work.v0.copy()
         if work.force_bound_ignored and work.end_margin >= 0.0:
             work.force_bound_ignored = False
-        if self.dynamics.constrained and (work.end_drift > self.largest_drift or work.force_bound_ignored):
+        if self.dynamics.constrained and (
+            work.drift_at_end > self.drift_tolerance or work.force_bound_ignored
+        ):
             if work.force_bound_ignored:
                 self._note_beyond(-work.end_margin)
                 self._settle()
             else:
-                state.correct_drift()
+                state.correct_constraint_drift()
             self._begin_motion()
         else:
             self.bounce = math.inf
@@ -641,8 +643,8 @@ class Motion:
         state.q, state.v = step.at(t)
         self.w = step.works(t)
         self._sample()
-        if self.work.end_drift > self.largest_drift:
-            state.correct_drift()
+        if self.work.drift_at_end > self.drift_tolerance:
+            state.correct_constraint_drift()
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
@@ -665,7 +667,7 @@ class Motion:
         """Let what comes to rest at the event last found settle, if it does again and again; tell so."""
         work = self.work
         if EVENTS[work.event_kind] is slip_end:
-            source = int(work.closed_index[work.event_index])
+            source = int(work.active_index[work.event_index])
         elif EVENTS[work.event_kind] is friction_reversal:
             source = work.contacts + work.limits + work.event_index
         else:
@@ -683,8 +685,8 @@ class Motion:
         state.q, state.v = step.at(state.t)
         self.w = step.works(state.t)
         self._sample()
-        if self.work.end_drift > self.largest_drift:
-            state.correct_drift()
+        if self.work.drift_at_end > self.drift_tolerance:
+            state.correct_constraint_drift()
         self._settle_and_begin(state.shapes_meet(meeting, step))
         self._sample()
 

@@ -228,13 +228,13 @@ class Energy:
     impacts: Array
 
     def __repr__(self) -> str:
-        works = ", ".join(f"{cause} {float(work[-1]):.6g}" for cause, work in self.works().items())
+        works = ", ".join(f"{cause} {float(work[-1]):.6g}" for cause, work in self.by_cause().items())
         return (
             f"Energy({float(self.total[0]):.6g} J to {float(self.total[-1]):.6g} J; works: {works}; "
             f"energy residual {float(self.residual[-1]):.2g} J)"
         )
 
-    def works(self) -> dict[str, Array]:
+    def by_cause(self) -> dict[str, Array]:
         """Return the work (m,) by cause [J]."""
         return {
             cause: getattr(self, cause) for cause in ("control", "joints", "friction", "surface", "impacts")
@@ -248,4 +248,4 @@ class Energy:
     @property
     def residual(self) -> Array:
         """(m,) change of the total energy minus all work: zero to the tolerance of the run."""
-        return self.total - self.total[0] - sum(self.works().values())
+        return self.total - self.total[0] - sum(self.by_cause().values())

@@ -620,10 +620,10 @@ class SimulationState:
         if self.shapes:
             self.shapes.review()
 
-    def correct_drift(self) -> None:
+    def correct_constraint_drift(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""
         self.q, self.v = self.q.copy(), self.v.copy()
-        self.impact_energy += self.dynamics.correct_drift(self.t, self.q, self.v)
+        self.impact_energy += self.dynamics.correct_constraint_drift(self.t, self.q, self.v)
 
     # ---- the start
 

@@ -392,7 +392,7 @@ class TimeStepping(Motion):
             gap: (nc + nl,) gaps at the end [m or rad].
         """
         off = rows.off
-        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self.largest_drift:
+        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self.drift_tolerance:
             return
         self._invert(self.state.q, np.zeros(self.model.nv))
         normals = np.concatenate([rows.normals[active], rows.held_normals])

@@ -313,7 +313,7 @@ class Trajectory:
         for letter, names, values in zip("qv", self.coordinates, (self.q, self.v), strict=True):
             found |= by_component(letter, names, values)
         found |= {"kinetic": energy.kinetic, "potential": energy.potential}
-        found |= {f"work.{cause}": work for cause, work in energy.works().items()}
+        found |= {f"work.{cause}": work for cause, work in energy.by_cause().items()}
         found["residual"] = energy.residual
         before = np.append(t[1:] == t[:-1], False)  # an impact, or the like, follows
         labels = [contact.label for contact in self.contacts]
@@ -440,7 +440,7 @@ class Trajectory:
     def _repr_html_(self) -> str:
         energy = self.energy
         rows = [("kinetic and potential", float(energy.total[-1] - energy.total[0]))]
-        rows += [(f"work of {cause}", float(work[-1])) for cause, work in energy.works().items()]
+        rows += [(f"work of {cause}", float(work[-1])) for cause, work in energy.by_cause().items()]
         rows.append(("energy residual", float(energy.residual[-1])))
         impacts = html_table(
             f"{self.duration:.6g} s, {counted(len(self.impacts), 'impact')}"

@@ -1,4 +1,4 @@
-"""How the velocity changes where modes are set: what rests stops, and nothing begins against its friction."""
+"""How the velocity changes where modes are set: sticking contacts stop; friction opposes what starts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..._compile.jit import external, inlined
 from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, dot
-from .closed_set import stop_along
+from .active_set import stop_along
 
 ROUNDING = 1e-12
 """Part of the fastest velocity that may be left by rounding of one that vanishes."""
@@ -20,7 +20,7 @@ ROUNDING = 1e-12
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)
 @external
 def come_to_rest(minverse, rows, start, rests, against, moves, first, error, least, most, on, v):
-    """Change the velocity as little as may be so that what rests stops. (11.9)
+    """Change the velocity as little as possible so that sticking contacts and held joints stop. (11.9)
 
     Args:
         minverse: (nv, nv) M⁻¹.
@@ -28,12 +28,12 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
         start: (m,) these velocities.
         rests: (m,) which of them vanish; those that would begin against their friction are added.
         against: (m,) the sign of a velocity against its force where slip or sliding begins, else zero.
-        moves: (m,) which rows of what rests belong to slip or sliding that has not ended, both tangential
-            ones of a contact.
+        moves: (m,) which of the stopping rows belong to slip that has not ended, both tangential ones of a
+            contact.
         first: The row from which on they are those of joints.
         error: How much of any velocity it may take to stop a joint that hardly moves.
         least: The speed up to which slip does not turn back.
-        most: The speed up to which a joint may rest; faster, it has been thrown by impulses.
+        most: The speed up to which a joint may be held; a faster one has been accelerated by impulses.
         on: (m,) takes the sign of the velocity of a joint that is not to stop, one for rows of such contacts.
         v: (nv,) the velocity, which is changed.
 
@@ -63,7 +63,7 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
                 break
             asked[a], sign = True, 1 if against[a] > 0.0 else -1
             if slowest > most:
-                let_go(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                released(minverse, rows, start, rests, moves, first, before, a, sign, on)
                 continue
             apply(minverse, rows[a], way)
             apply(rows, way, speeds)
@@ -71,8 +71,10 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
             rate = dot(rows[a], way)
             much = largest_of(way, 0) * slowest > error * rate
             if not rate > 0.0 or (slowest <= error and much):
-                thrown = slowest > 2.0 * against[a] * start[a]
-                if not (thrown and let_go(minverse, rows, start, rests, moves, first, before, a, sign, on)):
+                accelerated = slowest > 2.0 * against[a] * start[a]
+                if not (
+                    accelerated and released(minverse, rows, start, rests, moves, first, before, a, sign, on)
+                ):
                     on[a] = sign
                 continue
             for j in range(n):
@@ -91,10 +93,11 @@ def come_to_rest(minverse, rows, start, rests, against, moves, first, error, lea
 
 
 @inlined
-def let_go(minverse, rows, start, rests, moves, first, before, a, sign, on):
-    """Let go on what throws a joint, row a, against its force as it rests; return whether there is such.
+def released(minverse, rows, start, rests, moves, first, before, a, sign, on):
+    """Keep contacts sliding whose sticking would accelerate a joint, row a, against its force.
 
-    Without the rest of one, or else of all of them, the joint has less than half of that velocity.
+    They are those without whose sticking, of one or else of all, the joint has less than half of that
+    velocity. Return whether there are such.
     """
     size, u, found = len(rows), before.copy(), False
     stop_chosen(minverse, rows, rests, start, before, 0.0, u)
@@ -129,7 +132,7 @@ def velocity_of(rows, start, before, v, a):
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, float, FLOATS)
 @external
 def stop_chosen(minverse, rows, stopped, start, before, least, v):
-    """Stop what is to stop, if any of it is faster than the least speed that counts.
+    """Stop the chosen rows, if any of them is faster than the least speed that matters.
 
     Args:
         minverse: (nv, nv) M⁻¹.

@@ -88,7 +88,7 @@ def set_up_equations(work, acceleration):
         Painlevé's paradox).
     """
     minverse, jacobian, free = work.minverse, work.contact_jacobian, work.contact_acceleration
-    mode, mu, directions = work.closed_mode, work.closed_friction, work.slip_direction
+    mode, mu, directions = work.active_mode, work.active_friction, work.slip_direction
     rows, response, system, target = work.equation_rows, work.force_response, work.system, work.target
     index = work.scalar_velocity
     n, size = len(acceleration), len(rows)
@@ -159,12 +159,12 @@ def rows_independent(work):
 
 @declared(SceneWorkspace)
 @external
-def drives_in(work):
+def accelerates_inward(work):
     """Return whether contacts drive the surface in as they slip.
 
     What sticks, stops and joints at rest hold against that; their rows may depend on each other. (13.5)
     """
-    mode, system, rows, size = work.closed_mode, work.system, work.equation_rows, len(work.target)
+    mode, system, rows, size = work.active_mode, work.system, work.equation_rows, len(work.target)
     held, slips = np.empty(size, dtype=np.int64), np.empty(len(mode), dtype=np.int64)
     row = holding = slipping = 0
     for k in range(len(mode)):
@@ -250,7 +250,7 @@ def solve_least_norm(work):
     Returns:
         Whether there are no other solutions.
     """
-    modes, system, target, solution = work.closed_mode, work.system, work.target, work.solution
+    modes, system, target, solution = work.active_mode, work.system, work.target, work.solution
     known = work.inner_forces
     size = len(target)
     no_basis = np.empty((0, size))
@@ -302,7 +302,7 @@ def solve_least_norm(work):
 @inlined
 def rubs(work):
     """Return whether a contact slips against friction."""
-    modes, mu = work.closed_mode, work.closed_friction
+    modes, mu = work.active_mode, work.active_friction
     found = False
     for k in range(len(modes)):
         found |= modes[k] == SLIP and mu[k] > 0.0
@@ -312,7 +312,7 @@ def rubs(work):
 @inlined
 def missed_by(work, x):
     """Return by how much forces miss the equations, in parts of what makes up each contact's or joint's."""
-    system, target, modes = work.system, work.target, work.closed_mode
+    system, target, modes = work.system, work.target, work.active_mode
     worst, a = 0.0, 0
     for k in range(len(modes) + len(work.scalar_velocity)):
         missed, most = 0.0, LEAST_SIZE
@@ -343,7 +343,7 @@ def apply_forces(work, acceleration, powers):
     """
     solution, response, directions = work.solution, work.force_response, work.slip_direction
     velocity, surface = work.contact_velocity, work.surface_velocity
-    mode, mu, force = work.closed_mode, work.closed_friction, work.contact_force
+    mode, mu, force = work.active_mode, work.active_friction, work.contact_force
     lower, upper, scalar = work.scalar_lower, work.scalar_upper, work.scalar_force
     for m in range(len(solution)):
         for j in range(len(acceleration)):

@@ -1,4 +1,4 @@
-"""Which contacts stay closed at an instant, in which modes, and which joints their dry friction holds.
+"""Which contacts stay active at an instant, in which modes, and which joints their dry friction holds.
 
 Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
@@ -16,8 +16,8 @@ from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
+from .active_set import close, scalar_row, scalar_rows, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
-from .closed_set import close, scalar_row, scalar_rows, stop_along
 from .coming_to_rest import come_to_rest
 from .contact_forces import FREE, HELD, LEAST_SIZE, RIGID, SLIP, STICK, delassus_of_rows
 from .dynamics import (
@@ -27,8 +27,8 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .force_sweeps import forces_by_sweeps
 from .lasting_forces import orientation, take_lasting
+from .projected_gauss_seidel import forces_by_gauss_seidel
 from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
 
@@ -37,8 +37,8 @@ ACCURACY = 1e-10
 
 
 ROUNDS = 4
-"""How often modes are found anew, for what closes takes velocity away, and with it forces that depend on it;
-slip may then go another way."""
+"""How often modes are determined again: contacts that close change the velocity, and with it the direction of
+slip and the forces that depend on it."""
 
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
@@ -46,8 +46,8 @@ INSIDE = 1.0 - 1e-9
 ROUNDED, ROUNDED_SHARED = 1e-11, 1e-9
 """Part of what makes up an acceleration below which it is none, where forces are unique and else. (11.10)"""
 
-PARTS, RUBS, GOES = 1, 2, 3
-"""How what is stopped in vain moves, see `find_modes`."""
+SEPARATES, RUBS, KEEPS_SLIDING = 1, 2, 3
+"""State of a rejected candidate, see `find_modes`."""
 
 NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
@@ -63,57 +63,57 @@ def set_modes(work, t, q, v, slow):
     for i in range(touching):
         candidates[i] = slow[i]
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
-    vain, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
-    carried = np.zeros(n, dtype=np.int64)
+    rejected, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
+    dragged = np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, error_of_step(work, v)
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
-        for j in range(n):  # what has been stopped may have set other joints in motion
+        for j in range(n):  # stopping one may have set other joints in motion
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * v[j] > dry[j] * certain
-                goes = moves and work.settling[work.contacts + work.limits + j] == 0
-                rests = slow_enough and not goes and carried[j] == 0
+                keeps = moves and work.settling[work.contacts + work.limits + j] == 0
+                rests = slow_enough and not keeps and dragged[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
-                # what rests has not been stopped yet
-                way = float(carried[j]) if tried == 0 and carried[j] != 0 else v[j]
+                # in the first round nothing has been stopped yet
+                way = float(dragged[j]) if tried == 0 and dragged[j] != 0 else v[j]
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], way)
         if len(nonzero(candidates)) == 0:
             break
         jamming, converged, gained, stopped, off = find_modes(
-            work, t, q, v, candidates, certain, modes, reference, breaking, vain
+            work, t, q, v, candidates, certain, modes, reference, breaking, rejected
         )
         energy, tried, error = energy + gained, tried + 1, max(error, off)
-        let_go, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
+        released, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
         if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
-        carries, nowhere = False, certain > 0.0 and not converged
-        for i in range(len(vain)):
-            if i >= touching or vain[i] == GOES:
-                carries |= vain[i] != 0
-            elif vain[i] != 0 and modes[i] == FREE:
-                candidates[i], let_go = 0 if vain[i] == PARTS else SLIDES, True
-            elif vain[i] == PARTS and nowhere:
-                candidates[i], let_go = 0, True
-        much = carries or (last and largest_of(v - before, 0) > CERTAIN * error)
-        if not let_go and much and certain > error:
-            # rest that takes more than the error of a step from anything else is none (11.8)
-            certain, let_go = error, True
+        drags, without_forces = False, certain > 0.0 and not converged
+        for i in range(len(rejected)):
+            if i >= touching or rejected[i] == KEEPS_SLIDING:
+                drags |= rejected[i] != 0
+            elif rejected[i] != 0 and modes[i] == FREE:
+                candidates[i], released = 0 if rejected[i] == SEPARATES else SLIDES, True
+            elif rejected[i] == SEPARATES and without_forces:
+                candidates[i], released = 0, True
+        much = drags or (last and largest_of(v - before, 0) > CERTAIN * error)
+        if not released and much and certain > error:
+            # sticking that changes other velocities by more than the error of a step is rejected (11.8)
+            certain, released = error, True
             for j in range(n):
-                carried[j] = 0  # by what may not rest
-        elif not let_go and carries:
-            let_go = True
+                dragged[j] = 0  # by contacts that may not stick
+        elif not released and drags:
+            released = True
             for i in range(touching):
-                if vain[i] == GOES:
+                if rejected[i] == KEEPS_SLIDING:
                     candidates[i] = SLIDES
             for j in range(n):
-                if vain[touching + j] != 0:
-                    carried[j] = vain[touching + j]
-        if let_go:
-            for i in range(len(vain)):
-                vain[i] = 0
+                if rejected[touching + j] != 0:
+                    dragged[j] = rejected[touching + j]
+        if released:
+            for i in range(len(rejected)):
+                rejected[i] = 0
             assign(v, before)
             assign(sliding, slid)
             energy, stopped, tried = 0.0, math.inf, 0
@@ -130,38 +130,39 @@ def set_modes(work, t, q, v, slow):
 
 @declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
 @external
-def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, vain):
-    """Find what stays closed of the contacts, limits and joints that are at rest against each other.
+def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, rejected):
+    """Find which of the candidates stay active: contacts, limits, and joints held by dry friction.
 
     Args:
         work: The workspace, with the modes that hold until now.
         t: Time [s].
         q: (nq,) configuration.
-        v: (nv,) the velocity, which loses what closed contacts take away of it.
+        v: (nv,) the velocity; what active contacts and joints stop of it is removed.
         candidates: Not zero for what touches, in the order of the modes; as `approach` says, and
             `PRESSED` for joints that their dry friction has held.
-        certain: The speed above which what slips goes on.
+        certain: The speed above which a sliding contact keeps sliding.
         modes: Takes the modes.
         reference: (n, 2) takes the directions of slip where they are known.
         breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
-        vain: (n + nl + nv,) set for what is stopped in vain: `PARTS` where what has been open parts, `RUBS`
-            where such a contact loses a velocity along its surface, both if it stays open; `GOES` where the
-            rest of what has slipped throws a joint against its force. Of a joint that what rests carries
-            along against its force, or whose rest throws another, it takes the sign of its velocity. (11.9)
+        rejected: (n + nl + nv,) takes the state of rejected candidates: `SEPARATES` for an open contact or
+            limit that separates, `RUBS` for an open contact that loses a velocity along its surface, both
+            if it stays open; `KEEPS_SLIDING` for a contact whose sticking would accelerate a joint against
+            its force. For a joint that sticking contacts drag against its friction, or that would so
+            accelerate another one, the sign of its velocity. (11.9)
 
     Returns:
-        The contact where slip drives the surface in and no force exists, or −1; whether the forces were
-        found to the usual accuracy; the kinetic energy gained; the fastest speed that was taken away; the
-        fastest of what was closed until now.
+        The contact with negative normal acceleration for which no force exists, or −1; whether the forces
+        were found to the usual accuracy; the kinetic energy gained; the largest speed that was removed; the
+        largest speed of what was active before.
     """
     for i in range(len(modes)):
         modes[i] = FREE
     for i in range(len(reference)):
         reference[i, 0] = reference[i, 1] = 0.0
     for j in range(len(v)):
-        breaking[j], vain[work.contacts + work.limits + j] = 0.0, 0
+        breaking[j], rejected[work.contacts + work.limits + j] = 0.0, 0
     for i in range(work.contacts):
-        vain[i] = 0 if vain[i] == GOES else vain[i]
+        rejected[i] = 0 if rejected[i] == KEEPS_SLIDING else rejected[i]
     contacts = nonzero(candidates[: work.contacts])
     scalar = candidates[work.contacts :]
     joints = scalar_rows(work, scalar)
@@ -176,13 +177,13 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
     slip = np.zeros((nc, 2))  # left zero where a contact may stick
     for i in range(work.contacts):
-        work.slips[i] = 1  # also what is let go
+        work.slips[i] = 1  # also those that are released
     for k in range(nc):
         b, i = 3 * k, contacts[k]
         follow_surface(work, i)
         motion_of_contact(work, i, rows[b : b + 3], velocity[k], free[b : b + 3], surface)
         mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
-        if goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
+        if keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
             slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
         work.slips[i] = 0 if slip[k, 0] == 0.0 and slip[k, 1] == 0.0 else 1
     scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
@@ -192,21 +193,23 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
     force, strength, found, least = np.zeros((nc, 3)), np.zeros(ns), work.found_forces, np.zeros(nc)
-    sweeps, jamming = forces_by_sweeps(delassus, free, slip, mu, held, lower, upper, force, strength)
-    converged = sweeps >= 0 and jamming < 0
+    iterations, jamming = forces_by_gauss_seidel(
+        delassus, free, slip, mu, held, lower, upper, force, strength
+    )
+    converged = iterations >= 0 and jamming < 0
     both = np.empty(size)
     for a in range(size):
         both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
     if not converged:
         known = np.empty(size)
         forces_of_before(work, contacts, joints, known)
-        converged = go_on_from(delassus, free, slip, mu, least, held, lower, upper, known)
+        converged = continue_from(delassus, free, slip, mu, least, held, lower, upper, known)
         if converged:
             assign(both, known)
         else:
             converged = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, both) <= ACCURACY
         if converged:
-            jamming = -1  # what would jam alone is held by others
+            jamming = -1  # others keep the surface from moving in
     if converged:
         take_lasting(delassus, free, slip, mu, least, held, lower, upper, both)
     for a in range(size):  # if not found, then the nearest to it
@@ -239,13 +242,13 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         i = contacts[k]
         if work.modes[i] == FREE and stopped[3 * k + 2]:
             if velocity[k, 2] > certain:
-                vain[i] = PARTS
+                rejected[i] = SEPARATES
             elif stopped[3 * k] and math.hypot(velocity[k, 0], velocity[k, 1]) > certain:
-                vain[i] = RUBS
+                rejected[i] = RUBS
     for m in range(ns):
         a, i = 3 * nc + m, scalars[m]
         rubs = scalar[work.limits + i] != 0
-        # a force at its bound holds what it does not let move; what it lets move begins or goes on
+        # a force at its bound holds what it does not let move; else the row starts or keeps moving
         closed = not (
             (free[a] > pace[a] and strength[m] <= INSIDE * lower[m] + work.force_tolerance)
             or (free[a] < -pace[a] and strength[m] >= INSIDE * upper[m] - work.force_tolerance)
@@ -258,24 +261,24 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
         modes[work.contacts + limit] = 1 if closed else 0
         parts = limit < work.limits and work.limit_sign[limit] * v[i] > certain
         if closed and parts and work.modes[work.contacts + limit] == FREE:
-            vain[work.contacts + limit] = PARTS
+            rejected[work.contacts + limit] = SEPARATES
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
     start, off = np.empty(size), 0.0
     for a in range(size):
         if a < 3 * nc:
             mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
-            was_closed = mode != FREE and (a % 3 == 2 or mode != SLIP)
+            was_active = mode != FREE and (a % 3 == 2 or mode != SLIP)
         else:
             start[a] = v[scalars[a - 3 * nc]]
-            was_closed = work.modes[work.contacts + joints[a - 3 * nc]] != 0
-        if was_closed:
+            was_active = work.modes[work.contacts + joints[a - 3 * nc]] != 0
+        if was_active:
             off = max(off, abs(start[a]))
     on, moves = np.zeros(size, dtype=np.int64), flags(size, False)
     for k in range(nc):
         b, i = 3 * k, contacts[k]
         if stopped[b] and not held[k]:
-            moves[b] = moves[b + 1] = goes_on_slipping(work, i, velocity[k, 0], velocity[k, 1], 0.0)
+            moves[b] = moves[b + 1] = keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], 0.0)
         if modes[i] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
@@ -288,9 +291,9 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, v
     )
     for k in range(nc):
         if on[3 * k] != 0 or on[3 * k + 1] != 0:
-            vain[contacts[k]] = GOES
+            rejected[contacts[k]] = KEEPS_SLIDING
     for m in range(ns):
-        vain[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
+        rejected[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
         if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
     return -1, converged, gained, fastest, off
@@ -314,7 +317,7 @@ def forces_of_before(work, contacts, joints, x):
 
 @declared(*SYSTEM)
 @external
-def go_on_from(delassus, free, velocity, mu, least, held, lower, upper, x):
+def continue_from(delassus, free, velocity, mu, least, held, lower, upper, x):
     """Take forces x of before to those of now, by Newton's method; return whether there are such.
 
     Near where they cease to exist they are a thousand times those of the loads, too far for any other way.
@@ -351,7 +354,7 @@ def idles(work, j, speed, certain):
 @declared(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @external
 def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
-    """Let what is pressed and at rest stay where it is, if that obeys Coulomb's law too, and lasts.
+    """Keep pressed contacts at rest where they are, if that obeys Coulomb's law too, and lasts.
 
     See theory.md, section 11.
 
@@ -359,7 +362,7 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
         pressed: (nc + ns,) what of contacts and scalar rows has been pressed, or held, until now.
         delassus, free: Of the rows.
         slip: (nc, 2) velocities of slip, zero for a contact that may stick.
-        mu, held, lower, upper: As in `forces_by_sweeps`.
+        mu, held, lower, upper: As in `forces_by_gauss_seidel`.
         force: (nc, 3) forces on the contacts that obey the law, replaced by others if there are such.
         strength: (ns,) those of the scalar rows, likewise.
     """
@@ -407,10 +410,10 @@ def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, streng
         return
     off = residual(delassus, free, slip, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     if not off <= ACCURACY:
-        sweeps, jamming = forces_by_sweeps(
+        iterations, jamming = forces_by_gauss_seidel(
             delassus, free, slip, mu, held, lower, upper, others, other_strength
         )
-        if sweeps < 0 or jamming >= 0:
+        if iterations < 0 or jamming >= 0:
             return
         for a in range(size):
             x[a] = others[a // 3, a % 3] if a < 3 * nc else other_strength[a - 3 * nc]
@@ -439,7 +442,7 @@ def inside_bounds(chosen, mu, lower, upper, force, strength):
 def stop_rows(delassus, free, slip, mu, fixed, x):
     """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration.
 
-    Where the normal row alone of a contact is not fixed its friction goes with it, against its slip.
+    Where the normal row alone of a contact is not fixed its friction changes with it, against its slip.
     """
     rows = nonzero(1 - fixed)
     m = len(rows)
@@ -542,10 +545,10 @@ def modes_of_contacts(
             stopped[b + 2] = velocity[k, 2] < 0.0
             continue
         stopped[b + 2] = True
-        # what slips and has come to rest goes on slipping where its force stays on the cone, if no other one
-        # would do; what rests and is not set in motion sticks, and whether it leaves the cone is seen just
-        # after, see `events.force_bound`
-        pushes = normal > work.force_tolerance  # what bears nothing may be moved by others
+        # a sliding contact that has stopped keeps sliding where its force stays on the cone, if no other one
+        # would do; a contact at rest that is not accelerated sticks; whether it leaves the cone is decided
+        # just after, see `events.force_bound`
+        pushes = normal > work.force_tolerance  # a contact without load may be moved by others
         begins = math.hypot(acceleration[b], acceleration[b + 1])
         inside = pushes and tangent <= INSIDE * mu[k] * normal
         inside |= (not unique or before[i] != SLIP) and begins <= pace[b]
@@ -566,12 +569,12 @@ def modes_of_contacts(
 
 
 @inlined
-def goes_on_slipping(work, i, x, y, certain):
-    """Whether a contact of tangential velocity (x, y) slips, or goes on slipping, faster than is certain."""
+def keeps_sliding(work, i, x, y, certain):
+    """Whether a contact of tangential velocity (x, y) slides, or keeps sliding, faster than `certain`."""
     speed = math.hypot(x, y)
     if speed > work.stick_speed:
         return True
-    index, mode = work.closed_index, work.closed_mode
+    index, mode = work.active_index, work.active_mode
     for k in range(len(index)):
         if index[k] == i and mode[k] == SLIP and work.settling[i] == 0:
             return speed > certain  # also where it has turned away from the direction last known

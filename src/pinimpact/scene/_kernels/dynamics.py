@@ -195,13 +195,13 @@ def evaluate(work, t, out):
     evaluate_without_contacts(work, t, out[n:])
     for j in range(n):
         out[j] = acceleration[j]
-    if work.closed_contacts + work.closed_scalars == 0 or work.callback_failed:
+    if work.active_contacts + work.active_scalars == 0 or work.callback_failed:
         return
     if not invert_mass_matrix(work):
         return
     motion_of_contacts(
         work,
-        work.closed_index,
+        work.active_index,
         work.contact_jacobian,
         work.contact_velocity,
         work.contact_acceleration,
@@ -234,5 +234,5 @@ def evaluate(work, t, out):
         work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
-    drives = effective <= contact_forces.LEAST_EFFECTIVE and contact_forces.drives_in(work)
+    drives = effective <= contact_forces.LEAST_EFFECTIVE and contact_forces.accelerates_inward(work)
     work.force_margin = -math.inf if orientation < 0 or drives else work.force_tolerance + margin

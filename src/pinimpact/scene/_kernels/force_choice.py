@@ -12,7 +12,7 @@ import math
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import external, inlined, jit
-from .closed_set import scalar_rows
+from .active_set import scalar_rows
 from .contact_forces import SLIP, rubs
 from .contact_modes import NOTHING
 from .dynamics import evaluate
@@ -76,7 +76,7 @@ def fit(work, t, out, enough):
         if not widest_margin(work, SAME_MOTION, work.inner_forces) > enough:
             return False
         evaluate(work, t, out)
-    mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
+    mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian
     velocity, reference, free = work.contact_velocity, work.slip_reference, work.contact_acceleration
     acceleration = work.acceleration
     for k in range(len(mode)):
@@ -108,7 +108,7 @@ def fit(work, t, out, enough):
 @inlined
 def take_found(work):
     """Take as known the forces by which the modes were found."""
-    known, found, mode, index = work.inner_forces, work.found_forces, work.closed_mode, work.closed_index
+    known, found, mode, index = work.inner_forces, work.found_forces, work.active_mode, work.active_index
     a = 0
     for k in range(len(mode)):
         if mode[k] == SLIP:

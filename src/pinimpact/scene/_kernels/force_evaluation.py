@@ -9,7 +9,7 @@ from ..._compile.jit import jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
-from .closed_set import close
+from .active_set import close
 from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
 from .widest_margin import least_admissible
@@ -55,7 +55,7 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
         least_admissible(work, admissible)
         assign(work.solution, admissible)
         apply_forces(work, out[: len(v)], out[len(v) + 2 :])
-    index, found = work.closed_index, work.contact_force
+    index, found = work.active_index, work.contact_force
     axes = np.empty((len(index), 3, 3))
     place = np.empty((len(index), 3))
     places_of_contacts(work, index, axes, place)

@@ -24,7 +24,7 @@ def friction_drives(work, explicit):
     tolerance allows, and slip so slow that it counts as rest.
     """
     end, start, h = work.event_time, work.step_start, work.step_length
-    mode, mu, sliding, v1 = work.closed_mode, work.closed_friction, work.sliding_friction, work.v1
+    mode, mu, sliding, v1 = work.active_mode, work.active_friction, work.sliding_friction, work.v1
     rates, slip, times = work.stage_rates, work.sample_slip, work.sample_times
     n, given = len(v1), 0.0
     slow = work.stick_speed + work.atol
@@ -72,7 +72,7 @@ def friction_drives(work, explicit):
 def power_of_errors(work):
     """Return the most power that what does not slip has by the errors of the joints' velocities [W]."""
     mode, jacobian, force, v0, v1 = (
-        work.closed_mode,
+        work.active_mode,
         work.contact_jacobian,
         work.contact_force,
         work.v0,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import jit
-from .closed_set import ALL, closed_rows
+from .active_set import ALL, active_rows
 from .contact_forces import SLIP, delassus_of_rows
 from .dynamics import evaluate, set_state
 from .workspace import SceneWorkspace
@@ -28,7 +28,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
             the determinant of the equations has changed its sign there are none.
         singular: The part to which the effects of forces cancel at a singularity.
     """
-    mode, slipping = work.closed_mode, False
+    mode, slipping = work.active_mode, False
     for k in range(len(mode)):
         slipping |= mode[k] == SLIP
     if not slipping:
@@ -41,7 +41,7 @@ def forces_unbounded(work, t, q, v, without_forces, singular):
     closed, n = 3 * len(mode), len(v)
     size = closed + len(scalar_force)
     rows = np.zeros((size, n))
-    closed_rows(work, v, ALL, rows, np.empty(size))
+    active_rows(work, v, ALL, rows, np.empty(size))
     response, delassus = np.empty((size, n)), np.empty((size, size))
     delassus_of_rows(rows, minverse, response, delassus)
     left = whole = 0.0  # what the forces do to the normals, where near the singularity they cancel

@@ -23,7 +23,7 @@ STAGES = 5
 
 # what a step of the iteration has come to
 DIVERGED = -1
-GOES_ON = 0
+CONTINUES = 0
 CONVERGED = 1
 
 
@@ -122,7 +122,7 @@ def progress(iteration, size, before):
         return DIVERGED
     if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= 1e-2):
         return CONVERGED
-    return GOES_ON
+    return CONTINUES
 
 
 @inlined

@@ -24,7 +24,7 @@ def along(work, k, velocity):
 def record_sample(work, slot, fraction):
     """Keep margin and slip at the state last evaluated as a sample at a fraction of the step."""
     work.sample_times[slot], work.sample_margins[slot] = fraction, work.force_margin
-    mode, velocity, slip = work.closed_mode, work.contact_velocity, work.sample_slip
+    mode, velocity, slip = work.active_mode, work.contact_velocity, work.sample_slip
     for k in range(len(mode)):
         if mode[k] == SLIP:
             slip[slot, k] = along(work, k, velocity)

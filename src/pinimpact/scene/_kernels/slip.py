@@ -28,7 +28,7 @@ def behind(work):
 @external
 def turn_references(work, velocity):
     """Let the remembered directions of slip follow the contact velocities (nc, 3); a reversal is an event."""
-    mode, reference = work.closed_mode, work.slip_reference
+    mode, reference = work.active_mode, work.slip_reference
     for k in range(len(mode)):
         if mode[k] == SLIP:
             x, y = velocity[k, 0], velocity[k, 1]
@@ -64,8 +64,8 @@ def restore_directions(work):
 def stiffness_of_slip(work):
     """Return how fast the direction of slip settles at the most, about [1/s]; see `step_radau`."""
     mode, mu, velocity, reference = (
-        work.closed_mode,
-        work.closed_friction,
+        work.active_mode,
+        work.active_friction,
         work.contact_velocity,
         work.slip_reference,
     )

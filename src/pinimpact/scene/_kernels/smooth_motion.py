@@ -10,8 +10,8 @@ from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, decl
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
 from . import step_dop853
+from .constraint_drift import constraint_drift
 from .contact_forces import FREE, SLIP
-from .drift import drift
 from .dynamics import (
     all_gaps,
     contact_gaps,
@@ -95,13 +95,13 @@ def note_flat_bounce(work, rate, fall):
 
 @declared(SceneWorkspace)
 @jit
-def modes_go_on(work):
+def modes_continue(work):
     """Whether the modes that hold do so under a force that has jumped, at the start of a smooth motion.
 
     Not where the forces of what is closed leave their bounds, and not for certain where something is about to
     change its mode: what touches is open, or what slips has no speed.
     """
-    if work.closed_contacts + work.closed_scalars > 0 and not work.force_margin >= 0.0:
+    if work.active_contacts + work.active_scalars > 0 and not work.force_margin >= 0.0:
         return False
     gaps, modes, v0, contacts = work.start_gaps, work.modes, work.v0, work.contacts
     near, resting, slowest = work.touching_gap, work.resting_speed, work.stick_speed
@@ -112,7 +112,7 @@ def modes_go_on(work):
         gap, rate = limit_gap(work, k, work.q0, v0)
         if modes[contacts + k] == 0 and gap <= near and abs(rate) <= resting:
             return False
-    mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
+    mode, mu, velocity = work.active_mode, work.active_friction, work.contact_velocity
     for k in range(len(mode)):
         if mode[k] == SLIP and mu[k] > 0.0 and math.hypot(velocity[k, 0], velocity[k, 1]) <= slowest:
             return False
@@ -140,12 +140,12 @@ def finish(work, t, h, error, explicit):
     """
     work.step_start, work.step_length = t, h
     work.end_margin = work.force_margin
-    work.end_drift = drift(work, work.v1)
+    work.drift_at_end = constraint_drift(work, work.v1)
     velocity = work.end_velocity
     for k in range(len(velocity)):
         assign(velocity[k], work.contact_velocity[k])
     stiffness = stiffness_of_slip(work)
-    for i in work.closed_index:
+    for i in work.active_index:
         follow_surface(work, i)
     if len(work.end_gaps):
         contact_gaps(work, work.end_gaps, work.end_spheres)

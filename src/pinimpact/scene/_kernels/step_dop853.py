@@ -63,7 +63,7 @@ def attempt(work, t, h, rtol, atol):
     rates, v0, v1 = work.stage_rates, work.v0, work.v1
     reactions = work.stage_reactions
     work.step_turns = False
-    n, closed = len(v0), work.closed_contacts + work.closed_scalars > 0
+    n, closed = len(v0), work.active_contacts + work.active_scalars > 0
     which = method(work)
     last = LAST[which]
     for i in range(1, last + 1):

@@ -101,7 +101,7 @@ def rate_of_drives(work):
     driven = following(work)
     if len(driven) == 0:
         return 0.0
-    if work.closed_contacts + work.closed_scalars == 0 and not invert_mass_matrix(work):
+    if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
         return 0.0
     response = np.empty((len(driven), len(work.v)))
     respond(work, driven, response)
@@ -137,7 +137,7 @@ def solve_stages(work, t, h, rtol, atol):
     evaluate(work, t, changes[0, n:])
     if work.callback_failed:
         return math.inf
-    if work.closed_contacts + work.closed_scalars == 0 and not invert_mass_matrix(work):
+    if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
         return math.inf
     respond(work, driven, response)
     for c in range(k):

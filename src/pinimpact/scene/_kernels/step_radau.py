@@ -46,7 +46,7 @@ STIFF = 3.0
 @inlined
 def turn(work, k, s1, s2, across, effect):
     """Fill w and u of a contact that slips towards (s1, s2), at the state last evaluated."""
-    mode, mu, jacobian = work.closed_mode, work.closed_friction, work.contact_jacobian
+    mode, mu, jacobian = work.active_mode, work.active_friction, work.contact_jacobian
     equations, response, solution = work.equation_rows, work.force_response, work.solution
     n, size = len(across), len(solution)
     row = 0
@@ -89,7 +89,7 @@ def attempt(work, t, h, rtol, atol):
 @inlined
 def solve_stages(work, t, h, rtol, atol):
     """Iterate for the rates at the stages and the directions of friction there; return the error."""
-    rates, mode, mu = work.stage_rates, work.closed_mode, work.closed_friction
+    rates, mode, mu = work.stage_rates, work.active_mode, work.active_friction
     reference, velocity = work.slip_reference, work.contact_velocity
     n, s = len(work.v0), STAGES
     rubbing = np.zeros(len(mode), dtype=np.int64)

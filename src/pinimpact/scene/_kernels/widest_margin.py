@@ -84,7 +84,7 @@ def margin_at(work, x, null, free):
 
     They cannot where the bound that x is the nearest to is that of a force which they leave as it is.
     """
-    modes, mu, lower, upper = work.closed_mode, work.closed_friction, work.scalar_lower, work.scalar_upper
+    modes, mu, lower, upper = work.active_mode, work.active_friction, work.scalar_lower, work.scalar_upper
     least, first, stop = math.inf, 0, 0
     a = 0
     for k in range(len(modes)):
@@ -190,7 +190,7 @@ def count_bounds(work):
     """Return how many half-lines and how many cones the forces keep to."""
     lower, upper = work.scalar_lower, work.scalar_upper
     lines = cones = 0
-    for mode in work.closed_mode:
+    for mode in work.active_mode:
         lines += mode == SLIP
         cones += mode == STICK
     for m in range(len(lower)):
@@ -215,7 +215,7 @@ def fill_bounds(work, x, null, free, unit, margin, G, h, line, cone):
     Returns:
         The row after the last cone.
     """
-    modes, mu = work.closed_mode, work.closed_friction
+    modes, mu = work.active_mode, work.active_friction
     lower, upper = work.scalar_lower, work.scalar_upper
     a = 0
     for k in range(len(modes)):

@@ -20,7 +20,7 @@ class SceneWorkspace(Workspace):
 
     The modes that hold are those of `contact_forces`. Contacts stand first among the sources of modes, held
     ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is
-    closed is laid out anew whenever modes change, by `closed_set.close`.
+    closed is laid out anew whenever modes change, by `active_set.close`.
     """
 
     def values(self) -> dict[str, Any]:
@@ -48,9 +48,9 @@ class SceneWorkspace(Workspace):
     driven = size("drives")
     rows = size("rows of all that there is room for: three a closable contact, then the scalar ones")
 
-    closed_contacts = count("closable", "contacts that are closed")
-    closed_scalars = count("scalars", "scalar rows that are closed: limits, then joints held by dry friction")
-    closed_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
+    active_contacts = count("closable", "contacts that are closed")
+    active_scalars = count("scalars", "scalar rows that are closed: limits, then joints held by dry friction")
+    active_rows = count("rows", "equations of what is closed: one of a slipping contact, three of another")
 
     # the robot, where Pinocchio reads and writes it
     calls = integers(CALLS, meaning="addresses of functions and their arguments, see `dynamics`")
@@ -102,31 +102,31 @@ class SceneWorkspace(Workspace):
         "sources", meaning="of contacts; 1 for a closed limit; 1 for a joint held by dry friction"
     )
     settling = integers("sources", meaning="1 where slip ends too often to go on below `stick_speed`")
-    closed_index = integers("closed_contacts", meaning="number of the contact")
-    closed_mode = integers("closed_contacts", meaning="its mode")
-    closed_friction = reals("closed_contacts", meaning="its coefficient of friction")
-    closed_rest_gap = reals("closed_contacts", meaning="the gap that it keeps [m]")
-    slip_reference = reals("closed_contacts", 2, meaning="the direction of slip last known")
-    start_directions = reals("closed_contacts", 2, meaning="the same at the start of the step")
-    end_directions = reals("closed_contacts", 2, meaning="the same at its end")
-    scalar_velocity = integers("closed_scalars", meaning="index in v of each scalar row")
-    scalar_lower = reals("closed_scalars", meaning="least force of each scalar row")
-    scalar_upper = reals("closed_scalars", meaning="largest force of each scalar row")
+    active_index = integers("active_contacts", meaning="number of the contact")
+    active_mode = integers("active_contacts", meaning="its mode")
+    active_friction = reals("active_contacts", meaning="its coefficient of friction")
+    active_rest_gap = reals("active_contacts", meaning="the gap that it keeps [m]")
+    slip_reference = reals("active_contacts", 2, meaning="the direction of slip last known")
+    start_directions = reals("active_contacts", 2, meaning="the same at the start of the step")
+    end_directions = reals("active_contacts", 2, meaning="the same at its end")
+    scalar_velocity = integers("active_scalars", meaning="index in v of each scalar row")
+    scalar_lower = reals("active_scalars", meaning="least force of each scalar row")
+    scalar_upper = reals("active_scalars", meaning="largest force of each scalar row")
 
     # what an evaluation leaves of it
-    contact_jacobian = reals("closed_contacts", 3, "nv", meaning="in contact axes t₁, t₂, n")
-    contact_velocity = reals("closed_contacts", 3, meaning="of the contact points [m/s]")
-    contact_acceleration = reals("closed_contacts", 3, meaning="without contact forces [m/s²]")
-    surface_velocity = reals("closed_contacts", 3, meaning="of the surfaces, beyond their carriers' [m/s]")
-    contact_gap = reals("closed_contacts", meaning="[m]")
-    slip_direction = reals("closed_contacts", 2, meaning="of friction")
-    equation_rows = reals("closed_rows", "nv", meaning="whose acceleration is zero")
-    force_response = reals("closed_rows", "nv", meaning="v̇ for a unit of each force")
-    system = reals("closed_rows", "closed_rows", meaning="equations of the forces")
-    target = reals("closed_rows", meaning="their right-hand side")
-    solution = reals("closed_rows", meaning="their solution")
+    contact_jacobian = reals("active_contacts", 3, "nv", meaning="in contact axes t₁, t₂, n")
+    contact_velocity = reals("active_contacts", 3, meaning="of the contact points [m/s]")
+    contact_acceleration = reals("active_contacts", 3, meaning="without contact forces [m/s²]")
+    surface_velocity = reals("active_contacts", 3, meaning="of the surfaces, beyond their carriers' [m/s]")
+    contact_gap = reals("active_contacts", meaning="[m]")
+    slip_direction = reals("active_contacts", 2, meaning="of friction")
+    equation_rows = reals("active_rows", "nv", meaning="whose acceleration is zero")
+    force_response = reals("active_rows", "nv", meaning="v̇ for a unit of each force")
+    system = reals("active_rows", "active_rows", meaning="equations of the forces")
+    target = reals("active_rows", meaning="their right-hand side")
+    solution = reals("active_rows", meaning="their solution")
     inner_forces = reals(
-        "closed_rows", meaning="that are known, of which the nearest are taken where they are not unique"
+        "active_rows", meaning="that are known, of which the nearest are taken where they are not unique"
     )
     found_forces = reals(
         "sources", 3, meaning="of what closed, where modes were set last; a scalar's comes first"
@@ -136,9 +136,9 @@ class SceneWorkspace(Workspace):
     samples = integer("how many samples of the step under way there are, see `samples`")
     sample_times = reals(7, meaning="where in the step, from 0 to 1")
     sample_margins = reals(7, meaning="margins of the forces there [N]")
-    sample_slip = reals(7, "closed_contacts", meaning="speeds of slip along the direction last known [m/s]")
-    contact_force = reals("closed_contacts", 3, meaning="in contact axes [N]")
-    scalar_force = reals("closed_scalars", meaning="[N or N m]")
+    sample_slip = reals(7, "active_contacts", meaning="speeds of slip along the direction last known [m/s]")
+    contact_force = reals("active_contacts", 3, meaning="in contact axes [N]")
+    scalar_force = reals("active_scalars", meaning="[N or N m]")
     force_margin = real("by how much the forces keep to their laws; below 0 the modes do not hold [N]")
     rank_tolerance = real("part of the largest pivot that decides the rank where forces are not unique")
     forces_unique = flag("whether the motion determines the forces, else they are those of least norm")
@@ -188,9 +188,9 @@ class SceneWorkspace(Workspace):
     limit_bounds = reals("limits", 4, meaning="likewise")
     end_gaps = reals("contacts", 2, meaning="gap and rate at the end; infinite where not looked at")
     end_spheres = reals("spheres", 2, meaning="the same of the spheres")
-    end_velocity = reals("closed_contacts", 3, meaning="contact velocities at the end [m/s]")
+    end_velocity = reals("active_contacts", 3, meaning="contact velocities at the end [m/s]")
     end_margin = real("the margin of the forces at the end [N]")
-    end_drift = real("of what is closed, at the end; see `drift`")
+    drift_at_end = real("of the active contacts, at the end; see `constraint_drift`")
     growth = real("how much longer the next step may be")
     friction_power = real("that friction gives in the step, which it must not: the step is refused [W]")
     friction_may_drive = flag("whether steps are taken nevertheless, for no shorter one has done better")

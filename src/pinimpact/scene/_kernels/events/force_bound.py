@@ -46,7 +46,7 @@ first_fall = search_for_fall(value)
 @external
 def first(work, end):
     """Return the first time until `end` at which the forces are seen to leave their bounds, else infinity."""
-    if work.closed_contacts + work.closed_scalars == 0 or work.force_bound_ignored:
+    if work.active_contacts + work.active_scalars == 0 or work.force_bound_ignored:
         return math.inf, 0
     if clear_of_zero(work.sample_times, work.sample_margins, work.samples):
         return math.inf, 0

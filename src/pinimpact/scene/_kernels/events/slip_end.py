@@ -63,7 +63,7 @@ def first(work, end):
     step the direction has turned too far to be followed. Slip whose direction a step before has left behind
     ends at the start, to be given another one.
     """
-    mode, mu, velocity = work.closed_mode, work.closed_friction, work.contact_velocity
+    mode, mu, velocity = work.active_mode, work.active_friction, work.contact_velocity
     start, last = work.step_start, work.step_start + work.step_length
     time, which = math.inf, 0
     for k in range(len(mode)):

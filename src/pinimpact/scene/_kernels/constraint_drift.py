@@ -8,7 +8,7 @@ from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import assign
 from . import lie_charts
-from .closed_set import NORMAL, closed_rows, stop_along
+from .active_set import NORMAL, active_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
 from .samples import along
@@ -17,11 +17,11 @@ from .workspace import SceneWorkspace
 
 
 @inlined
-def drift(work, v):
+def constraint_drift(work, v):
     """Return how far the closed contacts are from where they rest [m], or from rest [m/s]."""
     mode, rest, velocity, gap = (
-        work.closed_mode,
-        work.closed_rest_gap,
+        work.active_mode,
+        work.active_rest_gap,
         work.contact_velocity,
         work.contact_gap,
     )
@@ -37,7 +37,7 @@ def drift(work, v):
 
 @declared(SceneWorkspace, float, FLOATS, FLOATS)
 @jit
-def correct_drift(work, t, q, v):
+def correct_constraint_drift(work, t, q, v):
     """Bring the closed contacts back onto their surfaces; return the kinetic energy gained.
 
     Args:
@@ -51,10 +51,10 @@ def correct_drift(work, t, q, v):
         work.minverse,
         work.contact_jacobian,
         work.contact_gap,
-        work.closed_rest_gap,
+        work.active_rest_gap,
     )
     closed = work.modes[work.contacts :][: work.limits]
-    n, nc, ns, nl = len(v), work.closed_contacts, work.closed_scalars, work.limits
+    n, nc, ns, nl = len(v), work.active_contacts, work.active_scalars, work.limits
     rates = np.empty(n + 4)
     rows = np.zeros((3 * nc + ns + nl, n))
     off = np.empty(len(rows))
@@ -80,7 +80,7 @@ def correct_drift(work, t, q, v):
         assign(work.q, q)
         evaluate(work, t, rates)
     rows = np.zeros((3 * nc + ns + nl, n))
-    total = closed_rows(work, v, NORMAL, rows, off)
+    total = active_rows(work, v, NORMAL, rows, off)
     if total == 0 or work.callback_failed:
         return 0.0
     before = v.copy()
@@ -95,7 +95,7 @@ def correct_drift(work, t, q, v):
 @inlined
 def reverses_slip(work, before, v):
     """Whether slip along its direction at `before` (nv,), that of the workspace, is against it at v."""
-    mode, jacobian, reference = work.closed_mode, work.contact_jacobian, work.slip_reference
+    mode, jacobian, reference = work.active_mode, work.contact_jacobian, work.slip_reference
     reverses = False
     for k in range(len(mode)):
         if mode[k] == SLIP:

@@ -60,12 +60,12 @@ def close(work, reference):
     rows = len(scalars)
     for i in contacts:
         rows += 1 if modes[i] == SLIP else 3
-    work.closed_contacts, work.closed_scalars, work.closed_rows = len(contacts), len(scalars), rows
+    work.active_contacts, work.active_scalars, work.active_rows = len(contacts), len(scalars), rows
     index, mode, mu, rest, slip = (
-        work.closed_index,
-        work.closed_mode,
-        work.closed_friction,
-        work.closed_rest_gap,
+        work.active_index,
+        work.active_mode,
+        work.active_friction,
+        work.active_rest_gap,
         work.slip_reference,
     )
     for k in range(len(contacts)):
@@ -93,7 +93,7 @@ def close_held(work):
 
 @declared(SceneWorkspace, FLOATS, int, FLOAT_ROWS, FLOATS)
 @external
-def closed_rows(work, v, which, rows, speeds):
+def active_rows(work, v, which, rows, speeds):
     """Fill rows (m, nv), zero before, and their velocities of what is closed; return how many.
 
     Args:
@@ -102,7 +102,7 @@ def closed_rows(work, v, which, rows, speeds):
         which: `NORMAL` or `ALL`, of contacts that slip.
         rows, speeds: With room for three rows a contact and the scalar rows.
     """
-    mode, jacobian, velocity = work.closed_mode, work.contact_jacobian, work.contact_velocity
+    mode, jacobian, velocity = work.active_mode, work.contact_jacobian, work.contact_velocity
     total = 0
     for k in range(len(mode)):
         for d in range(3):

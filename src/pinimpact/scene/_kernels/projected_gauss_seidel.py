@@ -1,4 +1,4 @@
-"""Forces that obey Coulomb's law and bounds, whatever the modes, by projected Gauss-Seidel sweeps.
+"""Forces that obey Coulomb's law and bounds, whatever the modes, by projected Gauss–Seidel iterations.
 
 Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints with dry friction) one.
 """
@@ -12,17 +12,17 @@ import numpy as np
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import jit
 
-SWEEPS = 200
-"""The largest number of sweeps."""
+ITERATIONS = 200
+"""The largest number of iterations."""
 
 TOLERANCE = 1e-12
-"""Change of the forces in a sweep, relative to the largest, at which to stop."""
+"""Change of the forces in an iteration, relative to the largest, at which to stop."""
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
 @jit
-def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, scalar_force):
-    """Find forces that obey Coulomb's law at acceleration level, by projected sweeps.
+def forces_by_gauss_seidel(delassus, free, velocity, mu, held, lower, upper, force, scalar_force):
+    """Find forces that obey Coulomb's law at acceleration level, by projected Gauss–Seidel iterations.
 
     Args:
         delassus: (3 nc + ns, 3 nc + ns) of all contacts that touch, then of the scalar rows.
@@ -35,7 +35,7 @@ def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, sc
         scalar_force: (ns,) likewise.
 
     Returns:
-        The sweeps taken (or −1: they did not converge), and the contact where slip drives the surface in and
+        The iterations taken (or −1: no convergence), and a contact with negative normal acceleration at which
         no force exists (Painlevé), or −1.
     """
     nc, ns = len(mu), len(lower)
@@ -47,7 +47,7 @@ def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, sc
     for i in range(ns):
         x[3 * nc + i] = scalar_force[i]
     taken = -1
-    for sweep in range(SWEEPS):
+    for iteration in range(ITERATIONS):
         change = largest = 0.0
         for i in range(nc):
             b = 3 * i
@@ -65,7 +65,7 @@ def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, sc
                 a -= effective * x[b + 2]
                 if effective <= 1e-12 * c:
                     if a < 0.0:
-                        return sweep, i
+                        return iteration, i
                     x[b + 2] = 0.0  # of several solutions, the contact that opens
                 else:
                     x[b + 2] = max(0.0, -a / effective)
@@ -102,10 +102,10 @@ def forces_by_sweeps(delassus, free, velocity, mu, held, lower, upper, force, sc
             x[b] = min(max(x[b] - a / delassus[b, b], lower[i]), upper[i])
             change = max(change, abs(x[b] - old))
             largest = max(largest, abs(x[b]))
-        if not largest < math.inf:  # where slip drives the surface in, sweeps may grow without end
+        if not largest < math.inf:  # with negative normal acceleration they may grow without bound
             break
         if change <= TOLERANCE * largest:
-            taken = sweep + 1
+            taken = iteration + 1
             break
     for i in range(nc):
         for k in range(3):
