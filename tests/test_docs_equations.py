@@ -99,7 +99,7 @@ def test_every_section_that_is_cited_exists() -> None:
 
 
 NUMBERS = [
-    (projected_gauss_seidel.SWEEPS, 200, "at most 200 projected Gauss–Seidel iterations"),
+    (projected_gauss_seidel.ITERATIONS, 200, "at most 200 projected Gauss–Seidel iterations"),
     (projected_gauss_seidel.TOLERANCE, 1e-12, "change by less than $10^{-12}$ of the largest"),
     (contact_modes.ROUNDS, 4, "repeated, up to four times"),
     (contact_modes.NOTHING, 1e-3, "below $10^{-3}$ of the sticking speed"),
