@@ -4,6 +4,7 @@ Postures in which rigid bodies have no motion that goes on (`LockedPostureError`
 
 python -m benchmarks.fuzz_scenes --seed 1 --seconds 60            # without control
 python -m benchmarks.fuzz_scenes --controlled --seed 1 --count 100
+python -m benchmarks.fuzz_scenes --others --seed 1 --count 100    # other robots, and random trees
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 import numpy as np
-from tests import random_control
+from tests import random_control, random_trees
 from tests.lawful import unlawful
 from tests.random_scenes import DURATION, draw, unaccounted
 
@@ -33,7 +34,9 @@ def too_slow(*_: object) -> NoReturn:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--controlled", action="store_true", help="robots under joint PD control")
+    kinds = parser.add_mutually_exclusive_group()
+    kinds.add_argument("--controlled", action="store_true", help="robots under joint PD control")
+    kinds.add_argument("--others", action="store_true", help="robots that these lack, and random trees")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=float, default=math.inf, help="runs at most")
     parser.add_argument("--seconds", type=float, default=math.inf, help="time at most")
@@ -48,7 +51,7 @@ def main() -> None:
     while runs < options.count and time.perf_counter() < end:
         seed += 1
         runs += 1
-        name, scene, q, v, rtol = drawn(seed, options.controlled)
+        name, scene, q, v, rtol = drawn(seed, options.controlled, options.others)
         try:
             trajectory = run(scene, q, v, rtol, options.each)
         except LockedPostureError as error:
@@ -73,10 +76,10 @@ def main() -> None:
     print(f"most energy unaccounted for: {worst[0]:.1g} × rtol (seed {worst[1]})")
 
 
-def drawn(seed: int, controlled: bool) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
+def drawn(seed: int, controlled: bool, others: bool) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     """Return what a seed draws: name, scene, state and tolerance."""
     if not controlled:
-        return draw(seed)
+        return random_trees.draw(seed) if others else draw(seed)
     one = random_control.draw(seed)
     return one.name, one.scene, one.q, one.v, one.rtol
 

@@ -353,6 +353,22 @@ def two_arms(order):
     return model
 
 
+def test_the_order_of_joints_is_named_where_it_makes_the_mass_matrix_indefinite():
+    model, right = pin.Model(), pin.SE3(np.eye(3), np.array([0.3, 0.1, 0.2]))
+    kinds = pin.JointModelSpherical(), pin.JointModelRX(), pin.JointModelRX(), pin.JointModelPlanar()
+    for k, (parent, joint) in enumerate(zip((0, 0, 2, 1), kinds, strict=True)):
+        index = model.addJoint(parent, joint, right, f"joint{k}")
+        body = pin.SE3(np.eye(3), np.array([0.0, 0.1, 0.1]))
+        model.appendBodyToJoint(index, pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.5), body)
+    q = pin.neutral(model)
+    mass = pin.crba(model, model.createData(), q)
+    assert np.linalg.eigvalsh(mass, "U")[0] < 0.0  # of bodies that all have inertia
+    with pytest.raises(
+        pinimpact.ModelError, match="'joint3' apart from the other joints that hang on 'joint0'"
+    ):
+        simulate(Scene(model), q, np.zeros(model.nv), 1.0)
+
+
 def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong():
     wrong, right = two_arms(("a", "al", "ar", "all", "arr")), two_arms(("a", "al", "all", "ar", "arr"))
     q, v = np.array([0.3, -0.5, 0.2, 0.4, -0.1]), np.array([-1.0, 0.5, 0.2, -0.7, 0.3])

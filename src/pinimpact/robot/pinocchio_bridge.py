@@ -389,7 +389,7 @@ def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     """Refuse a configuration in which a joint moves no inertia, for its acceleration would be infinite.
 
     Raises:
-        ModelError: The mass matrix is not positive definite.
+        ModelError: The mass matrix is not positive definite, or not the right one.
     """
     mass = pin.crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # mostly clear, without a kernel
@@ -399,6 +399,8 @@ def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     parents = np.array(data.parents_fromRow, dtype=np.int64)
     stopped = tree.factor(mass, parents, np.zeros_like(mass))
     if stopped >= 0:
+        if _flaw(model) is not None:  # which makes the mass matrix a wrong one
+            _refuse(model)
         raise singular_mass(model, stopped)
 
 

@@ -1,0 +1,41 @@
+"""Robots and trees of joints that other draws lack: runs reach their end and obey the laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import simulate
+from tests import random_trees
+from tests.lawful import unlawful
+from tests.random_control import wrong_in
+
+SEEDS = tuple(402_000_000 + k for k in (2, 5, 6, 8, 9, 11, 12, 13))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_run_reaches_its_end_lawfully(seed: int) -> None:
+    _, scene, q, v, rtol = random_trees.draw(seed)
+    trajectory = simulate(scene, q, v, 0.5, rtol=rtol, atol=1e-2 * rtol)
+    assert trajectory.t[-1] == 0.5
+    assert wrong_in(trajectory, rtol) == ""
+    assert unlawful(scene, trajectory, rtol, seed) == ""
+
+
+def test_all_kinds_of_joints_are_drawn_and_mass_matrices_are_right() -> None:
+    kinds = set()
+    for seed in range(40):
+        model, q, tips = random_trees.tree(np.random.default_rng(seed))
+        assert tips
+        kinds |= {joint.shortname() for joint in model.joints[1:]}
+        data = model.createData()
+        mass = pin.crba(model, data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        pin.computeJointJacobians(model, data, q)
+        summed = np.zeros_like(mass)
+        for j in range(1, model.njoints):
+            jacobian = pin.getJointJacobian(model, data, j, pin.LOCAL)
+            summed += jacobian.T @ model.inertias[j].matrix() @ jacobian
+        assert mass == pytest.approx(summed, abs=1e-12 * np.abs(summed).max())
+    assert len(kinds) == 1 + len(random_trees.JOINTS)
