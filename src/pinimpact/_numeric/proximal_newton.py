@@ -50,7 +50,7 @@ STEPS = 40
 BALANCED = 1e-11
 """Part of the largest momentum that M w − Jᵀf may be off after Newton's method."""
 
-ACCURATE = 1e-11
+ACCURATE = 1e-10
 """Part of u_free that f⁺ − f may change velocities by at the end, where rounding lets it."""
 
 STALLED = 1e-5

@@ -48,9 +48,6 @@ SHORTEST = 1e-9
 STILL = 1e-7
 """Part of the resting speed below which slip is reported as stick: what the contact problem leaves."""
 
-PREDICTED = 1e-6
-"""Part of its velocities to which the contact problem is solved for the mean velocity of forces."""
-
 _NONE = np.empty(0)
 
 
@@ -129,6 +126,7 @@ class TimeStepping(Motion):
         self._tree = _trees(model)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._begin = np.zeros(model.nv)  # see `step_impulses`
+        self._pushed = np.zeros(model.nv)  # mean acceleration by the impulses of the step before
         self._unsolved = 0.0
         # what has no restitution closes within a step's contact problem, by Moreau's law
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
@@ -206,11 +204,11 @@ class TimeStepping(Motion):
         shift = np.zeros(len(jacobian))
         shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
         shift[rows.held_normals] = 2.0 * rows.off / h
-        v_end = v_free + self._impulses(rows, ~arrives, u_free + shift, PREDICTED)[1]
-        predicted, mean = v_end, 0.5 * (v + v_end)
-        acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, mean, []).joints
-        v_free = v + h * acceleration - inverse @ (softened * (h * acceleration - (v_end - v)))
-        impulse, change = self._impulses(rows, ~arrives, jacobian @ v_free + rows.offset + shift, ACCURATE)
+        predicted = v_free + h * self._pushed  # by impulses as in the step before
+        acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, 0.5 * (v + predicted), []).joints
+        v_free = v + h * acceleration - inverse @ (softened * (h * acceleration - (predicted - v)))
+        impulse, change = self._impulses(rows, ~arrives, jacobian @ v_free + rows.offset + shift)
+        self._pushed = change / h
         v_end = v_free + change
         u_end = jacobian @ v_end + rows.offset
         closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
@@ -287,23 +285,20 @@ class TimeStepping(Motion):
         """Compute M with what is added to its diagonal, and its inverse."""
         invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
-    def _impulses(
-        self, rows: _Rows, active: NDArray[np.bool_], free: Array, accuracy: float
-    ) -> tuple[Array, Array]:
+    def _impulses(self, rows: _Rows, active: NDArray[np.bool_], free: Array) -> tuple[Array, Array]:
         """Solve the contact problem; return the impulses (n,) and the change (nv,) of velocities.
 
         Args:
             rows: Its rows.
             active: (nc + nl,) contacts and limits that take part.
             free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-            accuracy: Part of them to which to solve it.
         """
         nc, impulse, change = len(rows.contacts), np.empty(len(free)), np.empty(self.work.nv)
         scalars = np.ones(len(free) - 3 * nc, dtype=bool)
         scalars[3 * len(rows.held) :][: len(rows.limits)] = active[nc:]
         off = step_impulses(
             *(self._mass, self._inverse, rows.jacobian, free, rows.friction, *rows.bounds(active)),
-            *(rows.compliance, np.concatenate([active[:nc], scalars]), self._tree, accuracy),
+            *(rows.compliance, np.concatenate([active[:nc], scalars]), self._tree, ACCURATE),
             *(self._begin, change, impulse),
         )
         if off > max(USABLE, self._unsolved):
