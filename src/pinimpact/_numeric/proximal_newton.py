@@ -20,6 +20,7 @@ import numpy as np
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
 from .coulomb_problem import into_cone
+from .loops import assign
 from .products import apply, dot
 
 SYSTEM = (
@@ -69,12 +70,31 @@ SLOPE = 0.1
 
 
 @inlined
-def rates(jacobian, columns, counts, w, out):
+def rates(values, columns, counts, w, out):
     """Fill out (n,) with J w."""
     for a in range(len(out)):
         total = 0.0
         for k in range(counts[a]):
-            total += jacobian[a, columns[a, k]] * w[columns[a, k]]
+            total += values[a, k] * w[columns[a, k]]
+        out[a] = total
+
+
+@inlined
+def add_transposed(values, columns, counts, x, out):
+    """Add Jᵀ x to out (m,)."""
+    for a in range(len(x)):
+        for k in range(counts[a]):
+            out[columns[a, k]] += values[a, k] * x[a]
+
+
+@inlined
+def apply_within(matrix, start, x, out):
+    """Fill out (m,) with a symmetric matrix times x, whose row a is zero before start[a]."""
+    for a in range(len(out)):
+        total = matrix[a, a] * x[a]
+        for b in range(start[a], a):
+            total += matrix[a, b] * x[b]
+            out[b] += matrix[a, b] * x[a]
         out[a] = total
 
 
@@ -147,13 +167,13 @@ def cone_derivative(z1, z2, z3, mu, d):
 
 
 @external
-def fill_system(mass, jacobian, mu, lower, upper, r, u, shift, before, columns, counts, system):
-    """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J."""
+def fill_system(mass, start, values, mu, lower, upper, r, u, shift, before, columns, counts, system):
+    """Fill the upper triangle of the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J."""
     m, nc = len(mass), len(mu)
     d = np.empty((3, 3))
     for a in range(m):
-        for b in range(m):
-            system[a, b] = mass[a, b]
+        for b in range(a, m):
+            system[a, b] = mass[a, b] if start[b] <= a else 0.0
     for i in range(nc):
         j = 3 * i
         cone_derivative(
@@ -163,77 +183,71 @@ def fill_system(mass, jacobian, mu, lower, upper, r, u, shift, before, columns, 
             mu[i],
             d,
         )
+        if d[2, 2] == 0.0:
+            continue
         for k in range(counts[j]):
-            c = columns[j, k]
-            j0, j1, j2 = jacobian[j, c] / r[j], jacobian[j + 1, c] / r[j], jacobian[j + 2, c] / r[j]
+            j0, j1, j2 = values[j, k] / r[j], values[j + 1, k] / r[j], values[j + 2, k] / r[j]
             t0 = j0 * d[0, 0] + j1 * d[1, 0] + j2 * d[2, 0]
             t1 = j0 * d[0, 1] + j1 * d[1, 1] + j2 * d[2, 1]
             t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2 * d[2, 2]
-            for o in range(counts[j]):
-                e = columns[j, o]
-                system[c, e] += t0 * jacobian[j, e] + t1 * jacobian[j + 1, e] + t2 * jacobian[j + 2, e]
+            row = system[columns[j, k]]
+            for o in range(k, counts[j]):
+                row[columns[j, o]] += t0 * values[j, o] + t1 * values[j + 1, o] + t2 * values[j + 2, o]
     for i in range(len(lower)):
         j = 3 * nc + i
         if lower[i] < before[j] - u[j] / r[j] < upper[i]:
             for k in range(counts[j]):
-                c = columns[j, k]
-                for o in range(counts[j]):
-                    e = columns[j, o]
-                    system[c, e] += jacobian[j, c] * jacobian[j, e] / r[j]
+                for o in range(k, counts[j]):
+                    system[columns[j, k], columns[j, o]] += values[j, k] * values[j, o] / r[j]
 
 
 @external
-def solve_profile(system, first, x):
-    """Replace x by the solution of a definite system, whose row a begins at first[a], and that by L."""
-    for a in range(len(x)):
-        for b in range(first[a], a + 1):
-            total = system[a, b]
-            for k in range(max(first[a], first[b]), b):
-                total -= system[a, k] * system[b, k]
-            system[a, b] = math.sqrt(max(total, 1e-300)) if a == b else total / system[b, b]
-        for k in range(first[a], a):
-            x[a] -= system[a, k] * x[k]
-        x[a] /= system[a, a]
-    for a in range(len(x) - 1, -1, -1):
-        x[a] /= system[a, a]
-        for k in range(first[a], a):
-            x[k] -= system[a, k] * x[a]
+def solve_profile(system, last, x):
+    """Replace x by the solution of a definite system, and that by its factor U; row a is zero beyond last[a].
+
+    Only the upper triangle counts.
+    """
+    m = len(x)
+    for k in range(m):
+        pivot = system[k]
+        root = 1.0 / math.sqrt(max(pivot[k], 1e-300))
+        for b in range(k, last[k] + 1):
+            pivot[b] *= root
+        x[k] /= pivot[k]
+        for a in range(k + 1, last[k] + 1):
+            part = pivot[a]
+            if part != 0.0:
+                row = system[a]
+                for b in range(a, last[k] + 1):
+                    row[b] -= part * pivot[b]
+                x[a] -= part * x[k]
+    for a in range(m - 1, -1, -1):
+        total = x[a]
+        for b in range(a + 1, last[a] + 1):
+            total -= system[a, b] * x[b]
+        x[a] = total / system[a, a]
 
 
 @external
 def balance(
-    mass,
-    jacobian,
-    free,
-    mu,
-    lower,
-    upper,
-    r,
-    columns,
-    counts,
-    before,
-    w,
-    shift,
-    u,
-    f,
-    momentum,
-    out,
+    mass, start, values, free, mu, lower, upper, r, columns, counts, before, w, shift, u, f, momentum, out
 ):
     """Fill u, f⁺, M w and M w − Jᵀ f⁺; return how large the last is, in parts."""
     largest = square = 0.0
-    rates(jacobian, columns, counts, w, u)
+    rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += free[a]
     impulses(u, shift, before, mu, lower, upper, r, f)
-    apply(mass, w, momentum)
+    apply_within(mass, start, w, momentum)
     for a in range(len(out)):
         out[a] = momentum[a]
         largest = max(largest, abs(out[a]))
     for a in range(len(f)):
-        for k in range(counts[a]):
-            part = jacobian[a, columns[a, k]] * f[a]
-            out[columns[a, k]] -= part
-            largest = max(largest, abs(part))
+        if f[a] != 0.0:
+            for k in range(counts[a]):
+                part = values[a, k] * f[a]
+                out[columns[a, k]] -= part
+                largest = max(largest, abs(part))
     for a in range(len(out)):
         square += out[a] * out[a]
     return math.sqrt(square) / max(largest, 1e-300)
@@ -268,39 +282,60 @@ def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvatur
 
 
 @external
-def find_columns(mass, jacobian, contacts, columns, counts, first):
-    """Fill the columns of J that are not zero, a contact's rows together, and where rows of M + JᵀJ begin."""
+def find_columns(mass, jacobian, contacts, values, columns, counts, start, last):
+    """Fill J without its columns of zeros, a contact's rows together, and where rows of matrices end.
+
+    Args:
+        mass: (m, m) M.
+        jacobian: (n, m) J.
+        contacts: Number of contacts.
+        values: (n, m) takes what is not zero.
+        columns: (n, m) takes its columns.
+        counts: (n,) takes how many they are.
+        start: (m,) takes where the rows of M begin.
+        last: (m,) takes where those of M + JᵀJ end.
+    """
     n, m = jacobian.shape
     for a in range(m):
-        first[a] = a
-        for b in range(a - 1, -1, -1):
+        start[a], last[a] = a, a
+        for b in range(a):
             if mass[a, b] != 0.0:
-                first[a] = b
-    for a in range(n):
-        start = 3 * (a // 3) if a < 3 * contacts else a
-        end = start + 3 if a < 3 * contacts else a + 1
-        counts[a] = 0
+                start[a] = b
+                break
+        for b in range(start[a], a):
+            last[b] = max(last[b], a)
+    begin = 0
+    while begin < n:
+        end = begin + 3 if begin < 3 * contacts else begin + 1
+        count = 0
         for c in range(m):
-            for b in range(start, end):
-                if jacobian[b, c] != 0.0:
-                    columns[a, counts[a]] = c
-                    counts[a] += 1
-                    break
-        for k in range(counts[a]):
-            first[columns[a, k]] = min(first[columns[a, k]], columns[a, 0])
+            if jacobian[begin, c] != 0.0 or (
+                end > begin + 1 and (jacobian[begin + 1, c] != 0.0 or jacobian[begin + 2, c] != 0.0)
+            ):
+                for a in range(begin, end):
+                    values[a, count], columns[a, count] = jacobian[a, c], c
+                count += 1
+        for a in range(begin, end):
+            counts[a] = count
+        for k in range(count):
+            last[columns[begin, k]] = max(last[columns[begin, k]], columns[begin, count - 1])
+        begin = end
+    for a in range(1, m):  # what is filled in while it is factorized
+        if last[a - 1] >= a:
+            last[a] = max(last[a], last[a - 1])
 
 
 @external
-def fill_compliances(inverse, jacobian, columns, counts, compliance, diagonal, given):
+def fill_compliances(inverse, values, columns, counts, compliance, diagonal, given):
     """Fill the diagonal (n,) of W, of each contact the largest, and the r (n,) of (16.3)."""
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
         for k in range(counts[a]):
-            c = columns[a, k]
-            for o in range(counts[a]):
-                e = columns[a, o]
-                diagonal[a] += jacobian[a, c] * inverse[c, e] * jacobian[a, e]
+            row, total = inverse[columns[a, k]], 0.0
+            for o in range(k):
+                total += row[columns[a, o]] * values[a, o]
+            diagonal[a] += values[a, k] * (2.0 * total + row[columns[a, k]] * values[a, k])
         given[a] = PROXIMAL * diagonal[a]
     for i in range(nc):
         j = 3 * i
@@ -337,13 +372,13 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
     """
     n, m = jacobian.shape
     nc = len(mu)
-    columns, counts = np.empty((n, m), dtype=np.int64), np.empty(n, dtype=np.int64)
-    first = np.empty(m, dtype=np.int64)
-    find_columns(mass, jacobian, nc, columns, counts, first)
+    values, columns, counts = np.empty((n, m)), np.empty((n, m), dtype=np.int64), np.empty(n, dtype=np.int64)
+    start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_columns(mass, jacobian, nc, values, columns, counts, start, last)
     diagonal, r = np.empty(n), np.empty(n)
-    fill_compliances(inverse, jacobian, columns, counts, compliance, diagonal, r)
+    fill_compliances(inverse, values, columns, counts, compliance, diagonal, r)
     u, f, du, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros(nc)
-    last, gain = np.zeros(nc), np.zeros(nc)
+    slipped, gain = np.zeros(nc), np.zeros(nc)
     off, d, md = np.empty(m), np.empty(m), np.empty(m)
     momentum, system = np.empty(m), np.empty((m, m))
     size, balanced = 0.0, max(BALANCED, 0.1 * accuracy)
@@ -354,40 +389,36 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
         for a in range(m):
             w[a] = begin[a] = 0.0
         return 0.0
-    for a in range(m):
-        w[a] = begin[a]
-    rates(jacobian, columns, counts, w, u)
+    assign(w, begin)
+    rates(values, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
     lowest, since, reached = math.inf, 0, INEXACT
     for iteration in range(ITERATIONS):
-        extrapolate(u, mu, iteration, shift, last, gain)
+        extrapolate(u, mu, iteration, shift, slipped, gain)
         before = math.inf
-        for _ in range(STEPS):
+        for step in range(STEPS + 1):
             now = balance(
-                *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x),
+                *(mass, start, values, free, mu, lower, upper, r, columns, counts, x),
                 *(w, shift, u, f, momentum, off),
             )
-            if now <= max(balanced, INEXACT * reached) or (now < 1e3 * balanced and now > 0.5 * before):
+            if step == STEPS or now <= max(balanced, INEXACT * reached):
+                break
+            if now < 1e3 * balanced and now > 0.5 * before:
                 break
             before = now
-            fill_system(*(mass, jacobian, mu, lower, upper, r, u, shift, x, columns, counts, system))
+            fill_system(mass, start, values, mu, lower, upper, r, u, shift, x, columns, counts, system)
             for a in range(m):
                 d[a] = -off[a]
-            solve_profile(system, first, d)
-            rates(jacobian, columns, counts, d, du)
-            apply(mass, d, md)
+            solve_profile(system, last, d)
+            rates(values, columns, counts, d, du)
+            apply_within(mass, start, d, md)
             share = length_of_step(mu, lower, upper, r, x, shift, u, du, f, dot(d, momentum), dot(d, md))
             for a in range(m):
                 w[a] += share * d[a]
         if iteration == 0:
-            for a in range(m):
-                begin[a] = w[a]
+            assign(begin, w)
         change = swing = 0.0
-        balance(
-            *(mass, jacobian, free, mu, lower, upper, r, columns, counts, x),
-            *(w, shift, u, f, momentum, off),
-        )
         for a in range(n):
             change = max(change, r[a] * abs(f[a] - x[a]))
             x[a] = f[a]
@@ -400,11 +431,9 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
             break
     for a in range(m):
         momentum[a] = 0.0
-    for a in range(n):
-        for k in range(counts[a]):
-            momentum[columns[a, k]] += jacobian[a, columns[a, k]] * x[a]
+    add_transposed(values, columns, counts, x, momentum)
     apply(inverse, momentum, w)
-    rates(jacobian, columns, counts, w, u)
+    rates(values, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
     slip(u, mu, shift)
