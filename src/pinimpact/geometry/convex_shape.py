@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -108,9 +108,15 @@ def cross(a: Array, b: Array) -> Array:
 
 def box(size: ArrayLike) -> ConvexShape:
     """Return a box about the origin with these (3,) lengths of its sides [m]."""
+    x, y, z = np.asarray(size, dtype=np.float64).tolist()
+    return _box(x, y, z)
+
+
+@lru_cache(maxsize=64)
+def _box(x: float, y: float, z: float) -> ConvexShape:
     import coal
 
-    half = 0.5 * np.asarray(size, dtype=np.float64)
+    half = 0.5 * np.array([x, y, z])
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     faces, normals = [], []
     for axis in range(3):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +56,7 @@ class ShapePair:
             self.contact, geometry=None, rim_points=None, frame=0, plane=Plane(), shape=self.a.name
         )
 
-    @property
+    @cached_property
     def bounding(self) -> Contact:
         """A sphere around A that meets one around B, as a contact of a single point."""
         point = self.a.in_frame.act(self.a.shape.center)

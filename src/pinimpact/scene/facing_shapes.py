@@ -162,5 +162,5 @@ def _is_box(one: CarriedShape) -> bool:
     return type(one.shape.collision).__name__ == "Box"
 
 
-def _key(box: CarriedShape) -> tuple[int, bytes, bytes]:
-    return box.joint, box.in_joint.homogeneous.tobytes(), box.shape.vertices.tobytes()
+def _key(box: CarriedShape) -> tuple[int, bytes, int]:
+    return box.joint, box.in_joint.homogeneous.tobytes(), id(box.shape)
