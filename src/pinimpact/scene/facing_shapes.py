@@ -39,6 +39,9 @@ class _Places:
 class FacingShapes:
     """Fills the places of pairs of shapes with the points of their patches.
 
+    Attributes:
+        idle: (n,) contacts that are kept for a pair and stand for no point now.
+
     Args:
         model: The robot.
         dynamics: The scene's contacts.
@@ -57,6 +60,7 @@ class FacingShapes:
         every = [(layout.pairs[contact], numbers) for contact, numbers in groups.values()]
         work = self._work
         self._blanks = work.contact_constants.copy()
+        self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
             work.velocity_signs[numbers] = motion_signs(model, pair.a.joint, pair.b.joint)
@@ -99,7 +103,7 @@ class FacingShapes:
         if len(self._ranges):
             face_boxes(
                 *(self._work, q, v, h, self._gravity, touching, self._joints, self._boxes, self._ranges),
-                *(self._blanks, self._used, self._normals, self._points, self._others),
+                *(self._blanks, self.idle, self._used, self._normals, self._points, self._others),
             )
             self._dynamics.check()
         facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
@@ -144,6 +148,7 @@ class FacingShapes:
                     self._strike(pair, i, found.normal, ends)
         for i in places.numbers[count : places.used]:
             work.contact_constants[i] = self._blanks[i]
+        self.idle[places.numbers] = np.arange(len(places.numbers)) >= count
         places.used = count
 
     def _strike(self, pair: ShapePair, i: int, normal: Array, ends: tuple[Array, Array]) -> None:

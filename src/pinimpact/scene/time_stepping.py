@@ -18,6 +18,7 @@ from .._numeric.proximal_newton import ACCURATE
 from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
 from ._kernels.force_evaluation import places_of_contacts
 from ._kernels.lie_charts import chart_rate
+from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
@@ -63,12 +64,7 @@ class _Rows(NamedTuple):
         dry: (nd,) velocities of the joints with dry friction.
         jacobian: (n, nv).
         surface: (nc + nh, 3) velocities of the surfaces [m/s].
-        offset: (n,) what moving surfaces add to jacobian v.
-        acceleration: (nc,) along the normals, without impulses [m/s²].
-        gap: (nc + nl,) of contacts and limits at the midpoint [m or rad].
-        off: (nh,) by how much the held contacts are off their surfaces there [m].
-        friction, compliance: (nc,) of the contacts.
-        bound: (nd,) impulses that dry friction can give.
+        gaps: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m or rad].
     """
 
     contacts: Integers
@@ -77,13 +73,7 @@ class _Rows(NamedTuple):
     dry: Integers
     jacobian: Array
     surface: Array
-    offset: Array
-    acceleration: Array
-    gap: Array
-    off: Array
-    friction: Array
-    compliance: Array
-    bound: Array
+    gaps: Array
 
     @property
     def normals(self) -> Integers:
@@ -96,17 +86,16 @@ class _Rows(NamedTuple):
         """(nh,) The rows along the normals of held contacts."""
         return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
 
-    def bounds(self, active: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return the bounds of the impulses of the scalar rows; zero for limits that take no part.
+    @property
+    def gap(self) -> Array:
+        """(nc + nl,) The gaps of contacts and limits."""
+        nc, nh = len(self.contacts), len(self.held)
+        return np.concatenate([self.gaps[:nc], self.gaps[nc + nh :]])
 
-        Args:
-            active: (nc + nl,) contacts and limits that take part.
-        """
-        unbounded, limits = np.full(3 * len(self.held), math.inf), active[len(self.contacts) :]
-        return (
-            np.concatenate([-unbounded, np.zeros(len(limits)), -self.bound]),
-            np.concatenate([unbounded, np.where(limits, math.inf, 0.0), self.bound]),
-        )
+    @property
+    def off(self) -> Array:
+        """(nh,) By how much the held contacts are off their surfaces."""
+        return self.gaps[len(self.contacts) : len(self.contacts) + len(self.held)]
 
 
 class TimeStepping(Motion):
@@ -132,6 +121,10 @@ class TimeStepping(Motion):
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
         bounces += [scene.limit_restitution > 0.0] * len(self.dynamics.limits)
         self._bounces = np.array(bounces, dtype=bool)
+        self._compliances = np.array([1.0 / c.stiffness for c in self.dynamics.contacts])
+        self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
+        self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
+        self._gravity = float(np.linalg.norm(model.gravity.linear))
         work.sliding_friction[:] = 0.0
 
     def begin(self, tau: Array | None = None) -> None:
@@ -186,31 +179,24 @@ class TimeStepping(Motion):
         self._faces.place(middle, v, h)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
-        rows, acceleration = self._rows(t + 0.5 * h, middle, v, h)
-        softened = self._softening(h)
+        rows = self._rows(middle, v, h)
+        jacobian, normals, softened = rows.jacobian, rows.normals, self._softening(h)
         self._invert(middle, softened)
-        inverse = self._inverse
-        v_free = v + h * (acceleration - inverse @ (softened * acceleration))
-        jacobian, normals, gap, count = rows.jacobian, rows.normals, rows.gap, self.work.contacts
-        u_start, u_free = jacobian @ v + rows.offset, jacobian @ v_free + rows.offset
-        # what is apart and closes faster than the step's own acceleration makes: an impact
-        own = np.abs(u_free[normals] - u_start[normals])
-        own[: len(rows.contacts)] = np.maximum(own[: len(rows.contacts)], h * np.abs(rows.acceleration))
+        impulse, u_start, u_end = np.empty((3, len(jacobian)))
+        v_end, predicted = np.empty((2, len(v)))
+        arrives = np.empty(len(normals), dtype=bool)
+        off = midpoint_step(
+            *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf, self._bounces),
+            *(self._compliances, softened, self._mass, self._inverse, self._tree, *rows[:4]),
+            *(self._begin, self._pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
+        )
+        self.dynamics.check()
+        if off > max(USABLE, self._unsolved):
+            if self._unsolved == 0.0:
+                state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
+            self._unsolved = off
+        gap = rows.gap
         before = gap - 0.5 * h * u_start[normals]
-        arrives = (u_start[normals] < -np.maximum(self.work.resting_speed, 2.0 * own)) & strikes
-        arrives &= (before > self._touching) & self._bounces[
-            np.concatenate([rows.contacts, count + rows.limits])
-        ]
-        shift = np.zeros(len(jacobian))
-        shift[normals] = 2.0 * np.maximum(gap, 0.0) / h
-        shift[rows.held_normals] = 2.0 * rows.off / h
-        predicted = v_free + h * self._pushed  # by impulses as in the step before
-        acceleration = self.dynamics.free_motion_at(t + 0.5 * h, middle, 0.5 * (v + predicted), []).joints
-        v_free = v + h * acceleration - inverse @ (softened * (h * acceleration - (predicted - v)))
-        impulse, change = self._impulses(rows, ~arrives, jacobian @ v_free + rows.offset + shift)
-        self._pushed = change / h
-        v_end = v_free + change
-        u_end = jacobian @ v_end + rows.offset
         closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
         share = min(
             (_touch(before[i] / h, u_start[normals[i]], u_end[normals[i]]) for i in closing), default=1.0
@@ -240,35 +226,18 @@ class TimeStepping(Motion):
         self._project(step, rows, ~arrives, gap + 0.5 * h * u_end[normals])
         return False
 
-    def _rows(self, t: float, q: Array, v: Array, h: float) -> tuple[_Rows, Array]:
-        """Return the rows of what may close within a step, and v̇ (nv,) without impulses, at the midpoint."""
-        work, count = self.work, self.work.contacts
-        gaps, rates = self.dynamics.gaps_at(q, v).T
-        near = np.flatnonzero(gaps + 0.5 * h * rates <= SLACK * h * h * self._gravity)
-        contacts = near[near < count]
-        contacts, held = contacts[work.bilateral[contacts] == 0], np.flatnonzero(work.bilateral)
-        limits, dry = near[near >= count] - count, np.flatnonzero(work.dry_friction)
-        every = np.concatenate([contacts, held])
-        free = self.dynamics.free_motion_at(t, q, v, every.tolist())
-        nc, k = len(contacts), 3 * len(every)
-        jacobian = np.zeros((k + len(limits) + len(dry), work.nv))
-        jacobian[:k] = free.jacobian.reshape(k, work.nv)
-        jacobian[k + np.arange(len(limits)), work.limit_v[limits]] = work.limit_sign[limits]
-        jacobian[k + len(limits) + np.arange(len(dry)), dry] = 1.0
-        offset = np.zeros(len(jacobian))
-        offset[:k] = free.velocity.ravel() - jacobian[:k] @ v
-        off = free.gap - work.rest_gap[every]
-        stiffness = np.array([self.dynamics.contacts[i].stiffness for i in contacts.tolist()])
-        rows = _Rows(
-            *(contacts, held, limits, dry, jacobian, free.surface, offset, free.acceleration[:nc, 2]),
-            *(np.concatenate([off[:nc], gaps[count + limits]]), off[nc:], work.friction[contacts]),
-            *(1.0 / stiffness, h * work.dry_friction[dry]),
+    def _rows(self, q: Array, v: Array, h: float) -> _Rows:
+        """Return the rows of what may close within a step, not filled as yet."""
+        work, near = self.work, self._near
+        slack = SLACK * h * h * self._gravity
+        near = near[: near_rows(work, q, v, h, slack, self._faces.idle, near)]
+        first = int(np.searchsorted(near, work.contacts))
+        contacts, limits, held, dry = near[:first].copy(), near[first:] - work.contacts, self._held, self._dry
+        every = len(contacts) + len(held)
+        jacobian = np.empty((3 * every + len(limits) + len(dry), work.nv))
+        return _Rows(
+            contacts, held, limits, dry, jacobian, np.empty((every, 3)), np.empty(every + len(limits))
         )
-        return rows, free.joints
-
-    @property
-    def _gravity(self) -> float:
-        return float(np.linalg.norm(self.model.gravity.linear))
 
     def _softening(self, h: float) -> Array:
         """Return what damping and drives add to M over half a step, (nv,)."""
@@ -284,28 +253,6 @@ class TimeStepping(Motion):
     def _invert(self, q: Array, added: Array) -> None:
         """Compute M with what is added to its diagonal, and its inverse."""
         invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
-
-    def _impulses(self, rows: _Rows, active: NDArray[np.bool_], free: Array) -> tuple[Array, Array]:
-        """Solve the contact problem; return the impulses (n,) and the change (nv,) of velocities.
-
-        Args:
-            rows: Its rows.
-            active: (nc + nl,) contacts and limits that take part.
-            free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-        """
-        nc, impulse, change = len(rows.contacts), np.empty(len(free)), np.empty(self.work.nv)
-        scalars = np.ones(len(free) - 3 * nc, dtype=bool)
-        scalars[3 * len(rows.held) :][: len(rows.limits)] = active[nc:]
-        off = step_impulses(
-            *(self._mass, self._inverse, rows.jacobian, free, rows.friction, *rows.bounds(active)),
-            *(rows.compliance, np.concatenate([active[:nc], scalars]), self._tree, ACCURATE),
-            *(self._begin, change, impulse),
-        )
-        if off > max(USABLE, self._unsolved):
-            if self._unsolved == 0.0:
-                self.state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
-            self._unsolved = off
-        return impulse, change
 
     def _dense(
         self,
@@ -372,7 +319,9 @@ class TimeStepping(Motion):
         modes[rows.held] = HELD
         slips = np.hypot(u_end[: 3 * nc : 3], u_end[1 : 3 * nc : 3]) > still
         pressed = impulse[2 : 3 * nc : 3] > 0.0
-        modes[rows.contacts] = np.where(pressed, np.where(slips | (rows.friction == 0.0), SLIP, STICK), FREE)
+        modes[rows.contacts] = np.where(
+            pressed, np.where(slips | (work.friction[rows.contacts] == 0.0), SLIP, STICK), FREE
+        )
         modes[work.contacts + rows.limits] = impulse[k : k + len(rows.limits)] > 0.0
         modes[work.contacts + work.limits + rows.dry] = np.abs(u_end[k + len(rows.limits) :]) <= still
         self.state.modes.update(self.state.t, modes, work.drive_side)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import jit
 from ...geometry._kernels.box_patch import MOST, box_patch
 from ...geometry._kernels.constants import AXES, KIND, PLANE, POINT, TIP
@@ -41,10 +41,12 @@ def fill_contact(row, tip, base, normal, point, other):
 
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
+    *(FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
 )
 @jit
-def face_boxes(work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, used, normals, points, others):
+def face_boxes(
+    work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, idle, used, normals, points, others
+):
     """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
 
     Args:
@@ -58,6 +60,7 @@ def face_boxes(work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, u
         boxes: (k, `BOX`) see `HALF`.
         pairs: (p, 4) the two boxes, the first contact that is kept for them, and how many are.
         blanks: (contacts, constants) what stands where nothing is near.
+        idle: (contacts,) takes which contacts stand for no corner.
         used: (p,) how many contacts stand for corners; takes how many do now.
         normals: (p, 3) takes the normals, from the second box to the first.
         points: (p, `MOST`, 3) takes the corners on the first box.
@@ -100,6 +103,8 @@ def face_boxes(work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, u
                 points[p, k],
                 others[p, k],
             )
+        for k in range(room):
+            idle[first + k] = k >= found
         for k in range(found, used[p]):
             for e in range(blanks.shape[1]):
                 work.contact_constants[first + k, e] = blanks[first + k, e]

@@ -1,0 +1,239 @@
+"""A time step: its rows at the midpoint, what collides in it, and the contact problem. (theory.md, 16)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
+from ..._numeric.loops import flags
+from ..._numeric.products import apply, apply_symmetric
+from ..._numeric.proximal_newton import ACCURATE
+from ...geometry._kernels.constants import RADIUS
+from .dynamics import (
+    FAR,
+    compute_kinematics,
+    contact_gap,
+    evaluate_without_contacts,
+    follow_surface,
+    limit_gap,
+    motion_of_contacts,
+    set_state,
+    sphere_gap,
+)
+from .step_impulses import step_impulses
+from .workspace import SceneWorkspace
+
+
+@declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, INTEGERS, result=int)
+@jit
+def near_rows(work, q, v, h, slack, idle, near):
+    """Fill which contacts, and limits past those, may close within a step; return how many.
+
+    Args:
+        work: The workspace.
+        q: (nq,) configuration at the midpoint.
+        v: (nv,) velocity.
+        h: Length of the step [s].
+        slack: What gaps may close by beside their rates [m or rad].
+        idle: (n,) contacts that are kept for shapes which are apart.
+        near: (n + nl,) takes the numbers, without held contacts.
+    """
+    set_state(work, q, v)
+    compute_kinematics(work)
+    blocks, count = work.contact_blocks, 0
+    for b in range(len(blocks)):
+        first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
+        if k >= 0:
+            gap, _ = sphere_gap(work, k, first)
+            if gap > FAR * work.sphere_constants[k, RADIUS]:
+                continue
+        for i in range(first, stop):
+            if not idle[i] and work.bilateral[i] == 0:
+                gap, rate = contact_gap(work, i)
+                if gap + 0.5 * h * rate <= slack:
+                    near[count] = i
+                    count += 1
+    for k in range(work.limits):
+        gap, rate = limit_gap(work, k, q, v)
+        if gap + 0.5 * h * rate <= slack:
+            near[count] = work.contacts + k
+            count += 1
+    return count
+
+
+@inlined
+def fill_rows(work, v, contacts, held, limits, dry, jacobian, offset, surface, acceleration, gap):
+    """Fill the rows of a step at the state last evaluated; arguments as of `midpoint_step`."""
+    every, nv = len(contacts) + len(held), len(v)
+    index, motion = np.empty(every, dtype=np.int64), np.empty((every, 3))
+    for k in range(every):
+        index[k] = contacts[k] if k < len(contacts) else held[k - len(contacts)]
+        follow_surface(work, index[k])
+    stack = jacobian[: 3 * every].reshape((every, 3, nv))
+    motion_of_contacts(work, index, stack, motion, acceleration, surface, gap)
+    for k in range(every):
+        gap[k] -= work.rest_gap[index[k]]
+        for e in range(3):
+            a, total = 3 * k + e, 0.0
+            for c in range(nv):
+                total += jacobian[a, c] * v[c]
+            offset[a] = motion[k, e] - total
+    for a in range(3 * every, len(jacobian)):
+        for c in range(nv):
+            jacobian[a, c] = 0.0
+        offset[a] = 0.0
+    for k in range(len(limits)):
+        jacobian[3 * every + k, work.limit_v[limits[k]]] = work.limit_sign[limits[k]]
+        gap[every + k], _ = limit_gap(work, limits[k], work.q, v)
+    for k in range(len(dry)):
+        jacobian[3 * every + len(limits) + k, dry[k]] = 1.0
+
+
+@inlined
+def velocities(jacobian, offset, v, out):
+    """Fill out (n,) with jacobian v + offset."""
+    apply(jacobian, v, out)
+    for a in range(len(out)):
+        out[a] += offset[a]
+
+
+@inlined
+def free_velocity(h, v, acceleration, inverse, softened, predicted, out):
+    """Fill v (nv,) at the end of the step without impulses; `softened` forces are those of its end."""
+    moved = np.empty(len(v))
+    for c in range(len(v)):
+        moved[c] = softened[c] * (h * acceleration[c] - (predicted[c] - v[c]))
+    apply_symmetric(inverse, moved, out)  # many are not softened
+    for c in range(len(v)):
+        out[c] = v[c] + h * acceleration[c] - out[c]
+
+
+@declared(
+    *(SceneWorkspace, float, float, FLOATS, FLOATS, float, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
+    *(INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
+    *(FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS),
+    result=float,
+)
+@jit
+def midpoint_step(
+    work,
+    t,
+    h,
+    q,
+    v,
+    touching,
+    bounces,
+    compliances,
+    softened,
+    mass,
+    inverse,
+    tree,
+    contacts,
+    held,
+    limits,
+    dry,
+    begin,
+    pushed,
+    jacobian,
+    surface,
+    gap,
+    impulse,
+    u_start,
+    u_end,
+    arrives,
+    predicted,
+    v_end,
+):
+    """Take a step; return how far its impulses are from Coulomb's law, see `step_impulses`.
+
+    Rows are three of each contact, three of each held one, then those of limits and of dry joints.
+
+    Args:
+        work: The workspace.
+        t: Time at the midpoint [s].
+        h: Length of the step [s].
+        q: (nq,) configuration at the midpoint.
+        v: (nv,) velocity at the start.
+        touching: Gap above which what is open can arrive [m]; infinite where nothing is to collide.
+        bounces: (n + nl,) which contacts and limits have restitution.
+        compliances: (n,) of all contacts.
+        softened: (nv,) what damping and drives add to M.
+        mass: (nv, nv) M with that.
+        inverse: (nv, nv) of it.
+        tree: (nv,) number of the tree that each velocity belongs to.
+        contacts: (nc,) that are near.
+        held: (nh,) that are held.
+        limits: (nl,) that are near.
+        dry: (nd,) velocities of joints with dry friction.
+        begin: (nv,) see `step_impulses`.
+        pushed: (nv,) mean acceleration by the impulses of the step before; takes that of this one.
+        jacobian: (rows, nv) to be filled.
+        surface: (nc + nh, 3) takes velocities of the surfaces [m/s].
+        gap: (nc + nh + nl,) takes the gaps at the midpoint [m or rad].
+        impulse: (rows,) takes the impulses.
+        u_start: (rows,) takes the velocities of the rows at the start.
+        u_end: (rows,) takes those at the end.
+        arrives: (nc + nl,) takes what closes so fast that it collides: it has no impulse here.
+        predicted: (nv,) takes the velocity with which forces were evaluated at the end.
+        v_end: (nv,) takes the velocity at the end.
+    """
+    n, nv, nc, every = len(jacobian), len(v), len(contacts), len(contacts) + len(held)
+    offset, free, powers, mean = np.empty(n), np.empty(n), np.empty(2), np.empty(nv)
+    acceleration, friction, compliance = np.empty((every, 3)), np.empty(nc), np.empty(nc)
+    set_state(work, q, v)
+    evaluate_without_contacts(work, t, powers)
+    if work.callback_failed:
+        return 0.0
+    fill_rows(work, v, contacts, held, limits, dry, jacobian, offset, surface, acceleration, gap)
+    free_velocity(h, v, work.acceleration, inverse, softened, v, predicted)
+    velocities(jacobian, offset, v, u_start)
+    velocities(jacobian, offset, predicted, free)
+    active = flags(n - 2 * nc, True)
+    for i in range(nc + len(limits)):
+        row = 3 * i + 2 if i < nc else 3 * every + i - nc
+        number = contacts[i] if i < nc else work.contacts + limits[i - nc]
+        height = gap[i] if i < nc else gap[every + i - nc]
+        # what is apart and closes faster than the step's own acceleration makes: an impact
+        own = abs(free[row] - u_start[row])
+        if i < nc:
+            own = max(own, h * abs(acceleration[i, 2]))
+            friction[i], compliance[i] = work.friction[number], compliances[number]
+        arrives[i] = (
+            bounces[number]
+            and u_start[row] < -max(work.resting_speed, 2.0 * own)
+            and height - 0.5 * h * u_start[row] > touching
+        )
+        active[i if i < nc else row - 2 * nc] = not arrives[i]
+    for c in range(nv):
+        predicted[c] += h * pushed[c]  # by impulses as in the step before
+        mean[c] = 0.5 * (v[c] + predicted[c])
+    set_state(work, q, mean)
+    evaluate_without_contacts(work, t, powers)
+    if work.callback_failed:
+        return 0.0
+    free_velocity(h, v, work.acceleration, inverse, softened, predicted, v_end)
+    velocities(jacobian, offset, v_end, free)
+    lower, upper = np.empty(n - 3 * nc), np.empty(n - 3 * nc)
+    for a in range(3 * nc, n):
+        k = a - 3 * nc
+        lower[k], upper[k] = -math.inf, math.inf
+        if a >= 3 * every + len(limits):
+            upper[k] = h * work.dry_friction[dry[a - 3 * every - len(limits)]]
+            lower[k] = -upper[k]
+        elif a >= 3 * every:
+            lower[k] = 0.0
+            free[a] += 2.0 * max(gap[a - 2 * every], 0.0) / h
+    for i in range(every):
+        free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
+    off = step_impulses(
+        *(mass, inverse, jacobian, free, friction, lower, upper, compliance, active, tree, ACCURATE),
+        *(begin, mean, impulse),
+    )
+    for c in range(nv):
+        v_end[c] += mean[c]
+        pushed[c] = mean[c] / h
+    velocities(jacobian, offset, v_end, u_end)
+    return off
