@@ -17,27 +17,18 @@ import math
 
 import numpy as np
 
-from .._compile.declared import FLOAT_ROWS, FLOATS, declared
+from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from .._compile.jit import external, inlined
 from .coulomb_problem import into_cone
 from .loops import assign
 from .products import apply, dot
 
 SYSTEM = (
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOAT_ROWS,
-    FLOATS,
-    FLOATS,
-    FLOATS,
-    FLOATS,
-    FLOATS,
-    float,
-    FLOATS,
-    FLOATS,
-    FLOATS,
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
+    *(float, FLOATS, FLOATS, FLOATS),
 )
-"""Types: M, its inverse, J, u_free, friction, bounds, compliances, accuracy, begin, w and the impulses."""
+"""Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, accuracy, begin, w and the
+impulses."""
 
 PROXIMAL = 1e-4
 """The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
@@ -282,28 +273,17 @@ def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvatur
 
 
 @external
-def find_columns(mass, jacobian, contacts, values, columns, counts, start, last):
-    """Fill J without its columns of zeros, a contact's rows together, and where rows of matrices end.
+def find_columns(jacobian, contacts, values, columns, counts):
+    """Fill J without its columns of zeros, a contact's rows together.
 
     Args:
-        mass: (m, m) M.
         jacobian: (n, m) J.
         contacts: Number of contacts.
         values: (n, m) takes what is not zero.
-        columns: (n, m) takes its columns.
+        columns: (n, m) takes its columns, in ascending order.
         counts: (n,) takes how many they are.
-        start: (m,) takes where the rows of M begin.
-        last: (m,) takes where those of M + JᵀJ end.
     """
     n, m = jacobian.shape
-    for a in range(m):
-        start[a], last[a] = a, a
-        for b in range(a):
-            if mass[a, b] != 0.0:
-                start[a] = b
-                break
-        for b in range(start[a], a):
-            last[b] = max(last[b], a)
     begin = 0
     while begin < n:
         end = begin + 3 if begin < 3 * contacts else begin + 1
@@ -317,10 +297,25 @@ def find_columns(mass, jacobian, contacts, values, columns, counts, start, last)
                 count += 1
         for a in range(begin, end):
             counts[a] = count
-        for k in range(count):
-            last[columns[begin, k]] = max(last[columns[begin, k]], columns[begin, count - 1])
         begin = end
-    for a in range(1, m):  # what is filled in while it is factorized
+
+
+@external
+def find_profile(mass, columns, counts, start, last):
+    """Fill where the rows of M begin (m,), and where those of M + JᵀJ end once it is factorized (m,)."""
+    m = len(mass)
+    for a in range(m):
+        start[a], last[a] = a, a
+        for b in range(a):
+            if mass[a, b] != 0.0:
+                start[a] = b
+                break
+        for b in range(start[a], a):
+            last[b] = max(last[b], a)
+    for a in range(len(counts)):
+        for k in range(counts[a]):
+            last[columns[a, k]] = max(last[columns[a, k]], columns[a, counts[a] - 1])
+    for a in range(1, m):
         if last[a - 1] >= a:
             last[a] = max(last[a], last[a - 1])
 
@@ -348,13 +343,18 @@ def fill_compliances(inverse, values, columns, counts, compliance, diagonal, giv
 
 @declared(*SYSTEM, result=float)
 @external
-def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance, accuracy, begin, w, x):
+def solve_velocities(
+    mass, inverse, values, columns, counts, free, mu, lower, upper, compliance, accuracy, begin, w, x
+):
     """Fill x with impulses that obey the law.
 
     Args:
         mass: (m, m) M.
         inverse: (m, m) its inverse.
-        jacobian: (n, m) J of nc contacts, three rows (t₁, t₂, n) each, then of ns scalar rows.
+        values: (n, …) J of nc contacts, three rows (t₁, t₂, n) each, then of ns scalar rows: what is not zero
+            of each row, the same columns for all rows of a contact.
+        columns: (n, …) where that stands, in ascending order.
+        counts: (n,) how much there is.
         free: (n,) u without impulses.
         mu: (nc,) coefficients of friction.
         lower: (ns,) least scalar impulses.
@@ -370,11 +370,9 @@ def solve_velocities(mass, inverse, jacobian, free, mu, lower, upper, compliance
     Returns:
         How far they are from the law, in parts of u_free.
     """
-    n, m = jacobian.shape
-    nc = len(mu)
-    values, columns, counts = np.empty((n, m)), np.empty((n, m), dtype=np.int64), np.empty(n, dtype=np.int64)
+    n, m, nc = len(free), len(mass), len(mu)
     start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_columns(mass, jacobian, nc, values, columns, counts, start, last)
+    find_profile(mass, columns, counts, start, last)
     diagonal, r = np.empty(n), np.empty(n)
     fill_compliances(inverse, values, columns, counts, compliance, diagonal, r)
     u, f, du, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros(nc)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -49,7 +50,7 @@ class FacingShapes:
     """
 
     def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout) -> None:
-        self._model, self._data = model, model.createData()
+        self._model = model
         self._dynamics, self._work = dynamics, dynamics.work
         self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
@@ -66,6 +67,10 @@ class FacingShapes:
             work.velocity_signs[numbers] = motion_signs(model, pair.a.joint, pair.b.joint)
         self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
         self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
 
     def _set_boxes(self, pairs: list[tuple[ShapePair, list[int]]]) -> None:
         """Set the tables of pairs of boxes, see `facing_boxes.face_boxes`."""

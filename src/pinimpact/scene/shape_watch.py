@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,13 +119,16 @@ class ShapeWatch:
                 groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
         pairs = tuple(pair for pair, _ in groups.values())
         if pairs:
-            self._data = model.createData()
             self._apart = PairsApart(model, layout, pairs)
             moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
         self._pairs = [
             self._watched(layout.pairs[pair], places, moves[k])
             for k, (pair, places) in enumerate(groups.values())
         ]
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
 
     def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:
         blanks = [self._dynamics.contacts[i] for i in places]

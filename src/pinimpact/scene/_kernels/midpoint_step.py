@@ -9,8 +9,8 @@ import numpy as np
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import flags
-from ..._numeric.products import apply, apply_symmetric
-from ..._numeric.proximal_newton import ACCURATE
+from ..._numeric.products import apply_symmetric
+from ..._numeric.proximal_newton import ACCURATE, find_columns, rates
 from ...geometry._kernels.constants import RADIUS
 from .dynamics import (
     FAR,
@@ -23,7 +23,7 @@ from .dynamics import (
     set_state,
     sphere_gap,
 )
-from .step_impulses import step_impulses
+from .step_impulses import solve_islands
 from .workspace import SceneWorkspace
 
 
@@ -65,8 +65,8 @@ def near_rows(work, q, v, h, slack, idle, near):
 
 
 @inlined
-def fill_rows(work, v, contacts, held, limits, dry, jacobian, offset, surface, acceleration, gap):
-    """Fill the rows of a step at the state last evaluated; arguments as of `midpoint_step`."""
+def fill_rows(work, v, contacts, held, limits, dry, jacobian, u, surface, acceleration, gap):
+    """Fill the rows of a step at the state last evaluated, and their velocities; see `midpoint_step`."""
     every, nv = len(contacts) + len(held), len(v)
     index, motion = np.empty(every, dtype=np.int64), np.empty((every, 3))
     for k in range(every):
@@ -77,25 +77,22 @@ def fill_rows(work, v, contacts, held, limits, dry, jacobian, offset, surface, a
     for k in range(every):
         gap[k] -= work.rest_gap[index[k]]
         for e in range(3):
-            a, total = 3 * k + e, 0.0
-            for c in range(nv):
-                total += jacobian[a, c] * v[c]
-            offset[a] = motion[k, e] - total
+            u[3 * k + e] = motion[k, e]
     for a in range(3 * every, len(jacobian)):
         for c in range(nv):
             jacobian[a, c] = 0.0
-        offset[a] = 0.0
     for k in range(len(limits)):
         jacobian[3 * every + k, work.limit_v[limits[k]]] = work.limit_sign[limits[k]]
-        gap[every + k], _ = limit_gap(work, limits[k], work.q, v)
+        gap[every + k], u[3 * every + k] = limit_gap(work, limits[k], work.q, v)
     for k in range(len(dry)):
         jacobian[3 * every + len(limits) + k, dry[k]] = 1.0
+        u[3 * every + len(limits) + k] = v[dry[k]]
 
 
 @inlined
-def velocities(jacobian, offset, v, out):
-    """Fill out (n,) with jacobian v + offset."""
-    apply(jacobian, v, out)
+def velocities(values, columns, counts, offset, v, out):
+    """Fill out (n,) with J v + offset."""
+    rates(values, columns, counts, v, out)
     for a in range(len(out)):
         out[a] += offset[a]
 
@@ -183,14 +180,19 @@ def midpoint_step(
     n, nv, nc, every = len(jacobian), len(v), len(contacts), len(contacts) + len(held)
     offset, free, powers, mean = np.empty(n), np.empty(n), np.empty(2), np.empty(nv)
     acceleration, friction, compliance = np.empty((every, 3)), np.empty(nc), np.empty(nc)
+    values, columns = np.empty((n, nv)), np.empty((n, nv), dtype=np.int64)
+    counts = np.empty(n, dtype=np.int64)
     set_state(work, q, v)
     evaluate_without_contacts(work, t, powers)
     if work.callback_failed:
         return 0.0
-    fill_rows(work, v, contacts, held, limits, dry, jacobian, offset, surface, acceleration, gap)
+    fill_rows(work, v, contacts, held, limits, dry, jacobian, u_start, surface, acceleration, gap)
+    find_columns(jacobian, every, values, columns, counts)
+    rates(values, columns, counts, v, offset)
+    for a in range(n):
+        offset[a] = u_start[a] - offset[a]
     free_velocity(h, v, work.acceleration, inverse, softened, v, predicted)
-    velocities(jacobian, offset, v, u_start)
-    velocities(jacobian, offset, predicted, free)
+    velocities(values, columns, counts, offset, predicted, free)
     active = flags(n - 2 * nc, True)
     for i in range(nc + len(limits)):
         row = 3 * i + 2 if i < nc else 3 * every + i - nc
@@ -215,7 +217,7 @@ def midpoint_step(
     if work.callback_failed:
         return 0.0
     free_velocity(h, v, work.acceleration, inverse, softened, predicted, v_end)
-    velocities(jacobian, offset, v_end, free)
+    velocities(values, columns, counts, offset, v_end, free)
     lower, upper = np.empty(n - 3 * nc), np.empty(n - 3 * nc)
     for a in range(3 * nc, n):
         k = a - 3 * nc
@@ -228,12 +230,26 @@ def midpoint_step(
             free[a] += 2.0 * max(gap[a - 2 * every], 0.0) / h
     for i in range(every):
         free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
-    off = step_impulses(
-        *(mass, inverse, jacobian, free, friction, lower, upper, compliance, active, tree, ACCURATE),
+    off = solve_islands(
+        *(
+            mass,
+            inverse,
+            values,
+            columns,
+            counts,
+            free,
+            friction,
+            lower,
+            upper,
+            compliance,
+            active,
+            tree,
+            ACCURATE,
+        ),
         *(begin, mean, impulse),
     )
     for c in range(nv):
         v_end[c] += mean[c]
         pushed[c] = mean[c] / h
-    velocities(jacobian, offset, v_end, u_end)
+    velocities(values, columns, counts, offset, v_end, u_end)
     return off

@@ -11,7 +11,7 @@ from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.proximal_newton import solve_velocities
+from ..._numeric.proximal_newton import find_columns, solve_velocities
 
 USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
@@ -56,43 +56,53 @@ def invert_trees(upper, added, tree, mass, inverse):
 
 
 @inlined
-def label_trees(jacobian, contacts, active, tree, label, first):
+def label_trees(columns, counts, contacts, active, tree, label, first):
     """Fill the label of each tree, the same for those of an island, and a tree of each item, −1 for none."""
     for k in range(len(label)):
         label[k] = k
     for i in range(len(active)):
         first[i] = -1
-        if not active[i]:
+        row = 3 * i if i < contacts else 2 * contacts + i
+        if not active[i] or counts[row] == 0:
             continue
-        start, end = (3 * i, 3 * i + 3) if i < contacts else (2 * contacts + i, 2 * contacts + i + 1)
-        for c in range(len(tree)):
-            if first[i] >= 0 and label[tree[c]] == label[first[i]]:
-                continue
-            for a in range(start, end):
-                if jacobian[a, c] != 0.0:
-                    if first[i] < 0:
-                        first[i] = tree[c]
-                        break
-                    one, other = label[first[i]], label[tree[c]]
-                    for k in range(len(label)):
-                        if label[k] == one or label[k] == other:
-                            label[k] = min(one, other)
-                    break
+        first[i] = tree[columns[row, 0]]
+        for k in range(counts[row]):
+            one, other = label[first[i]], label[tree[columns[row, k]]]
+            if one != other:
+                for o in range(len(label)):
+                    if label[o] == one or label[o] == other:
+                        label[o] = min(one, other)
 
 
 @external
 def solve_island(
-    mass, inverse, jacobian, free, friction, lower, upper, compliance, accuracy, begin, change, found
+    mass,
+    inverse,
+    values,
+    columns,
+    counts,
+    free,
+    friction,
+    lower,
+    upper,
+    compliance,
+    accuracy,
+    begin,
+    change,
+    found,
 ):
     """Find the impulses of an island; arguments as of `solve_velocities`."""
-    n, m = jacobian.shape
-    nc = len(friction)
+    n, m, nc = len(free), len(mass), len(friction)
     off = solve_velocities(
-        mass, inverse, jacobian, free, friction, lower, upper, compliance, accuracy, begin, change, found
+        *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
+        *(accuracy, begin, change, found),
     )
     if off <= USABLE:
         return off
-    response, delassus = np.empty((n, m)), np.empty((n, n))
+    jacobian, response, delassus = np.zeros((n, m)), np.empty((n, m)), np.empty((n, n))
+    for a in range(n):
+        for k in range(counts[a]):
+            jacobian[a, columns[a, k]] = values[a, k]
     products(jacobian, inverse, response)
     products(jacobian, response, delassus)
     for a in range(n):
@@ -113,6 +123,94 @@ def solve_island(
         for a in range(n):
             change[c] += response[a, c] * found[a]
     return left
+
+
+@external
+def solve_islands(
+    mass,
+    inverse,
+    values,
+    columns,
+    counts,
+    free,
+    friction,
+    lower,
+    upper,
+    compliance,
+    active,
+    tree,
+    accuracy,
+    begin,
+    change,
+    impulse,
+):
+    """Find the impulses of a step as `step_impulses`, with J as of `solve_velocities`."""
+    nc, nv = len(friction), len(tree)
+    trees = 0
+    for c in range(nv):
+        trees = max(trees, tree[c] + 1)
+    label, moves = np.empty(trees, dtype=np.int64), np.empty(nv, dtype=np.int64)
+    first, items = np.empty(len(active), dtype=np.int64), np.empty(len(active), dtype=np.int64)
+    rows, place = np.empty(len(free), dtype=np.int64), np.empty(nv, dtype=np.int64)
+    label_trees(columns, counts, nc, active, tree, label, first)
+    for a in range(len(impulse)):
+        impulse[a] = 0.0
+    worst = 0.0
+    for island in range(trees):
+        m = n = contacts = count = 0
+        for i in range(len(active)):
+            if first[i] >= 0 and label[first[i]] == island:
+                items[count] = i
+                count += 1
+                if i < nc:
+                    contacts += 1
+                    for a in range(3 * i, 3 * i + 3):
+                        rows[n] = a
+                        n += 1
+                else:
+                    rows[n] = 2 * nc + i
+                    n += 1
+        for c in range(nv):
+            if label[tree[c]] == island:
+                place[c] = m
+                moves[m] = c
+                m += 1
+        if count == 0:
+            for k in range(m):
+                change[moves[k]] = begin[moves[k]] = 0.0
+            continue
+        widest = 0
+        for a in range(n):
+            widest = max(widest, counts[rows[a]])
+        own_mass, own_inverse = np.empty((m, m)), np.empty((m, m))
+        own, where = np.empty((n, widest)), np.empty((n, widest), dtype=np.int64)
+        lengths = np.empty(n, dtype=np.int64)
+        start, moved, given, found = np.empty(m), np.empty(m), np.empty(n), np.empty(n)
+        mu, soft = np.empty(contacts), np.empty(contacts)
+        low, high = np.empty(count - contacts), np.empty(count - contacts)
+        for a in range(m):
+            start[a] = begin[moves[a]]
+            for b in range(m):
+                own_mass[a, b] = mass[moves[a], moves[b]]
+                own_inverse[a, b] = inverse[moves[a], moves[b]]
+        for a in range(n):
+            given[a], lengths[a] = free[rows[a]], counts[rows[a]]
+            for k in range(lengths[a]):
+                own[a, k], where[a, k] = values[rows[a], k], place[columns[rows[a], k]]
+        for k in range(contacts):
+            mu[k], soft[k] = friction[items[k]], compliance[items[k]]
+        for k in range(contacts, count):
+            low[k - contacts], high[k - contacts] = lower[items[k] - nc], upper[items[k] - nc]
+        off = solve_island(
+            *(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft),
+            *(accuracy, start, moved, found),
+        )
+        worst = max(worst, off)
+        for a in range(n):
+            impulse[rows[a]] = found[a]
+        for a in range(m):
+            begin[moves[a]], change[moves[a]] = start[a], moved[a]
+    return worst
 
 
 @declared(
@@ -157,62 +255,10 @@ def step_impulses(
         change: (nv,) takes that by the impulses.
         impulse: (n,) takes the impulses.
     """
-    nc, nv = len(friction), len(tree)
-    trees = 0
-    for c in range(nv):
-        trees = max(trees, tree[c] + 1)
-    label, moves = np.empty(trees, dtype=np.int64), np.empty(nv, dtype=np.int64)
-    first, items = np.empty(len(active), dtype=np.int64), np.empty(len(active), dtype=np.int64)
-    rows = np.empty(len(free), dtype=np.int64)
-    label_trees(jacobian, nc, active, tree, label, first)
-    for a in range(len(impulse)):
-        impulse[a] = 0.0
-    worst = 0.0
-    for island in range(trees):
-        m = n = contacts = count = 0
-        for i in range(len(active)):
-            if first[i] >= 0 and label[first[i]] == island:
-                items[count] = i
-                count += 1
-                if i < nc:
-                    contacts += 1
-                    for a in range(3 * i, 3 * i + 3):
-                        rows[n] = a
-                        n += 1
-                else:
-                    rows[n] = 2 * nc + i
-                    n += 1
-        for c in range(nv):
-            if label[tree[c]] == island:
-                moves[m] = c
-                m += 1
-        if count == 0:
-            for k in range(m):
-                change[moves[k]] = begin[moves[k]] = 0.0
-            continue
-        own_mass, own_inverse, own = np.empty((m, m)), np.empty((m, m)), np.empty((n, m))
-        start, moved, given, found = np.empty(m), np.empty(m), np.empty(n), np.empty(n)
-        mu, soft = np.empty(contacts), np.empty(contacts)
-        low, high = np.empty(count - contacts), np.empty(count - contacts)
-        for a in range(m):
-            start[a] = begin[moves[a]]
-            for b in range(m):
-                own_mass[a, b] = mass[moves[a], moves[b]]
-                own_inverse[a, b] = inverse[moves[a], moves[b]]
-        for a in range(n):
-            given[a] = free[rows[a]]
-            for b in range(m):
-                own[a, b] = jacobian[rows[a], moves[b]]
-        for k in range(contacts):
-            mu[k], soft[k] = friction[items[k]], compliance[items[k]]
-        for k in range(contacts, count):
-            low[k - contacts], high[k - contacts] = lower[items[k] - nc], upper[items[k] - nc]
-        off = solve_island(
-            own_mass, own_inverse, own, given, mu, low, high, soft, accuracy, start, moved, found
-        )
-        worst = max(worst, off)
-        for a in range(n):
-            impulse[rows[a]] = found[a]
-        for a in range(m):
-            begin[moves[a]], change[moves[a]] = start[a], moved[a]
-    return worst
+    values, counts = np.empty(jacobian.shape), np.empty(len(free), dtype=np.int64)
+    columns = np.empty(jacobian.shape, dtype=np.int64)
+    find_columns(jacobian, len(friction), values, columns, counts)
+    return solve_islands(
+        *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
+        *(active, tree, accuracy, begin, change, impulse),
+    )
