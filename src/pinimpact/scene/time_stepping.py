@@ -43,6 +43,9 @@ TOGETHER = 1e-2
 MOST_IMPACTS = 20
 """Instants with impacts in a step; what closes after that does so without restitution."""
 
+ROUNDING = 1e-13
+"""Part of the largest entry of M by which those of a constant one differ."""
+
 SHORTEST = 1e-9
 """Part of a step below which what is left of it is none."""
 
@@ -114,6 +117,7 @@ class TimeStepping(Motion):
         self._faces = FacingShapes(model, self.dynamics, scene.layout())
         self._tree = _trees(model)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
+        self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._begin = np.zeros(model.nv)  # see `step_impulses`
         self._pushed = np.zeros(model.nv)  # mean acceleration by the impulses of the step before
         self._unsolved = 0.0
@@ -251,7 +255,10 @@ class TimeStepping(Motion):
         return added
 
     def _invert(self, q: Array, added: Array) -> None:
-        """Compute M with what is added to its diagonal, and its inverse."""
+        """Compute M with what is added to its diagonal, and its inverse, unless they are what they were."""
+        if self._mass_constant and np.array_equal(added, self._added):
+            return
+        self._added = added
         invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _dense(
@@ -393,3 +400,11 @@ def _trees(model: pin.Model) -> Integers:
         roots.append(joint if parent == 0 else roots[parent])
         trees[start : start + model.nvs[joint]] = roots[joint]
     return np.asarray(np.unique(trees, return_inverse=True)[1], dtype=np.int64)
+
+
+def _has_constant_mass(model: pin.Model, data: pin.Data) -> bool:
+    """Return whether M is that of free bodies, the same everywhere: it is compared in two configurations."""
+    q = pin.neutral(model)
+    first = np.array(pin.crba(model, data, q))
+    second = pin.crba(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
+    return bool(np.abs(second - first).max(initial=0.0) <= ROUNDING * np.abs(first).max(initial=0.0))
