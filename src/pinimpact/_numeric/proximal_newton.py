@@ -30,7 +30,7 @@ SYSTEM = (
 """Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, accuracy, begin, w and the
 impulses."""
 
-PROXIMAL = 1e-4
+PROXIMAL = 3e-4
 """The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
 
 ITERATIONS = 40
@@ -42,7 +42,7 @@ STEPS = 40
 BALANCED = 1e-11
 """Part of the largest momentum that M w − Jᵀf may be off after Newton's method."""
 
-ACCURATE = 1e-10
+ACCURATE = 1e-9
 """Part of u_free that f⁺ − f may change velocities by at the end, where rounding lets it."""
 
 STALLED = 1e-5
@@ -50,7 +50,7 @@ STALLED = 1e-5
 
 PATIENCE = 3
 
-INEXACT = 1e-2
+INEXACT = 0.03
 """Part of what the iteration before has changed that Newton's method may be off."""
 
 FARTHEST = 5.0
@@ -391,7 +391,7 @@ def solve_velocities(
     rates(values, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
-    lowest, since, reached = math.inf, 0, INEXACT
+    lowest, since, reached = math.inf, 0, 1.0
     for iteration in range(ITERATIONS):
         extrapolate(u, mu, iteration, shift, slipped, gain)
         before = math.inf

@@ -15,10 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._numeric.proximal_newton import ACCURATE
-from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
-from ._kernels.force_evaluation import places_of_contacts
-from ._kernels.lie_charts import chart_rate
-from ._kernels.midpoint_step import midpoint_step, near_rows
+from ._kernels.midpoint_step import midpoint_step, near_rows, report_step
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
@@ -205,11 +202,9 @@ class TimeStepping(Motion):
         share = min(
             (_touch(before[i] / h, u_start[normals[i]], u_end[normals[i]]) for i in closing), default=1.0
         )
-        follows = (softened - 0.5 * h * self.work.damping) * (v_end - predicted)
-        step = self._dense(t, h, v_end, rows, impulse, u_start, u_end, follows)
+        step = self._dense(t, h, rows, (v_end, softened, predicted), (impulse, u_start, u_end))
         step.end = t + share * h
-        step.closed = self._forces(rows, impulse / h)
-        self._report(rows, impulse, u_end)
+        state.modes.update(t, self.work.modes, self.work.drive_side)
         self.dense_steps.append(step)
         if self.events:
             interruption = self.events.within(step, step.end)
@@ -262,76 +257,21 @@ class TimeStepping(Motion):
         invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _dense(
-        self,
-        t: float,
-        h: float,
-        v_end: Array,
-        rows: _Rows,
-        impulse: Array,
-        u_start: Array,
-        u_end: Array,
-        follows: Array,
+        self, t: float, h: float, rows: _Rows, velocities: tuple[Array, ...], of_rows: tuple[Array, ...]
     ) -> DenseStep:
-        """Return the step, whose velocity is linear in time, and its works.
-
-        The drives' forces are those at the mean velocity of the prediction, less what `follows` of them.
-        """
-        work, q, v = self.work, self.state.q, self.state.v
-        n, nc, k = len(v), 3 * len(rows.contacts), 3 * (len(rows.contacts) + len(rows.held))
-        change = v_end - v
-        coefficients = np.zeros((DENSE_TERMS, 2 * n + WORKS))
-        rate, mean = np.empty(n), 0.5 * (v + v_end)
-        chart_rate(work.joint_charts, 0.5 * h * mean, mean, rate)
-        coefficients[0, :n] = h * rate
-        coefficients[1, :n] = -0.5 * h * change
-        coefficients[0, n : 2 * n] = change
-        rubbing = impulse[:nc].copy()
-        rubbing[2::3] = 0.0
-        drive = h * work.control_force - follows
-        dry = np.zeros(n)
-        dry[rows.dry] = impulse[k + len(rows.limits) :]
-        by_surface = float(impulse[:k] @ rows.surface.ravel())
-        # powers are linear in time: their mean, and half of their change
-        powers = np.array(
-            [
-                (drive @ v, drive @ v_end),
-                ((dry - h * work.damping * mean) @ v, (dry - h * work.damping * mean) @ v_end),
-                (rubbing @ u_start[:nc], rubbing @ u_end[:nc]),
-                (by_surface, by_surface),
-            ]
-        )
-        coefficients[0, 2 * n :] = powers.mean(axis=1)
-        coefficients[1, 2 * n :] = 0.5 * (powers[:, 0] - powers[:, 1])
-        return DenseStep(t, h, q, v, self.w, coefficients, work.joint_charts)
-
-    def _forces(self, rows: _Rows, force: Array) -> Forces | None:
-        """Return the mean forces of a step at its midpoint, None where nothing acts."""
-        if not force.any():
-            return None
-        work, every = self.work, np.concatenate([rows.contacts, rows.held])
-        k = 3 * len(every)
+        """Return the step with its forces, and record its modes; see `report_step`."""
+        work = self.work
+        coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
         world, points, normals = np.zeros((3, work.contacts, 3))
-        axes, places = np.empty((len(every), 3, 3)), np.empty((len(every), 3))
-        places_of_contacts(work, every, axes, places)
-        world[every] = np.einsum("ki,kij->kj", force[:k].reshape(-1, 3), axes)
-        points[every], normals[every] = places, axes[:, 2]
-        return Forces(world, points, normals, rows.jacobian[k:].T @ force[k:], True)
-
-    def _report(self, rows: _Rows, impulse: Array, u_end: Array) -> None:
-        """Record the modes of the step."""
-        work, nc = self.work, len(rows.contacts)
-        k, still = 3 * (nc + len(rows.held)), STILL * (work.resting_speed or 1.0)
-        modes = work.modes
-        modes[:] = FREE
-        modes[rows.held] = HELD
-        slips = np.hypot(u_end[: 3 * nc : 3], u_end[1 : 3 * nc : 3]) > still
-        pressed = impulse[2 : 3 * nc : 3] > 0.0
-        modes[rows.contacts] = np.where(
-            pressed, np.where(slips | (work.friction[rows.contacts] == 0.0), SLIP, STICK), FREE
+        joints = np.zeros(work.nv)
+        still = STILL * (work.resting_speed or 1.0)
+        acts = report_step(
+            *(work, h, still, self.state.v, *velocities, *rows[:6], *of_rows),
+            *(coefficients, world, points, normals, joints),
         )
-        modes[work.contacts + rows.limits] = impulse[k : k + len(rows.limits)] > 0.0
-        modes[work.contacts + work.limits + rows.dry] = np.abs(u_end[k + len(rows.limits) :]) <= still
-        self.state.modes.update(self.state.t, modes, work.drive_side)
+        step = DenseStep(t, h, self.state.q, self.state.v, self.w, coefficients, work.joint_charts)
+        step.closed = Forces(world, points, normals, joints, True) if acts else None
+        return step
 
     def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> None:
         """Take away what overlaps at the end of a step, by the least displacement in the metric of M.

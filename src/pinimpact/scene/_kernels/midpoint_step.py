@@ -12,6 +12,7 @@ from ..._numeric.loops import flags
 from ..._numeric.products import apply_symmetric
 from ..._numeric.proximal_newton import ACCURATE, find_columns, rates
 from ...geometry._kernels.constants import RADIUS
+from .contact_forces import FREE, HELD, SLIP, STICK
 from .dynamics import (
     FAR,
     compute_kinematics,
@@ -23,6 +24,8 @@ from .dynamics import (
     set_state,
     sphere_gap,
 )
+from .force_evaluation import places_of_contacts
+from .lie_charts import chart_rate
 from .step_impulses import solve_islands
 from .workspace import SceneWorkspace
 
@@ -253,3 +256,116 @@ def midpoint_step(
         pushed[c] = mean[c] / h
     velocities(values, columns, counts, offset, v_end, u_end)
     return off
+
+
+@declared(
+    *(SceneWorkspace, float, float, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, INTEGERS, INTEGERS, INTEGERS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
+    result=bool,
+)
+@jit
+def report_step(
+    work,
+    h,
+    still,
+    v,
+    v_end,
+    softened,
+    predicted,
+    contacts,
+    held,
+    limits,
+    dry,
+    jacobian,
+    surface,
+    impulse,
+    u_start,
+    u_end,
+    coefficients,
+    world,
+    points,
+    normals,
+    joints,
+):
+    """Fill dense output, modes and mean forces of a step just taken; return whether any force acts.
+
+    The velocity is linear in time, and so are the powers.
+
+    Args:
+        work: The workspace; its modes are set.
+        h: Length of the step [s].
+        still: Speed up to which nothing slips [m/s].
+        v: (nv,) velocity at the start.
+        v_end: (nv,) at the end.
+        softened: (nv,) as of `midpoint_step`, like the arguments up to `u_end`.
+        predicted: (nv,) likewise.
+        contacts: (nc,) likewise.
+        held: (nh,) likewise.
+        limits: (nl,) likewise.
+        dry: (nd,) likewise.
+        jacobian: (rows, nv) likewise.
+        surface: (nc + nh, 3) likewise.
+        impulse: (rows,) likewise.
+        u_start: (rows,) likewise.
+        u_end: (rows,) likewise.
+        coefficients: (terms, 2 nv + works) takes the dense output; zero before.
+        world: (n, 3) takes the forces in world axes [N]; zero before, like those that follow.
+        points: (n, 3) takes where they act [m].
+        normals: (n, 3) takes the normals there.
+        joints: (nv,) takes the forces of limits and dry friction.
+    """
+    nv, nc, every, modes, acts = len(v), len(contacts), len(contacts) + len(held), work.modes, False
+    turn, rate, mean, dried = np.empty(nv), np.empty(nv), np.empty(nv), np.zeros(nv)
+    for c in range(nv):
+        mean[c] = 0.5 * (v[c] + v_end[c])
+        turn[c] = 0.5 * h * mean[c]
+    chart_rate(work.joint_charts, turn, mean, rate)
+    for i in range(len(modes)):
+        modes[i] = FREE
+    powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces
+    for k in range(len(dry)):
+        row = 3 * every + len(limits) + k
+        dried[dry[k]] = impulse[row]
+        modes[work.contacts + work.limits + dry[k]] = 1 if abs(u_end[row]) <= still else 0
+    for k in range(len(limits)):
+        modes[work.contacts + limits[k]] = 1 if impulse[3 * every + k] > 0.0 else 0
+    for c in range(nv):
+        coefficients[0, c] = h * rate[c]
+        coefficients[1, c] = -0.5 * h * (v_end[c] - v[c])
+        coefficients[0, nv + c] = v_end[c] - v[c]
+        follows = (softened[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
+        pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean[c]
+        for e in range(2):
+            speed = v[c] if e == 0 else v_end[c]
+            powers[0, e] += pushed * speed
+            powers[1, e] += lost * speed
+    index, axes, places = np.empty(every, dtype=np.int64), np.empty((every, 3, 3)), np.empty((every, 3))
+    for k in range(every):
+        index[k] = contacts[k] if k < nc else held[k - nc]
+    places_of_contacts(work, index, axes, places)
+    for k in range(every):
+        i, a = index[k], 3 * k
+        for e in range(3):
+            points[i, e], normals[i, e] = places[k, e], axes[k, 2, e]
+            for o in range(3):
+                world[i, e] += impulse[a + o] / h * axes[k, o, e]
+            for o in range(2):
+                powers[3, o] += impulse[a + e] * surface[k, e]
+        if k >= nc:
+            modes[i] = HELD
+            continue
+        for e in range(2):
+            powers[2, 0] += impulse[a + e] * u_start[a + e]
+            powers[2, 1] += impulse[a + e] * u_end[a + e]
+        if impulse[a + 2] > 0.0:
+            slips = math.hypot(u_end[a], u_end[a + 1]) > still or work.friction[i] == 0.0
+            modes[i] = SLIP if slips else STICK
+    for k in range(4):
+        coefficients[0, 2 * nv + k] = 0.5 * (powers[k, 0] + powers[k, 1])
+        coefficients[1, 2 * nv + k] = 0.5 * (powers[k, 0] - powers[k, 1])
+    for a in range(len(impulse)):
+        acts = acts or impulse[a] != 0.0
+        if a >= 3 * every and impulse[a] != 0.0:
+            for c in range(nv):
+                joints[c] += impulse[a] / h * jacobian[a, c]
+    return acts
