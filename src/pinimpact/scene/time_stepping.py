@@ -257,7 +257,12 @@ class TimeStepping(Motion):
         invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _dense(
-        self, t: float, h: float, rows: _Rows, velocities: tuple[Array, ...], of_rows: tuple[Array, ...]
+        self,
+        t: float,
+        h: float,
+        rows: _Rows,
+        velocities: tuple[Array, Array, Array],
+        of_rows: tuple[Array, Array, Array],
     ) -> DenseStep:
         """Return the step with its forces, and record its modes; see `report_step`."""
         work = self.work
