@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         ModelError,
         PinimpactError,
         SimulationError,
+        SteppedWarning,
         UnknownNameError,
         UnstoppableApproachError,
     )
@@ -90,6 +91,7 @@ __all__ = [
     "Solution",
     "Sphere",
     "Status",
+    "SteppedWarning",
     "Stepper",
     "Trajectory",
     "UnknownNameError",
@@ -122,6 +124,7 @@ _HOMES = {
         "ModelError",
         "PinimpactError",
         "SimulationError",
+        "SteppedWarning",
         "UnknownNameError",
         "UnstoppableApproachError",
     ),

@@ -32,6 +32,10 @@ class BoundReachedWarning(UserWarning):
     """An impact at many contacts reached a bound on steps or events, and its answer is approximate."""
 
 
+class SteppedWarning(UserWarning):
+    """A part of a motion was crossed by time stepping, since its events could not be located one by one."""
+
+
 class InputError(PinimpactError, ValueError):
     """A value that cannot be used: wrong shape, not finite, out of range."""
 
@@ -67,6 +71,10 @@ class SimulationError(PinimpactError, RuntimeError):
     ) -> None:
         super().__init__(message, field=field, value=value)
         self.partial = partial
+
+
+class IrregularMotionError(SimulationError):
+    """Events that cannot be located one after another; time stepping crosses them."""
 
 
 class LockedPostureError(SimulationError):

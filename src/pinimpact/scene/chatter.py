@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..errors import SimulationError
+from ..errors import IrregularMotionError
 from ..robot.names import joint_of_velocity
 from .controls import Control, asked
 from .dense_step import DenseStep
@@ -43,7 +43,7 @@ def check_chatter(control: Control, model: pin.Model, steps: Sequence[DenseStep]
         steps: Since the last look.
 
     Raises:
-        SimulationError: It chatters.
+        IrregularMotionError: It chatters.
     """
     jumps = 0
     for step in steps[-LOOKED_AT:]:
@@ -57,7 +57,7 @@ def check_chatter(control: Control, model: pin.Model, steps: Sequence[DenseStep]
     t, h = steps[-1].start, float(np.median([step.h for step in steps[-LOOKED_AT:]]))
     joint = joint_of_velocity(model, i)
     low, high = sorted((float(before[i]), float(after[i])))
-    raise SimulationError(
+    raise IrregularMotionError(
         f"control: it chatters at t = {t:.6g} s: at the joint {joint!r} it jumps between {low:.6g} and "
         f"{high:.6g} again and again, in steps of {h:.2g} s, and no step is short enough; give dry friction "
         "as the model's friction, which also holds joints at rest, and sample a control that switches, with "

@@ -65,6 +65,10 @@ class ModeIntervals:
         for source, mode in now.items():
             self.present.setdefault(source, (mode, t))
 
+    def return_to(self, present: dict[str, tuple[str, float]]) -> None:
+        """Take modes that were present before for those of now."""
+        self.present, self._last = dict(present), b""
+
     def values(self) -> tuple[Any, ...]:
         """Return the modes of the run, to be pickled or given to `take_over`."""
         return self.ended.copy(), self.present.copy(), self._last

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import ModuleType
 from typing import Any, NoReturn
@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, real_number
-from ..errors import InputError, PinimpactError, SimulationError
+from ..errors import InputError, IrregularMotionError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.names import coordinate_names
 from ..robot.pinocchio_bridge import kinetic_energy
@@ -30,7 +30,7 @@ from .dynamics import SceneDynamics
 from .events import EventWatch, Interruption, as_events
 from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
-from .records import Energy, ImpactRecord, ModeInterval
+from .records import Energy, ImpactRecord, ModeInterval, SteppedInterval
 from .scene import STANDARD_GRAVITY, Scene
 from .shape_watch import Meeting
 from .simulation_state import SINGULAR, Arriving, SimulationState
@@ -367,7 +367,12 @@ class Motion:
             EvaluatedForces(partial(_dynamics_of, *self._made_of), self.state.names[: self.work.contacts]),
             (*self._made_of[0].contacts, *self._made_of[0].held),
             coordinate_names(self.model),
+            self._stepped(),
         )
+
+    def _stepped(self) -> Sequence[SteppedInterval]:
+        """Return the intervals that time stepping has crossed."""
+        return ()
 
     def _sample(self) -> None:
         state = self.state
@@ -411,7 +416,7 @@ class Motion:
             else:
                 if self._go_on():
                     return self.dynamics.first_length(self.rtol, self.atol)
-                raise SimulationError(
+                raise IrregularMotionError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
                     "not settle there; a larger resting_speed may help",
                     field="scene",
@@ -425,7 +430,7 @@ class Motion:
             if t + trial <= t:
                 if self._go_on():
                     return self.dynamics.first_length(self.rtol, self.atol)
-                raise SimulationError(
+                raise IrregularMotionError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
                     "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
                     field="rtol",
@@ -580,7 +585,7 @@ class Motion:
         that does not help all of it, each once.
 
         Raises:
-            SimulationError: The control chatters, or a closed rim lies flat.
+            IrregularMotionError: The control chatters, or a closed rim lies flat.
         """
         state, work = self.state, self.work
         self._check_for_chatter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -157,6 +158,32 @@ class ModeInterval:
     mode: str
     start: float
     end: float
+
+
+@dataclass(frozen=True, slots=True)
+class SteppedInterval:
+    """A part of a motion that was crossed by time stepping.
+
+    Attributes:
+        start, end: Times [s].
+        dt: Its shortest step [s].
+        reason: Why events were not located there.
+        error: Estimate of what its steps miss, in coordinates [m or rad]; NaN where steps of two lengths
+            led to impacts in different orders, so that they give none.
+    """
+
+    start: float
+    end: float
+    dt: float
+    reason: str
+    error: float
+
+    def __str__(self) -> str:
+        error = "of unknown error" if math.isnan(self.error) else f"estimated error {self.error:.2g}"
+        return (
+            f"t = {self.start:.4f} s to {self.end:.4f} s: time steps of {self.dt:.3g} s, {error}, since "
+            f"events could not be located: {self.reason}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,6 +240,14 @@ class SceneImpacts:
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
+    def restores(self, touching: Sequence[int]) -> bool:
+        """Whether any of some contacts and limits has restitution."""
+        contacts = self._dynamics.contacts
+        return any(
+            self._limit_restitution > 0.0 if i >= len(contacts) else not self._is_plastic(contacts[i])
+            for i in touching
+        )
+
     def resolve_group(
         self, q: Array, v: Array, first: int, touching: Sequence[int], limit: bool = False
     ) -> GroupImpact | None:

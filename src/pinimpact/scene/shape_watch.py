@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..errors import InputError, SimulationError
+from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
@@ -192,6 +192,47 @@ class ShapeWatch:
             if found.value <= rounding:
                 self._fill(watched, touches(*placed, found.normal, rounding), placed, found.normal)
 
+    def clear(self) -> None:
+        """Let nothing touch."""
+        for watched in self._pairs:
+            for i, blank in zip(watched.places, watched.blanks, strict=True):
+                self._put(i, blank)
+                self._dynamics.contacts[i] = blank
+                self._work.modes[i] = FREE
+            watched.points.clear()
+            watched.normals.clear()
+            watched.flush = frozenset(), frozenset()
+
+    def restart(self, q: Array, within: float) -> list[int]:
+        """Let the pairs touch that are near each other, after time stepping; return the places filled.
+
+        Args:
+            q: (nq,) configuration.
+            within: Gap or overlap up to which shapes touch [m].
+
+        Raises:
+            IrregularMotionError: A pair that overlaps by more.
+        """
+        self.clear()
+        if not self._pairs:
+            return []
+        self._set(q)
+        filled: list[int] = []
+        for number in np.flatnonzero(self._apart.at(q) <= within).tolist():
+            watched = self._pairs[number]
+            placed = watched.pair.placed(self._data)
+            found = gap(*placed)
+            if found.value < -within:
+                raise IrregularMotionError(
+                    f"contacts: {watched.label!r} overlaps by {-found.value:.3g} m",
+                    field="contacts",
+                    value=watched.label,
+                )
+            if found.value <= within:
+                touching = touches(*placed, found.normal, max(within, abs(found.value)))
+                filled += self._fill(watched, touching, placed, found.normal)
+        return filled
+
     def refresh(self, q: Array) -> None:
         """Bring the contacts of what touches, as impacts take them, to a configuration."""
         if any(watched.points for watched in self._pairs):
@@ -222,7 +263,7 @@ class ShapeWatch:
         ]
         free = [i for i in watched.places if i not in watched.points]
         if len(fresh) > len(free):
-            raise SimulationError(
+            raise IrregularMotionError(
                 f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more than the "
                 f"{len(watched.places)} that two such faces can share; corners that differ by rounding "
                 "may be why",
@@ -263,7 +304,7 @@ class ShapeWatch:
         """Leave the places of what has opened.
 
         Raises:
-            SimulationError: Corners of polytopes that stay on corners or edges, where no plane is common.
+            IrregularMotionError: Corners of polytopes that stay on corners or edges: no plane is common.
         """
         modes = self._work.modes
         for watched in self._pairs:
@@ -272,7 +313,7 @@ class ShapeWatch:
                     self._leave(watched, i)
                 elif watched.points[i].lasting is None:
                     kind = watched.points[i].touch.kind.replace("-", " on ")
-                    raise SimulationError(
+                    raise IrregularMotionError(
                         f"contacts: {watched.label!r} rests {kind}, where its normal is not determined; "
                         "start a little beside it, or give one of the shapes a radius",
                         field="contacts",
@@ -335,7 +376,7 @@ class ShapeWatch:
 
     def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:
-            raise SimulationError(
+            raise IrregularMotionError(
                 f"contacts: {watched.label!r} neither touches nor parts near t = {step.start:.6g} s; they "
                 "stay within rounding of each other",
                 field="contacts",
@@ -386,7 +427,7 @@ class ShapeWatch:
             last = at(end)
             depth = -gap(last.a, last.b).value
             if depth > SUNK * watched.size:
-                raise SimulationError(
+                raise IrregularMotionError(
                     f"contacts: {watched.label!r} sinks {depth:.3g} m in at t = {end:.6g} s, past the points "
                     "that touch: corners may have met corners or edges just so; start a little beside it",
                     field="contacts",

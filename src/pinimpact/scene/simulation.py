@@ -1,4 +1,4 @@
-"""The simulation of a scene from a state, for a time, by one of two schemes."""
+"""The simulation of a scene from a state, for a time: events, time steps, or both in turn."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from numpy.typing import ArrayLike
 
 from ..checks import choice
 from ..errors import PinimpactError
+from .alternating import Alternating
 from .motion import Motion, Progress, check_numbers
 from .scene import Scene
+from .time_stepping import TimeStepping
 from .trajectory import Trajectory
 
-SCHEMES = "event-driven", "time-stepping"
+SCHEMES = "event-driven", "time-stepping", "auto"
 
 
 def simulate(
@@ -46,8 +48,10 @@ def simulate(
         progress: Called with the time reached and the duration, after every step.
         scheme: "event-driven", or "time-stepping": steps of fixed length that take sustained contact,
             friction and limits at once, for scenes of many or aligned contacts, where events crowd. It is of
-            first order in `dt`; tolerances do not apply. (theory.md, 16)
-        dt: Length of the steps of time stepping [s].
+            first order in `dt`; tolerances do not apply. (theory.md, 16) "auto": event-driven, and time steps
+            across intervals whose events cannot be located one by one; `Trajectory.stepped` lists them, with
+            estimates of their error.
+        dt: Length of the steps of time stepping [s], with "auto" the longest one.
 
     Raises:
         UnknownNameError: No such scheme.
@@ -62,9 +66,10 @@ def simulate(
     choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
         motion: Motion = Motion(scene, q0, v0, rtol, atol, max_step, max_impacts)
+    elif scheme == "auto":
+        check_numbers(dt=dt)
+        motion = Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
     else:
-        from .time_stepping import TimeStepping  # imports scipy.sparse, which takes a tenth of a second
-
         check_numbers(dt=dt)
         motion = TimeStepping(scene, q0, v0, float(dt), max_impacts)
     return _run(motion, float(duration), progress)

@@ -13,7 +13,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
-from ..errors import BoundReachedWarning, InputError, LockedPostureError, SimulationError
+from ..errors import (
+    BoundReachedWarning,
+    InputError,
+    IrregularMotionError,
+    LockedPostureError,
+    SimulationError,
+)
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.matrices import ContactMatrices, contact_matrices
@@ -35,6 +41,10 @@ Array = NDArray[np.float64]
 
 Arriving = int | list[int] | None
 """Numbers of contacts or of a limit whose gap closes now."""
+
+CROWD = 16
+"""Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
+cost of its events grows steeply with their number."""
 
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
@@ -85,6 +95,8 @@ class SimulationState:
         dynamics: The motion between events, with the modes that hold now.
         names: Of the contacts that are watched, and of the joint limits.
         impact_energy: Change of kinetic energy in impacts so far [J].
+        crowds_refused: Whether impacts are refused that reach a bound on steps or events, or in which nothing
+            is restored at more than `CROWD` contacts.
         impacts, notes, modes: What there is to tell of the run so far.
     """
 
@@ -124,7 +136,7 @@ class SimulationState:
         self._slow = np.zeros(len(self.names), dtype=np.int64)
 
         self._forces_found = True
-        self.impact_energy, self.bound_reached = 0.0, False
+        self.impact_energy, self.bound_reached, self.crowds_refused = 0.0, False, False
         self.impacts: list[ImpactRecord] = []
         self.notes: list[Note] = []
         self.modes = ModeIntervals(model, contact_names, limit_names)
@@ -203,7 +215,7 @@ class SimulationState:
                 break
             jams += 1
             if jams > MOST_IMPACTS:
-                raise SimulationError(
+                raise IrregularMotionError(
                     f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not settle, "
                     f"the last at {_last(resolved)}; less friction would end them",
                     field="scene",
@@ -441,6 +453,10 @@ class SimulationState:
         """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
         if len(touching) < 2 or not self._impacts.together:
             return []
+        if self.crowds_refused and len(touching) > CROWD and not self._impacts.restores(touching):
+            raise IrregularMotionError(
+                f"scene: {len(touching)} contacts touch at an impact at t = {self.t:.6g} s", field="scene"
+            )
         impact = self._impacts.resolve_group(self.q, self.v, first, touching)
         if impact is None:
             return []
@@ -476,7 +492,13 @@ class SimulationState:
         return found
 
     def _warn_of_bound(self) -> None:
-        """Warn once per run that an impact is approximate; its note has been made."""
+        """Warn once per run that an impact is approximate; its note has been made.
+
+        Raises:
+            IrregularMotionError: Such impacts are refused.
+        """
+        if self.crowds_refused:
+            raise IrregularMotionError(f"scene: {self.notes[-1].text}", field="scene")
         if not self.bound_reached:
             self.bound_reached = True
             warnings.warn(

@@ -108,8 +108,13 @@ class TimeStepping(Motion):
 
     def __init__(self, scene: Scene, q0: ArrayLike, v0: ArrayLike, dt: float, max_impacts: int) -> None:
         super().__init__(scene, q0, v0, 1e-8, 1e-10, dt, max_impacts)
+        self._prepare(dt)
+        self.work.sliding_friction[:] = 0.0
+
+    def _prepare(self, dt: float) -> None:
+        """Prepare steps of a length [s]."""
         self._dt = dt
-        model, work = self.model, self.work
+        scene, model, work = self._made_of[0], self.model, self.work
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
         self._faces = FacingShapes(model, self.dynamics, scene.layout())
         self._tree = _trees(model)
@@ -126,7 +131,6 @@ class TimeStepping(Motion):
         self._held, self._dry = np.flatnonzero(work.bilateral), np.flatnonzero(work.dry_friction)
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
         self._gravity = float(np.linalg.norm(model.gravity.linear))
-        work.sliding_friction[:] = 0.0
 
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen; see `Motion.begin`."""

@@ -20,7 +20,7 @@ from ..robot.contact import Contact
 from ..tables import AXES, by_component, data_frame
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
-from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, group_notes
+from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, SteppedInterval, group_notes
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
@@ -42,6 +42,7 @@ class Trajectory:
         termination: Why the run ended, in a sentence.
         complete: Whether it reached its duration.
         notes: Where the resting speed was used, where forces were not unique, and the like.
+        stepped: The intervals that time stepping has crossed, with `scheme="auto"`.
         switched_off: Effects switched off although the scene calls for them.
         statistics: Counts: "steps", "rejected", "evaluations".
         sources: Names of the scene's contacts, joint limits and joints: what impacts and modes can be of.
@@ -72,6 +73,7 @@ class Trajectory:
         forces: ForceSource | None,
         contacts: Sequence[Contact],
         coordinates: tuple[Sequence[str], Sequence[str]] | None,
+        stepped: Sequence[SteppedInterval] = (),
     ) -> None:
         self._segments = tuple(segments)
         self.joint_table = joints
@@ -83,6 +85,7 @@ class Trajectory:
         self.modes = tuple(modes)
         self.energy = energy
         self.notes = tuple(notes)
+        self.stepped = tuple(stepped)
         self.termination = termination
         self.complete = complete
         self.switched_off = tuple(switched_off)
@@ -398,6 +401,7 @@ class Trajectory:
             "modes": self.modes,
             "energy": self.energy,
             "notes": self.notes,
+            "stepped": self.stepped,
             "termination": self.termination,
             "complete": self.complete,
             "switched_off": self.switched_off,
@@ -417,7 +421,9 @@ class Trajectory:
 
     def __repr__(self) -> str:
         return (
-            f"Trajectory({self.duration:.6g} s, {counted(len(self.impacts), 'impact')}; {self.termination})"
+            f"Trajectory({self.duration:.6g} s, {counted(len(self.impacts), 'impact')}"
+            + (f", {sum(s.end - s.start for s in self.stepped):.3g} s in time steps" if self.stepped else "")
+            + f"; {self.termination})"
         )
 
     def __str__(self) -> str:
@@ -431,6 +437,7 @@ class Trajectory:
             f"Energy {float(self.energy.total[0]):.6g} J to {float(self.energy.total[-1]):.6g} J, "
             f"energy residual {float(self.energy.residual[-1]):.2g} J.",
             *map(str, self.events),
+            *map(str, self.stepped),
             *map(str, group_notes(self.notes)),
         ]
         if self.switched_off:
@@ -458,7 +465,11 @@ class Trajectory:
             ],
         )
         changes = html_table("Energy, change over the run [J]", ("", ""), rows)
-        return impacts + changes + html_lines([self.termination, *map(str, group_notes(self.notes))])
+        return (
+            impacts
+            + changes
+            + html_lines([self.termination, *map(str, self.stepped), *map(str, group_notes(self.notes))])
+        )
 
 
 def _check_side(side: str) -> None:

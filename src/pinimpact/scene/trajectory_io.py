@@ -23,7 +23,7 @@ from ..robot.contact import Contact
 from ..robot.solids import Box, Shape
 from .dense_step import WORKS, DenseStep
 from .forces import TabulatedForces
-from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note
+from .records import Energy, EventRecord, ImpactGroup, ImpactRecord, ModeInterval, Note, SteppedInterval
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,7 @@ def write_trajectory(
     modes: Sequence[ModeInterval],
     energy: Energy,
     notes: Sequence[Note],
+    stepped: Sequence[SteppedInterval],
     termination: str,
     complete: bool,
     switched_off: Sequence[str],
@@ -69,6 +70,7 @@ def write_trajectory(
         "switched_off": switched_off,
         "statistics": statistics,
         "notes": [[note.time, note.text] for note in notes],
+        "stepped": [[s.start, s.end, s.dt, s.reason, s.error] for s in stepped],
         "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
         "sources": sources,
         "coordinates": coordinates,
@@ -208,6 +210,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "events": events,
         "modes": [ModeInterval(*row) for row in meta["modes"]],
         "energy": Energy(*arrays["energy"]),
+        "stepped": [SteppedInterval(*row) for row in meta.get("stepped", ())],
         "notes": [Note(*row) for row in meta["notes"]],
         "termination": meta["termination"],
         "complete": meta["complete"],

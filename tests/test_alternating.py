@@ -1,0 +1,214 @@
+"""Motions whose events are located where that goes and crossed by time steps elsewhere."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pickle
+import warnings
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import brentq
+
+from pinimpact import (
+    Box,
+    Contact,
+    Event,
+    Plane,
+    Scene,
+    Shape,
+    SimulationError,
+    SteppedWarning,
+    simulate,
+)
+from pinimpact.scene.trajectory import Trajectory
+
+from .scene_models import UP, ball, shaped_body, slider, unbounded
+from .test_time_stepping import boxes
+
+FLOOR = Plane()
+
+
+def automatic(scene, q0, v0, duration, **options):
+    """Simulate; what is crossed is warned of, once."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        trajectory = simulate(scene, q0, v0, duration, scheme="auto", **options)
+    told = [warning for warning in caught if warning.category is SteppedWarning]
+    assert len(told) == len(caught) == bool(trajectory.stepped)
+    assert trajectory.complete or trajectory.termination.startswith("The event")
+    times = [(one.start, one.end) for one in trajectory.stepped]
+    assert all(start < end for start, end in times)
+    assert all(one[1] <= other[0] for one, other in itertools.pairwise(times))
+    return trajectory
+
+
+def overlap(one, other):
+    """Return how deep two boxes, each a size and a place, are in each other, by coal [m]."""
+    shapes = [(coal.Box(*size), coal.Transform3s(at.rotation, at.translation)) for size, at in (one, other)]
+    found = coal.CollisionResult()
+    hit = coal.collide(*shapes[0], *shapes[1], coal.CollisionRequest(), found)
+    return -found.getContact(0).penetration_depth if hit else 0.0
+
+
+def deepest(trajectory, bodies, count=60):
+    """Return how deep free boxes of some sizes are in the floor or in each other [m]."""
+    worst = 0.0
+    for t in np.linspace(0.0, trajectory.t[-1], count):
+        q = trajectory.at(t)[0]
+        boxes = [(size, pin.XYZQUATToSE3(q[7 * k : 7 * k + 7])) for k, size in enumerate(bodies)]
+        for size, at in boxes:
+            corners = 0.5 * np.array(list(itertools.product((-1, 1), repeat=3))) * size
+            worst = max(worst, -(at.translation[2] + corners @ at.rotation[2]).min())
+        worst = max(worst, *(overlap(one, other) for one, other in itertools.combinations(boxes, 2)))
+    return worst
+
+
+def chattering(**options):
+    """−sign(v) beside a constant force: at rest at 0.5/0.7 from t = 1/0.7 on."""
+
+    def rubbing(t, q, v):
+        return np.array([0.3 - np.sign(v[0]), 0.0, 0.0])
+
+    return Scene(slider(), control=rubbing, without=["gravity"], **options)
+
+
+def test_what_is_regular_is_as_by_the_event_driven_scheme():
+    scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1, friction=0.3, restitution=0.5)])
+    state = [0, 0, 1.0, *UP], [1.0, 0, 0, 0, 3.0, 0]
+    one, other = automatic(scene, *state, 2.0), simulate(scene, *state, 2.0, scheme="event-driven")
+    assert one.stepped == ()
+    assert one.statistics == other.statistics
+    for name in ("t", "q", "v"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_control_that_chatters_is_crossed_and_comes_to_rest_where_it_must():
+    errors = []
+    for dt in (4e-3, 1e-3):
+        trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 3.0, dt=dt)
+        assert trajectory.stepped[0].start == pytest.approx(1 / 0.7, abs=0.1)
+        assert "chatters" in trajectory.stepped[0].reason
+        errors.append(abs(trajectory.q[-1, 0] - 0.5 / 0.7))
+        assert abs(trajectory.v[-1, 0]) < 2.0 * dt
+    assert errors[0] < 4e-3
+    assert errors[1] < 1e-3
+
+
+def test_events_of_the_user_happen_once_and_in_time_while_steps_cross():
+    seen = []
+    event = Event(lambda t, q, v: t - 2.0, lambda t, q, v: seen.append(t), name="two")
+    last = Event(lambda t, q, v: t - 2.5, terminal=True, name="last")
+    trajectory = automatic(chattering(events=[event, last]), np.zeros(3), [1.0, 0, 0], 3.0)
+    assert seen == [pytest.approx(2.0, abs=1e-12)]
+    assert [record.name for record in trajectory.events] == ["two", "last"]
+    assert trajectory.t[-1] == pytest.approx(2.5, abs=1e-12)
+    assert trajectory.stepped[-1].end == trajectory.t[-1]
+
+
+def test_a_file_keeps_the_intervals(tmp_path):
+    trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
+    assert "time steps of 0.0005 s" in str(trajectory)
+    assert "in time steps" in repr(trajectory)
+    trajectory.save(tmp_path / "motion.npz")
+    for again in (pickle.loads(pickle.dumps(trajectory)), Trajectory.load(tmp_path / "motion.npz")):
+        assert repr(again.stepped) == repr(trajectory.stepped)
+
+
+def test_a_corner_that_stays_on_a_corner_is_crossed():
+    """No plane is common there, so that its normal is not determined: the crate may fall to any side."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    turned = pin.rpy.rpyToMatrix(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0)
+    tip = Box(size=(1.0, 1.0, 1.0), rpy=tuple(pin.rpy.matrixToRpy(turned)), name="tip")
+    scene = Scene(robot, Contact(geometry="crate", plane=tip))
+    top = 0.6 * math.sqrt(3.0)
+    q0 = np.array([0, 0, top + 0.1, *pin.Quaternion(turned).coeffs()])
+    with pytest.raises(SimulationError, match="crate on tip"):
+        simulate(scene, q0, np.zeros(6), 0.3, scheme="event-driven")
+    trajectory = automatic(scene, q0, np.zeros(6), 0.3)
+    assert trajectory.stepped[0].start == pytest.approx(math.sqrt(0.2 / 9.81), abs=1e-6)
+    total = trajectory.energy.total
+    assert np.diff(total).max() < 1e-5  # of 11 J, by the removal of overlap
+    for t in np.linspace(0.0, 0.3, 60):
+        crate = (0.2, 0.2, 0.2), pin.XYZQUATToSE3(trajectory.at(t)[0])
+        # within a step its corner moves along a curve
+        assert overlap(crate, ((1.0, 1.0, 1.0), pin.SE3(turned, np.zeros(3)))) < 5e-6
+
+
+def dominoes(count, order):
+    """Dominoes in a row, numbered in an order; the one at the origin turns about its lower edge."""
+    thick, wide, high, rate = 0.008, 0.024, 0.048, 6.0
+    scene = boxes(count, (thick, wide, high), 0.01, floor=0.6, between=0.3)
+    q0 = np.tile([0, 0, 0.5 * high, *UP], count)
+    q0[::7] = 0.028 * np.array(order)
+    v0 = np.zeros(6 * count)
+    first = 6 * order.index(0)
+    v0[first : first + 6] = 0.5 * rate * high, 0, 0.5 * rate * thick, 0, rate, 0
+    return scene, q0, v0, [(thick, wide, high)] * count
+
+
+@pytest.mark.slow
+def test_dominoes_fall_in_time_however_they_are_numbered():
+    # Moreau–Jean steps of 1 ms with coal's patches and Pinocchio's ADMM: times of a lean of 0.3 rad
+    wanted = [0.054, 0.144, 0.206, 0.253, 0.293]
+    found = []
+    for order in (list(range(5)), list(range(4, -1, -1))):
+        scene, q0, v0, bodies = dominoes(5, order)
+        trajectory = automatic(scene, q0, v0, 0.32)
+
+        def lean(t, k, trajectory=trajectory):
+            q = trajectory.at(t)[0]
+            return 2.0 * math.atan2(q[7 * k + 4], q[7 * k + 6]) - 0.3
+
+        found.append([brentq(lean, 0.0, 0.32, args=(order.index(k),)) for k in range(5)])
+        assert deepest(trajectory, bodies) < 1e-6
+        assert np.abs(trajectory.q[:, 1::7]).max() < 1e-5  # all in one plane, as it begins
+        assert np.diff(trajectory.energy.total).max() < 1e-6
+    np.testing.assert_allclose(found, [wanted, wanted], atol=2e-3)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-4)
+
+
+def struck_stack(speed):
+    """A stack of five boxes, and a small one that flies at the uppermost."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    sizes, masses = [(0.2, 0.2, 0.1)] * 5 + [(0.05, 0.05, 0.05)], [1.0] * 5 + [0.3]
+    for k, (size, mass) in enumerate(zip(sizes, masses, strict=True)):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box_{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(mass, *size), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(f"box_{k}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
+    unbounded(model)
+    pairs = [(k + 1, k) for k in range(4)] + [(5, k) for k in range(5)]
+    contacts = [
+        Contact(geometry=f"box_{k}_0", plane=FLOOR, friction=0.5, name=f"floor {k}") for k in range(6)
+    ]
+    contacts += [
+        Contact(geometry=f"box_{i}_0", plane=Shape(f"box_{j}_0"), friction=0.5, name=f"pair {i} {j}")
+        for i, j in pairs
+    ]
+    q0 = np.tile([0, 0, 0.05, *UP], 6)
+    q0[2:35:7] += 0.1 * np.arange(5)
+    q0[35:38] = -0.2, 0.0, 0.46
+    v0 = np.zeros(36)
+    v0[30:33] = speed, 0.0, 0.0
+    return Scene(pin.RobotWrapper(model, shapes, shapes), contacts), q0, v0, sizes
+
+
+@pytest.mark.slow
+def test_a_stack_hit_by_a_box_moves_as_in_short_time_steps():
+    scene, q0, v0, sizes = struck_stack(2.0)
+    short = simulate(scene, q0, v0, 0.12, scheme="time-stepping", dt=1.25e-4)
+    runs = [automatic(scene, q0, v0, 0.12, dt=dt) for dt in (4e-3, 1e-3, 2.5e-4)]
+    for trajectory in runs:
+        assert sum(one.end - one.start for one in trajectory.stepped) < 0.05  # the rest by events
+        assert deepest(trajectory, sizes) < 1e-6
+        assert np.abs(trajectory.q[:, 1::7]).max() < 1e-9  # mirror symmetric, as it begins
+        np.testing.assert_allclose(trajectory.q[-1], short.q[-1], atol=1e-4)
+    errors = [np.abs(run.q[-1] - runs[-1].q[-1]).max() for run in runs[:-1]]
+    assert errors[1] < 0.4 * errors[0] < 1e-6
+    residuals = [abs(run.energy.residual[-1]) for run in runs]
+    assert residuals[1] < 0.4 * residuals[0] < 1e-5
+    assert residuals[2] < 1e-6
