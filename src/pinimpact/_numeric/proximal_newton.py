@@ -90,10 +90,16 @@ def apply_within(matrix, start, x, out):
 
 
 @inlined
+def length(x, y):
+    """Return the length of a vector, in less time than `math.hypot`."""
+    return math.sqrt(x * x + y * y)
+
+
+@inlined
 def slip(u, mu, shift):
     """Fill s (nc,) = μ|u_t|."""
     for i in range(len(mu)):
-        shift[i] = mu[i] * math.hypot(u[3 * i], u[3 * i + 1])
+        shift[i] = mu[i] * length(u[3 * i], u[3 * i + 1])
 
 
 @inlined
@@ -110,14 +116,14 @@ def extrapolate(u, mu, iteration, shift, last, gain):
     """
     along = across = 0.0
     for i in range(len(mu)):
-        now = mu[i] * math.hypot(u[3 * i], u[3 * i + 1]) - shift[i]
+        now = mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i]
         turn = now - gain[i]
         along += now * turn
         across += turn * turn
     part = along / across if iteration > 1 and across > 0.0 else 0.0
     part = min(max(part, -FARTHEST), 0.5)
     for i in range(len(mu)):
-        now = mu[i] * math.hypot(u[3 * i], u[3 * i + 1])
+        now = mu[i] * length(u[3 * i], u[3 * i + 1])
         gain[i] = now - shift[i]
         shift[i] = max((1.0 - part) * now + part * last[i], 0.0)
         last[i] = now
@@ -142,13 +148,13 @@ def cone_derivative(z1, z2, z3, mu, d):
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
-    length = math.hypot(z1, z2)
-    if length < mu * z3:  # sticks
+    size = length(z1, z2)
+    if size < mu * z3:  # sticks
         d[0, 0] = d[1, 1] = d[2, 2] = 1.0
-    elif mu * length > -z3:  # slips
-        s1, s2 = z1 / max(length, 1e-300), z2 / max(length, 1e-300)
+    elif mu * size > -z3:  # slips
+        s1, s2 = z1 / max(size, 1e-300), z2 / max(size, 1e-300)
         share = 1.0 / (1.0 + mu * mu)
-        across = mu * share * (mu * length + z3) / max(length, 1e-300)
+        across = mu * share * (mu * size + z3) / max(size, 1e-300)
         d[0, 0] = share * mu * mu * s1 * s1 + across * s2 * s2
         d[1, 1] = share * mu * mu * s2 * s2 + across * s1 * s1
         d[0, 1] = d[1, 0] = (share * mu * mu - across) * s1 * s2
@@ -421,7 +427,7 @@ def solve_velocities(
             change = max(change, r[a] * abs(f[a] - x[a]))
             x[a] = f[a]
         for i in range(nc):
-            swing = max(swing, abs(mu[i] * math.hypot(u[3 * i], u[3 * i + 1]) - shift[i]))
+            swing = max(swing, abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i]))
         reached = max(change, swing) / size
         since = since + 1 if reached > 0.5 * lowest else 0
         lowest = min(lowest, reached)

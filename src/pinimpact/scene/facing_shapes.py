@@ -50,7 +50,7 @@ class FacingShapes:
     """
 
     def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout) -> None:
-        self._model = model
+        self._model, self._layout = model, layout
         self._dynamics, self._work = dynamics, dynamics.work
         self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
@@ -70,7 +70,7 @@ class FacingShapes:
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self._model.createData()
+        return self._layout.data_for(self, self._model)
 
     def _set_boxes(self, pairs: list[tuple[ShapePair, list[int]]]) -> None:
         """Set the tables of pairs of boxes, see `facing_boxes.face_boxes`."""

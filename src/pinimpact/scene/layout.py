@@ -37,9 +37,6 @@ class SceneLayout:
         held: Those that hold throughout.
         limited: Whether the joint limits act.
         geometry: The collision shapes.
-
-    Attributes:
-        spare_data: Data that earlier runs have left, for the next.
     """
 
     def __init__(
@@ -64,7 +61,7 @@ class SceneLayout:
         ids = (frame_id(model, key) for key in keys)
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
         self._spare_dynamics: list[RobotDynamics] = []
-        self.spare_data: list[pin.Data] = []
+        self._spare_data: list[pin.Data] = []
         self._damping: _Last[bytes, float] = _Last()
         self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
@@ -189,6 +186,14 @@ class SceneLayout:
         robot = self._spare_dynamics.pop() if self._spare_dynamics else robot_dynamics(model)
         weakref.finalize(owner, self._spare_dynamics.append, robot).atexit = False
         return robot
+
+    def data_for(self, owner: object, model: pin.Model) -> pin.Data:
+        """Return data of the robot, for the scene's own model some that an earlier owner has left."""
+        if model is not self._model:
+            return model.createData()
+        data = self._spare_data.pop() if self._spare_data else model.createData()
+        weakref.finalize(owner, self._spare_data.append, data).atexit = False
+        return data
 
     def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
         model, count = self._model, len(contacts)

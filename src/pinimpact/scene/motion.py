@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -185,9 +184,7 @@ class Motion:
                 model.armature = np.zeros(model.nv)
         self.model = model
         layout = scene.layout()
-        spare = layout.spare_data if model is scene.model else []
-        self.data = spare.pop() if spare else model.createData()
-        weakref.finalize(self, spare.append, self.data).atexit = False
+        self.data = layout.data_for(self, model)
         try:
             q = checked_configuration(data_cache(model, self.data), model, q0).copy()
         except InputError as error:

@@ -110,7 +110,7 @@ class ShapeWatch:
     """
 
     def __init__(self, model: pin.Model, layout: SceneLayout, dynamics: SceneDynamics) -> None:
-        self._model = model
+        self._model, self._layout = model, layout
         self._dynamics, self._work = dynamics, dynamics.work
         self.tolerance = 0.0
         groups: dict[int, tuple[Contact, list[int]]] = {}  # places, by the contact that they are of
@@ -128,7 +128,7 @@ class ShapeWatch:
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self._model.createData()
+        return self._layout.data_for(self, self._model)
 
     def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:
         blanks = [self._dynamics.contacts[i] for i in places]
