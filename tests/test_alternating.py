@@ -76,6 +76,12 @@ def chattering(**options):
     return Scene(slider(), control=rubbing, without=["gravity"], **options)
 
 
+def test_the_plan_names_the_scheme_that_a_scene_calls_for():
+    assert Scene(ball(), [Contact("center", FLOOR, radius=0.1)]).plan().scheme == "event-driven"
+    assert boxes(1, (0.2, 0.2, 0.1), 1.0).plan().scheme == "event-driven"
+    assert boxes(2, (0.2, 0.2, 0.1), 1.0).plan().scheme == "auto"
+
+
 def test_what_is_regular_is_as_by_the_event_driven_scheme():
     scene = Scene(ball(), [Contact("center", FLOOR, radius=0.1, friction=0.3, restitution=0.5)])
     state = [0, 0, 1.0, *UP], [1.0, 0, 0, 0, 3.0, 0]

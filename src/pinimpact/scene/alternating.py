@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
+from .effects import CROWD
 from .events import EventWatch
 from .motion import Motion
 from .records import SteppedInterval
@@ -35,9 +36,6 @@ MOST_PARTS = 16
 
 STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
-
-CROWD = 30
-"""Closed contacts above which the cost of locating events is watched."""
 
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""

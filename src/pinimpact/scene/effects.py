@@ -33,6 +33,9 @@ SWITCHABLE = (
 )
 """Effects that can be switched off by name."""
 
+CROWD = 30
+"""Contacts above which the cost of locating events is watched, by `scheme="auto"`."""
+
 DERIVED = ("normal-tangential coupling", "spatial slip", "simultaneous impacts")
 """Effects that each impact decides from its own W and v; they cannot be switched off."""
 
@@ -62,11 +65,14 @@ class Plan:
         effects: In the order of the vocabulary.
         resting_speed: Bounce speed below which a contact is taken as resting [m/s].
         unreachable: Names of the contacts that can never reach their surface, and are not watched.
+        scheme: Of `simulate`, what the scene calls for: "auto" where faces of bodies can be aligned or crowds
+            of points closed, so that events may not be located one by one, else "event-driven".
     """
 
     effects: tuple[Effect, ...]
     resting_speed: float
     unreachable: tuple[str, ...]
+    scheme: str
 
     def __iter__(self) -> Iterator[Effect]:
         return iter(self.effects)
@@ -274,4 +280,6 @@ def make_plan(
             else "no two contacts or joint limits can touch at one instant",
         )
     )
-    return Plan(tuple(effects), resting_speed, unreachable)
+    faces = any(contact.pair is not None for contact in contacts)
+    scheme = "auto" if faces or watched > CROWD else "event-driven"
+    return Plan(tuple(effects), resting_speed, unreachable, scheme)

@@ -19,7 +19,7 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
-from ..errors import PinimpactError, SimulationError, UnstoppableApproachError
+from ..errors import IrregularMotionError, PinimpactError, SimulationError, UnstoppableApproachError
 from ..robot._kernels.responses import taking_part
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
@@ -240,16 +240,14 @@ class SceneImpacts:
             )
         return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
 
-    def restores(self, touching: Sequence[int]) -> bool:
-        """Whether any of some contacts and limits has restitution."""
-        contacts = self._dynamics.contacts
-        return any(
-            self._limit_restitution > 0.0 if i >= len(contacts) else not self._is_plastic(contacts[i])
-            for i in touching
-        )
-
     def resolve_group(
-        self, q: Array, v: Array, first: int, touching: Sequence[int], limit: bool = False
+        self,
+        q: Array,
+        v: Array,
+        first: int,
+        touching: Sequence[int],
+        limit: bool = False,
+        most: float = math.inf,
     ) -> GroupImpact | None:
         """Resolve the impact of all that touches and takes part in it; None for a contact on its own.
 
@@ -263,6 +261,10 @@ class SceneImpacts:
             touching: All that touch, `first` among them, contacts before limits.
             limit: Whether to take the limit of impacts one after another that have no end, a plastic impact
                 of all. (14.8)
+            most: The number of contacts beyond which an impact that restores nothing is refused.
+
+        Raises:
+            IrregularMotionError: It is.
         """
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
@@ -277,6 +279,10 @@ class SceneImpacts:
         if len(chosen) == 1 and (not felt or self._is_plastic(struck[0])):
             return None
         e = [self._restitution(c, rate) for c, rate in zip(struck, rates[chosen].tolist(), strict=True)]
+        if len(chosen) > most and not any(e):
+            raise IrregularMotionError(
+                f"scene: {len(chosen)} contacts take part in an impact", field="scene", value=len(chosen)
+            )
         policy = self.policy
         if limit:
             policy, e = "together", [0.0] * len(struck)

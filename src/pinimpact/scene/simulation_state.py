@@ -95,8 +95,7 @@ class SimulationState:
         dynamics: The motion between events, with the modes that hold now.
         names: Of the contacts that are watched, and of the joint limits.
         impact_energy: Change of kinetic energy in impacts so far [J].
-        crowds_refused: Whether impacts are refused that reach a bound on steps or events, or in which nothing
-            is restored at more than `CROWD` contacts.
+        crowds_refused: Whether impacts that restore nothing are refused at more than `CROWD` contacts.
         impacts, notes, modes: What there is to tell of the run so far.
     """
 
@@ -453,11 +452,8 @@ class SimulationState:
         """Resolve the impact of all that feels what collides; return the fields of records, none if alone."""
         if len(touching) < 2 or not self._impacts.together:
             return []
-        if self.crowds_refused and len(touching) > CROWD and not self._impacts.restores(touching):
-            raise IrregularMotionError(
-                f"scene: {len(touching)} contacts touch at an impact at t = {self.t:.6g} s", field="scene"
-            )
-        impact = self._impacts.resolve_group(self.q, self.v, first, touching)
+        most = CROWD if self.crowds_refused else math.inf
+        impact = self._impacts.resolve_group(self.q, self.v, first, touching, most=most)
         if impact is None:
             return []
         return self._take_over_group(impact)
@@ -492,13 +488,7 @@ class SimulationState:
         return found
 
     def _warn_of_bound(self) -> None:
-        """Warn once per run that an impact is approximate; its note has been made.
-
-        Raises:
-            IrregularMotionError: Such impacts are refused.
-        """
-        if self.crowds_refused:
-            raise IrregularMotionError(f"scene: {self.notes[-1].text}", field="scene")
+        """Warn once per run that an impact is approximate; its note has been made."""
         if not self.bound_reached:
             self.bound_reached = True
             warnings.warn(
