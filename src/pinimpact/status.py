@@ -31,8 +31,8 @@ class Status(enum.IntEnum):
 
 
 _SENTENCES = {
-    Status.SEPARATED: "The restitution law is met and the contact separates.",
-    Status.ENDED_AT_REST: "The normal velocity is brought to zero and nothing is restored.",
+    Status.SEPARATED: "Solved: the restitution law is met and the contact separates.",
+    Status.ENDED_AT_REST: "Solved: the normal velocity is brought to zero and nothing is restored.",
     Status.NO_IMPACT: "The contact does not approach, so there is no impact.",
     Status.LOCKED: "Friction locks the mechanism, so the normal velocity cannot rise.",
     Status.INVALID_NUMBERS: "A number of the problem is not finite or out of its range.",

@@ -70,7 +70,7 @@ def impact_report(
         ),
         _columns(
             "Segments",
-            ("mode", "phase", "P₃ from", "to [N s]"),
+            ("mode", "phase", "normal impulse from", "to [N s]"),
             [(s.mode, s.phase, f"{s.start:.6f}", f"{s.end:.6f}") for s in solution.segments],
         ),
         _columns(

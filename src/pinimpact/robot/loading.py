@@ -54,8 +54,9 @@ def load_robot(
             own folder and those above it, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
-        Pinocchio's RobotWrapper; ``q0`` is its reference configuration. A warning names meshes that are not
-        found; the robot lacks their shapes.
+        Pinocchio's RobotWrapper; ``q0`` is the configuration that a named robot or the key "home" of an MJCF
+        file comes with, and else `pin.neutral`. A warning names meshes that are not found; the robot lacks
+        their shapes.
 
     Raises:
         UnknownNameError: No robot bears the name; near matches are offered.
