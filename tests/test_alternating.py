@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from rich.console import Console
 from scipy.optimize import brentq
 
 from pinimpact import (
@@ -24,6 +25,7 @@ from pinimpact import (
     SteppedWarning,
     simulate,
 )
+from pinimpact.app.report import run_facts, run_report
 from pinimpact.scene.trajectory import Trajectory
 
 from .scene_models import UP, ball, shaped_body, slider, unbounded
@@ -122,6 +124,16 @@ def test_a_file_keeps_the_intervals(tmp_path):
     trajectory.save(tmp_path / "motion.npz")
     for again in (pickle.loads(pickle.dumps(trajectory)), Trajectory.load(tmp_path / "motion.npz")):
         assert repr(again.stepped) == repr(trajectory.stepped)
+
+
+def test_the_report_of_a_run_lists_the_intervals():
+    trajectory = automatic(chattering(), np.zeros(3), [1.0, 0, 0], 2.0)
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(run_report(trajectory))
+    interval = trajectory.stepped[0]
+    assert f"{interval.start:.6f}" in shown.get().partition("Time stepping: ")[2]
+    assert run_facts(trajectory)["stepped"][0]["end"] == interval.end
 
 
 def test_a_corner_that_stays_on_a_corner_is_crossed():

@@ -150,6 +150,15 @@ def test_friction_of_sustained_contact_is_what_the_file_says(tmp_path: Path) -> 
     assert (contact.friction, contact.sliding_friction) == (0.1, 0.35)
 
 
+def test_a_run_takes_the_steps_that_the_file_says(tmp_path: Path) -> None:
+    loaded = scene_of(
+        tmp_path, BALL.replace("duration = 1.5", 'duration = 0.05\nscheme = "time-stepping"\ndt = "2 ms"')
+    )
+    times = loaded.run().t
+    np.testing.assert_allclose(times, np.linspace(0.0, 0.05, len(times)), atol=1e-12)
+    assert np.diff(times) == pytest.approx(2e-3)
+
+
 def test_a_control_is_sampled_as_the_file_says(tmp_path: Path) -> None:
     text = (SCENES / "solo12_landing.toml").read_text(encoding="utf-8")
     sampled = text.replace("[control]", '[control]\nperiod = "2 ms"\ndelay = 3e-3')
@@ -218,6 +227,11 @@ WRONG = {
         ("friction = 0.1", 'friction = 0.1\nlaw = "possion"'),
         pinimpact.UnknownNameError,
         "'poisson'",
+    ),
+    "unknown scheme": (
+        ("duration =", 'scheme = "events"\nduration ='),
+        pinimpact.UnknownNameError,
+        "scheme: 'events'.*'event-driven'",
     ),
     "wrong unit": (('"5 cm"', '"5 kg"'), pinimpact.InputError, r"contact\[0\]\.radius: '5 kg'.*m, cm, mm"),
     "angle for length": (

@@ -127,6 +127,7 @@ def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
             ("contact, limit or joint", "mode", "from [s]", "to [s]"),
             [(i.source, i.mode, f"{i.start:.6f}", f"{i.end:.6f}") for i in modes[:shown]],
         ),
+        *_stepped(trajectory, shown),
         _columns("Energy, change over the run [J]", ("", "J"), _energy_changes(trajectory)),
         *(Text(str(note)) for note in (trajectory.notes if every else group_notes(trajectory.notes))),
         *([Text("Switched off: " + ", ".join(trajectory.switched_off))] if trajectory.switched_off else []),
@@ -158,6 +159,10 @@ def run_facts(trajectory: Trajectory) -> dict[str, Any]:
         "impacts": [impact(record) for record in trajectory.impacts],
         "modes": [
             {"source": i.source, "mode": i.mode, "start": i.start, "end": i.end} for i in trajectory.modes
+        ],
+        "stepped": [
+            {"start": i.start, "end": i.end, "dt": i.dt, "error": i.error, "reason": i.reason}
+            for i in trajectory.stepped
         ],
         "energy": {name: float(change) for name, change in _energy_changes(trajectory)},
         "notes": [note(record) for record in trajectory.notes],
@@ -222,6 +227,18 @@ def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
     names = ["kinetic and potential", *(f"work of {name}" for name in WORKS)]
     changes = rounded(values, float(np.abs(energy.total).max()))
     return [*zip(names, changes, strict=True), ("energy residual", energy.residual[-1])]
+
+
+def _stepped(trajectory: Trajectory, shown: int | None) -> list[RenderableType]:
+    """Return a table of the intervals in time steps, if there are any."""
+    stepped = trajectory.stepped
+    if not stepped:
+        return []
+    rows = [
+        (f"{i.start:.6f}", f"{i.end:.6f}", f"{i.dt:.3g}", f"{i.error:.1g}", i.reason) for i in stepped[:shown]
+    ]
+    heading = f"Time stepping: {counted(len(stepped), 'interval')}" + _cut(stepped, shown)
+    return [_columns(heading, ("from [s]", "to [s]", "step [s]", "error", "reason"), rows)]
 
 
 def _cut(rows: Sequence[Any], shown: int | None) -> str:

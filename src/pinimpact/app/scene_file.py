@@ -249,6 +249,11 @@ class SceneFile(_Table):
     """Absolute tolerance of each step [m, rad, m/s, rad/s]."""
     max_impacts: Annotated[int, Field(gt=0)] = 100_000
     """Largest number of instants with impacts."""
+    scheme: str = "auto"
+    """Scheme of the simulation: ``"event-driven"``, ``"time-stepping"`` or ``"auto"``; see
+    [Time stepping](motions.md#time-stepping)."""
+    dt: Time = 1e-3
+    """Length of time steps; with ``"auto"`` the longest one."""
     output: OutputTable = OutputTable()
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import near_matches
+from ..checks import choice, near_matches
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
@@ -20,7 +20,7 @@ from ..robot.loading import load_robot
 from ..robot.merging import Placed, assemble
 from ..scene.controls import JointPD
 from ..scene.scene import Scene, numbered
-from ..scene.simulation import simulate
+from ..scene.simulation import SCHEMES, simulate
 from ..scene.trajectory import Trajectory
 from .scene_file import ContactTable, ControlTable, SceneFile, StartTable, bundled_scenes, read_scene_file
 from .units import quantity
@@ -86,6 +86,8 @@ class LoadedScene:
             atol=file.atol,
             max_impacts=file.max_impacts,
             progress=progress,
+            scheme=file.scheme,
+            dt=file.dt,
         )
 
     def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
@@ -130,6 +132,7 @@ def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> Lo
     """
     path = bundled_scenes().get(str(path), Path(path))
     file = read_scene_file(path, control)
+    choice("scheme", file.scheme, SCHEMES, "a scheme")
     robot, v0 = _robots(file, path.parent)
     model = robot.model
     if file.gravity is not None:

@@ -26,14 +26,14 @@ def simulate(
     max_step: float | None = None,
     max_impacts: int = 100_000,
     progress: Progress | None = None,
-    scheme: str = "event-driven",
+    scheme: str = "auto",
     dt: float = 1e-3,
 ) -> Trajectory:
     """Simulate a scene from a state, for a time. (scenes.md)
 
     Between events the motion is integrated on the configuration manifold to the tolerances; events are
-    located to rounding, and none is missed between steps. Impacts are resolved exactly. Ctrl-C ends the run
-    early and leaves what was computed.
+    located to rounding, and none is missed between steps. Impacts are resolved exactly. Intervals for which
+    this is impossible are crossed by time steps. Ctrl-C ends the run early and leaves what was computed.
 
     Args:
         scene: The robot, its contacts and what acts on it.
@@ -46,11 +46,12 @@ def simulate(
             that what it does is seen also where nothing has happened for long, and for no bound without.
         max_impacts: At how many instants to resolve impacts before giving up.
         progress: Called with the time reached and the duration, after every step.
-        scheme: "event-driven", or "time-stepping": steps of fixed length that take sustained contact,
-            friction and limits at once, for scenes of many or aligned contacts, where events crowd. It is of
-            first order in `dt`; tolerances do not apply. (theory.md, 16) "auto": event-driven, and time steps
-            across intervals whose events cannot be located one by one; `Trajectory.stepped` lists them, with
-            estimates of their error.
+        scheme: "event-driven": events are located one by one; a motion for which this is impossible raises
+            an error. "time-stepping": steps of fixed length that take sustained contact, friction and limits
+            at once, for scenes of many or aligned contacts, where events crowd. It is of first order in `dt`;
+            tolerances do not apply. (theory.md, 16) "auto": event-driven, and time steps across intervals
+            whose events cannot be located one by one; `Trajectory.stepped` lists them, with estimates of
+            their error, and a `SteppedWarning` reports the first one.
         dt: Length of the steps of time stepping [s], with "auto" the longest one.
 
     Raises:
