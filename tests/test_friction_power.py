@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact.scene.motion import Motion
+from pinimpact.scene.integrator import Integrator
 
 from .scene_models import G, slider, unbounded
 
@@ -17,46 +17,46 @@ from .scene_models import G, slider, unbounded
 def sliding(speed=1.0, pull=0.0):
     """A point that slides at 1 m/s, μ = 0.3."""
     scene = Scene(slider(), [Contact("point", Plane(), friction=0.3)])
-    motion = Motion(scene, np.zeros(3), [speed, 0.0, 0.0], 1e-8, 1e-10, math.inf, 100)
-    motion.begin(np.array([pull, 0.0, 0.0]))
-    return motion
+    integrator = Integrator(scene, np.zeros(3), [speed, 0.0, 0.0], 1e-8, 1e-10, math.inf, 100)
+    integrator.begin(np.array([pull, 0.0, 0.0]))
+    return integrator
 
 
 def test_friction_that_takes_is_let_alone():
-    motion = sliding()
-    motion.advance(0.2)
-    assert motion.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
-    assert motion.rejected == 0
-    assert not motion.state.notes
+    integrator = sliding()
+    integrator.advance(0.2)
+    assert integrator.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
+    assert integrator.rejected == 0
+    assert not integrator.state.notes
 
 
 def test_a_contact_that_drives_is_mended():
-    motion = sliding()
-    motion.work.active_friction[:] = -0.3  # as a mode of the wrong sign would
-    motion._begin_motion()
-    motion.advance(0.2)
-    assert motion.rejected >= 6
-    assert motion.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
+    integrator = sliding()
+    integrator.work.active_friction[:] = -0.3  # as a mode of the wrong sign would
+    integrator._begin_motion()
+    integrator.advance(0.2)
+    assert integrator.rejected >= 6
+    assert integrator.state.v[0] == pytest.approx(1.0 - 0.3 * G * 0.2)
 
 
 def test_a_contact_that_is_dragged_on_as_it_sticks_is_mended():
     """Pulled with 2 N one way, it moves the other way; it slips until it is at rest."""
-    motion = sliding(speed=0.0, pull=2.0)
-    motion.state.v = np.array([-1e-3, 0.0, 0.0])  # as something that no stop takes away would
-    motion._begin_motion()
-    motion.advance(0.2)
-    assert motion.rejected >= 6
-    assert motion.state.v[0] == pytest.approx(0.0, abs=1e-12)
-    assert motion.state.q[0] == pytest.approx(-0.5e-6 / (2.0 + 0.3 * G))
+    integrator = sliding(speed=0.0, pull=2.0)
+    integrator.state.v = np.array([-1e-3, 0.0, 0.0])  # as something that no stop takes away would
+    integrator._begin_motion()
+    integrator.advance(0.2)
+    assert integrator.rejected >= 6
+    assert integrator.state.v[0] == pytest.approx(0.0, abs=1e-12)
+    assert integrator.state.q[0] == pytest.approx(-0.5e-6 / (2.0 + 0.3 * G))
 
 
 def test_what_cannot_be_mended_is_told():
-    motion = sliding()
-    motion.work.friction[:] = -0.3
-    motion._settle()
-    motion._begin_motion()
-    motion.advance(0.2)
-    (note,) = [note.text for note in motion.state.notes if note.text.startswith("Friction gives")]
+    integrator = sliding()
+    integrator.work.friction[:] = -0.3
+    integrator._settle()
+    integrator._begin_motion()
+    integrator.advance(0.2)
+    (note,) = [note.text for note in integrator.state.notes if note.text.startswith("Friction gives")]
     assert float(note.split()[2]) == pytest.approx(0.3 * G, rel=0.3)
 
 
@@ -66,20 +66,20 @@ def test_a_joint_whose_friction_has_the_wrong_sign_is_mended():
     model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
     unbounded(model)
     model.friction = np.array([0.5])
-    motion = Motion(Scene(model), [0.0], [1.0], 1e-8, 1e-10, math.inf, 100)
-    motion.begin()
-    motion.work.sliding_friction[:] = -0.5
-    motion._begin_motion()
-    motion.advance(1.0)
-    assert motion.state.v[0] == pytest.approx(0.5)
-    assert motion.state.q[0] == pytest.approx(0.75)
+    integrator = Integrator(Scene(model), [0.0], [1.0], 1e-8, 1e-10, math.inf, 100)
+    integrator.begin()
+    integrator.work.sliding_friction[:] = -0.5
+    integrator._begin_motion()
+    integrator.advance(1.0)
+    assert integrator.state.v[0] == pytest.approx(0.5)
+    assert integrator.state.q[0] == pytest.approx(0.75)
 
 
 def test_forces_beyond_their_bounds_are_told_once_and_what_a_step_leaves_unknown_is_not():
-    motion = sliding()
-    motion._note_beyond(1e-9 * G)
-    assert motion.state.notes == []
-    motion._note_beyond(0.1)
-    motion._note_beyond(0.2)
-    (note,) = motion.state.notes
+    integrator = sliding()
+    integrator._note_beyond(1e-9 * G)
+    assert integrator.state.notes == []
+    integrator._note_beyond(0.1)
+    integrator._note_beyond(0.2)
+    (note,) = integrator.state.notes
     assert "leave by 0.1 N" in note.text

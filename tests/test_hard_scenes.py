@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.geometry.surfaces import contact_axes
-from pinimpact.scene.motion import Motion
+from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.scene_impacts import _growing
 
 from .random_scenes import draw, unaccounted
@@ -199,11 +199,11 @@ def test_what_rests_on_more_feet_than_it_needs_keeps_slip_from_no_singularity():
     unbounded(model)
     model.friction = np.array([0.0, 0.0, held, *[0.0] * 6])
     q, v = [0.0, np.sin(angle), angle, 0.0, 5.0, 0.1, *UP], [6.0, *[0.0] * 8]
-    motion = Motion(Scene(model, contacts), q, v, 1e-8, 1e-10, None, 100)
-    motion.begin()
-    assert not motion.work.forces_unique
+    integrator = Integrator(Scene(model, contacts), q, v, 1e-8, 1e-10, None, 100)
+    integrator.begin()
+    assert not integrator.work.forces_unique
     spare = held - G * abs(np.cos(angle) - MU * np.sin(angle))
-    assert motion.work.force_margin == pytest.approx(min(G, 0.25 * mass * G, spare), rel=1e-6)
+    assert integrator.work.force_margin == pytest.approx(min(G, 0.25 * mass * G, spare), rel=1e-6)
 
 
 def test_a_belt_that_rubs_against_what_others_hold_drives_nothing_in():

@@ -1,6 +1,6 @@
 """How kernels are compiled and linked: each once, and to machine code only where something calls it.
 
-As numba has it, a function is optimized and translated together with all that it calls, at each level anew:
+As numba has it, a function is optimized and translated together with all that it calls, again at each level:
 what ten others call is made ten times over. Here an inner kernel stays LLVM's intermediate code until a
 kernel that is compiled on its own takes it in. Those refer to each other by symbols that only names, types
 and sources make up, so that the caches of different processes fit together.
@@ -251,7 +251,7 @@ def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
 
 
 def _loaded(kernel: Kernel) -> Any:
-    """Return the library of a kernel, from the cache or anew."""
+    """Return the library of a kernel, from the cache, or compiled."""
     module, name, types = kernel
     function = getattr(importlib.import_module(module), name)
     function.compile(types)

@@ -1,7 +1,7 @@
 """Kernels by plain numba, `njit(cache=True)`, where the compiler of `linking` cannot be used.
 
 The results are the same to rounding. To compile takes several times as long, for numba optimizes a function
-anew in each of its callers. It looks at the source of a kernel only, not at those of its callees, to see
+again in each of its callers. It looks at the source of a kernel only, not at those of its callees, to see
 whether what it has kept is stale: after an edit of kernels, empty the cache.
 """
 

@@ -150,7 +150,7 @@ present: WorkerPool | None = None
 
 
 def possible_helpers() -> int:
-    """Return how many helpers there can be: none on one processor, or where Python cannot be started anew."""
+    """Return how many helpers are possible: none on one processor, or where Python cannot be restarted."""
     if getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("python"):
         return 0
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -65,7 +65,7 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
         order[j] = j
     rank, largest, sums = 0, 0.0, np.empty(n)
     for k in range(min(m, n)):
-        # anew at every step, for updated norms lose their digits just where the rank is decided
+        # again at every step, for updated norms lose their digits just where the rank is decided
         longest, chosen = -1.0, k
         columns_times(r, k, k, -1, sums)
         for j in range(k, n):

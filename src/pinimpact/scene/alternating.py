@@ -18,7 +18,7 @@ from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
 from .effects import CROWD
 from .events import EventWatch
-from .motion import Motion
+from .integrator import Integrator
 from .records import SteppedInterval
 from .scene import Scene
 from .time_stepping import TimeStepping
@@ -50,7 +50,7 @@ class _Reached(NamedTuple):
 
 
 class Alternating(TimeStepping):
-    """A motion by the event-driven scheme, with intervals in time steps; see `Motion`.
+    """A motion by the event-driven scheme, with intervals in time steps; see `Integrator`.
 
     Args:
         scene, q0, v0, rtol, atol, max_step, max_impacts: As of `simulate`.
@@ -73,14 +73,14 @@ class Alternating(TimeStepping):
         self._until, self._interval, self._handed_back = 0.0, 0.0, -math.inf
         self._begun_at = 0  # the step at which events began to be located again
         self._longest, self._unsolved = dt, 0.0
-        Motion.__init__(self, scene, q0, v0, rtol, atol, max_step, max_impacts)
+        Integrator.__init__(self, scene, q0, v0, rtol, atol, max_step, max_impacts)
         self.state.crowds_refused = True
         self._longest = min(dt, scene.time_scale / STEPS_PER_SCALE)
 
     def begin(self, tau: Array | None = None) -> None:
-        """Let what happens at the start happen, and begin to move; see `Motion.begin`."""
+        """Let what happens at the start happen, and begin to move; see `Integrator.begin`."""
         try:
-            Motion.begin(self, tau)
+            Integrator.begin(self, tau)
         except IrregularMotionError as error:
             self._cross(error)
 
@@ -90,7 +90,7 @@ class Alternating(TimeStepping):
             TimeStepping.hold_force(self, tau)
             return
         try:
-            Motion.hold_force(self, tau)
+            Integrator.hold_force(self, tau)
         except IrregularMotionError as error:
             self._cross(error)
 
@@ -98,10 +98,10 @@ class Alternating(TimeStepping):
         return self._crossed
 
     def _settle_contacts(self, arriving: Any = None) -> None:
-        (TimeStepping if self._crossing else Motion)._settle_contacts(self, arriving)
+        (TimeStepping if self._crossing else Integrator)._settle_contacts(self, arriving)
 
     def _settle_and_begin(self, arriving: Any = None) -> None:
-        (TimeStepping if self._crossing else Motion)._settle_and_begin(self, arriving)
+        (TimeStepping if self._crossing else Integrator)._settle_and_begin(self, arriving)
 
     def _lengths(self) -> tuple[Any, ...]:
         state, lengths = self.state, super()._lengths()
@@ -118,7 +118,7 @@ class Alternating(TimeStepping):
     def _last_sampled(self) -> _Reached:
         """Return the end of the step whose event is refused, or else the last consistent state.
 
-        Events of the user's may have happened within that step, so that with them it is taken anew.
+        Events of the user's may have happened within that step, so that with them it is repeated.
         """
         reached, (steps, samples, *others) = self._reached, self._reached.lengths
         if self.events or len(self.samples) <= samples or self.samples[samples][0] <= reached.state[0]:
@@ -153,7 +153,7 @@ class Alternating(TimeStepping):
         """Take a step of the event-driven scheme, or some time steps; return the length to try next."""
         if not self._crossing:
             try:
-                length = Motion._step(self, h, stop, scale)
+                length = Integrator._step(self, h, stop, scale)
                 self._watch_crowd()
                 return length
             except IrregularMotionError as error:
@@ -275,7 +275,7 @@ class Alternating(TimeStepping):
             near[filled] = True
             work.modes[: len(near)] = np.where(near, SLIP, FREE)
             work.modes[np.flatnonzero(work.bilateral)] = HELD
-            Motion._settle_contacts(self)
+            Integrator._settle_contacts(self)
             state.correct_constraint_drift()
             self._begin_motion()
         except IrregularMotionError as error:

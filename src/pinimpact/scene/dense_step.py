@@ -68,7 +68,7 @@ class DenseStep:
         n = len(self.v)
         return np.asarray(SLOPES @ powers @ self.coefficients[:, n : 2 * n] / self.h)
 
-    def works(self, t: float) -> Array:
+    def work_at(self, t: float) -> Array:
         """Return the work w at a time within the step."""
         increment = np.empty(len(self.w))
         coefficients = self.coefficients[:, -len(self.w) :]

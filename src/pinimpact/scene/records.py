@@ -120,7 +120,7 @@ class ImpactRecord:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # what can be made anew is left out, and what makes it is replaced by what it makes
+        # what can be recomputed is left out; what computes it is replaced by its result
         state = {field.name: getattr(self, field.name) for field in fields(self)}
         return state | {"contact_space": partial(tuple, self._contact_space)}
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from ..checks import choice
 from ..errors import PinimpactError
 from .alternating import Alternating
-from .motion import Motion, Progress, check_numbers
+from .integrator import Integrator, Progress, check_numbers
 from .scene import Scene
 from .time_stepping import TimeStepping
 from .trajectory import Trajectory
@@ -66,25 +66,25 @@ def simulate(
     check_numbers(duration=duration)
     choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
-        motion: Motion = Motion(scene, q0, v0, rtol, atol, max_step, max_impacts)
+        integrator: Integrator = Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
     elif scheme == "auto":
         check_numbers(dt=dt)
-        motion = Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
+        integrator = Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
     else:
         check_numbers(dt=dt)
-        motion = TimeStepping(scene, q0, v0, float(dt), max_impacts)
-    return _run(motion, float(duration), progress)
+        integrator = TimeStepping(scene, q0, v0, float(dt), max_impacts)
+    return _run(integrator, float(duration), progress)
 
 
-def _run(motion: Motion, duration: float, progress: Progress | None) -> Trajectory:
+def _run(integrator: Integrator, duration: float, progress: Progress | None) -> Trajectory:
     """Run to the end; return the trajectory, or raise with what there is of it."""
     try:
-        motion.begin()
-        motion.advance(duration, progress)
+        integrator.begin()
+        integrator.advance(duration, progress)
     except KeyboardInterrupt:
-        return motion.trajectory("Interrupted from the keyboard.", False)
+        return integrator.trajectory("Interrupted from the keyboard.", False)
     except PinimpactError as error:
-        motion.stop(error)
-    if motion.ended_by is not None:
-        return motion.trajectory(f"The event {motion.ended_by!r} ended the run.", False)
-    return motion.trajectory("The duration is covered.", True)
+        integrator.stop(error)
+    if integrator.ended_by is not None:
+        return integrator.trajectory(f"The event {integrator.ended_by!r} ended the run.", False)
+    return integrator.trajectory("The duration is covered.", True)

@@ -189,7 +189,7 @@ class SimulationState:
         if self.shapes:
             self.shapes.refresh(self.q)
         resolved: list[dict[str, Any]] = []
-        jams, anew = 0, False
+        jams, retried = 0, False
         while True:
             i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
             self._check_rims(where)
@@ -220,8 +220,8 @@ class SimulationState:
                     field="scene",
                 )
             struck = self._without_forces(before, jammed, jams > MOST_JAMS)
-            if not struck and jammed >= 0 and not anew:
-                anew = True  # what has come to rest may have turned the slip that jams
+            if not struck and jammed >= 0 and not retried:
+                retried = True  # what has come to rest may have turned the slip that jams
                 continue
             if not struck:
                 self._refuse_locked(before)

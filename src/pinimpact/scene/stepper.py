@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
-from .motion import Motion, check_numbers
+from .integrator import Integrator, check_numbers
 from .scene import Scene
 from .trajectory import Trajectory
 
@@ -65,13 +65,13 @@ class Stepper:
         Raises:
             InputError: As of `simulate`; the stepper is then as it was.
         """
-        self._motion = Motion(self._scene, q0, v0, *self._options)
+        self._integrator = Integrator(self._scene, q0, v0, *self._options)
         self._begun = self._failed = False
 
     def copy(self) -> Stepper:
         """Return an independent stepper in the same state."""
         twin = object.__new__(Stepper)
-        vars(twin).update(vars(self) | {"_motion": self._motion.copy()})
+        vars(twin).update(vars(self) | {"_integrator": self._integrator.copy()})
         return twin
 
     __copy__ = copy
@@ -92,32 +92,32 @@ class Stepper:
                 change `t`; nothing has moved then.
             SimulationError: The motion cannot continue; ``partial`` is the trajectory so far; use `reset`.
         """
-        motion = self._motion
-        tau = finite_array("tau", tau, (motion.model.nv,))
+        integrator = self._integrator
+        tau = finite_array("tau", tau, (integrator.model.nv,))
         check_numbers(dt=dt)
-        until = motion.state.t + float(dt)
-        if not until > motion.state.t:
+        until = integrator.state.t + float(dt)
+        if not until > integrator.state.t:
             raise InputError(
-                f"dt: {dt!r} given, which is too small to change t = {motion.state.t:.6g} s",
+                f"dt: {dt!r} given, which is too small to change t = {integrator.state.t:.6g} s",
                 field="dt",
                 value=dt,
             )
         if self._failed:
             raise SimulationError(
-                f"scene: the motion has stopped at t = {motion.state.t:.6g} s; reset(q, v) restarts",
+                f"scene: the motion has stopped at t = {integrator.state.t:.6g} s; reset(q, v) restarts",
                 field="scene",
             )
         self._failed = True
         try:
             if not self._begun:
-                motion.begin(tau)
+                integrator.begin(tau)
                 self._begun = True
             else:
-                motion.resume()
-                motion.hold_force(tau)
-            motion.advance(until)
+                integrator.resume()
+                integrator.hold_force(tau)
+            integrator.advance(until)
         except PinimpactError as error:
-            motion.stop(error)
+            integrator.stop(error)
         self._failed = False
         return self.q, self.v
 
@@ -127,19 +127,19 @@ class Stepper:
     @property
     def t(self) -> float:
         """The time [s]."""
-        return self._motion.state.t
+        return self._integrator.state.t
 
     @property
     def q(self) -> Array:
         """(nq,) the configuration."""
-        return self._motion.state.q.copy()
+        return self._integrator.state.q.copy()
 
     @property
     def v(self) -> Array:
         """(nv,) the velocity."""
-        return self._motion.state.v.copy()
+        return self._integrator.state.v.copy()
 
     @property
     def trajectory(self) -> Trajectory:
         """The motion from the start until now; it grows by some kilobytes a step until `reset`."""
-        return self._motion.trajectory(f"Stepped until t = {self.t:.6g} s.", True)
+        return self._integrator.trajectory(f"Stepped until t = {self.t:.6g} s.", True)

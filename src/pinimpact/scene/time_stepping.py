@@ -21,7 +21,7 @@ from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import Forces
-from .motion import Motion
+from .integrator import Integrator
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -98,8 +98,8 @@ class _Rows(NamedTuple):
         return self.gaps[len(self.contacts) : len(self.contacts) + len(self.held)]
 
 
-class TimeStepping(Motion):
-    """A motion in steps of a given length; see `Motion`.
+class TimeStepping(Integrator):
+    """A motion in steps of a given length; see `Integrator`.
 
     Args:
         scene, q0, v0, max_impacts: As of `simulate`.
@@ -133,7 +133,7 @@ class TimeStepping(Motion):
         self._gravity = float(np.linalg.norm(model.gravity.linear))
 
     def begin(self, tau: Array | None = None) -> None:
-        """Let what happens at the start happen; see `Motion.begin`."""
+        """Let what happens at the start happen; see `Integrator.begin`."""
         if self._sampled is not None:
             tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
@@ -215,7 +215,7 @@ class TimeStepping(Motion):
             if interruption is not None:
                 self._interrupt(step, interruption, None)
                 return True
-        self.w = step.works(step.end)
+        self.w = step.work_at(step.end)
         lost = share * impulse * (u_start + 0.5 * share * (u_end - u_start))
         state.impact_energy += float(lost[normals].sum())
         state.t = step.end

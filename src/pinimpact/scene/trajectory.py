@@ -127,7 +127,7 @@ class Trajectory:
             return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
 
-    def works(self, t: float, side: Literal["left", "right"] = "right") -> Array:
+    def work_at(self, t: float, side: Literal["left", "right"] = "right") -> Array:
         """Return the work of control, joints, sliding friction and surfaces up to a time, (4,) [J].
 
         They are those of `energy` in between its samples. Raises what `at` does.
@@ -136,7 +136,7 @@ class Trajectory:
         t = self._covered(t)
         if not self._segments:
             return np.zeros(WORKS)
-        return self._segments[self._number(t, side)].works(t)
+        return self._segments[self._number(t, side)].work_at(t)
 
     def sample(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return q (k, nq) and v (k, nv) at times (k,), after any impact; (nq,) and (nv,) at one time.

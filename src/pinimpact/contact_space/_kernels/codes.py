@@ -1,6 +1,6 @@
 """Integers that the kernels speak: the values of `status.Status` and `status.Flag`, modes, phases, events.
 
-They are NumPy's, for numba takes Python's as literals and compiles a function anew for each.
+They are NumPy's, for numba takes Python's as literals and compiles a function again for each.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
 """Calls from a kernel into Python: of a bound C++ function on buffers that the kernel fills and reads.
 
 The interpreter's lock is held while a kernel runs, and its C interface is linked by name as numba's own code
-links it. Neither function nor arguments are made anew, so a call costs what it costs from Python, less the
+links it. Neither function nor arguments are created again, so a call costs as much as from Python, less the
 interpreter. A kernel cannot pass an error on: it is kept, and `raise_kept_error` raises it when the kernel
 has come back.
 """

@@ -20,7 +20,7 @@ class SceneWorkspace(Workspace):
 
     The modes that hold are those of `contact_forces`. Contacts stand first among the sources of modes, held
     ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is
-    closed is laid out anew whenever modes change, by `active_set.close`.
+    closed is rearranged whenever modes change, by `active_set.close`.
     """
 
     def values(self) -> dict[str, Any]:
@@ -151,7 +151,7 @@ class SceneWorkspace(Workspace):
     resting_speed = real("of a bounce that is taken as rest [m/s]; 0 where no contact is to stay closed")
     least_approach = real("below which what has just closed its gap does not approach [m/s]")
     stick_speed = real("below which a contact may stick [m/s]")
-    certain_speed = real("above which slip goes on where modes are set anew [m/s]")
+    certain_speed = real("above which a contact keeps sliding where modes are set again [m/s]")
     direction_speed = real("below which slip has no direction but the one last known [m/s]")
     force_tolerance = real("by which Coulomb's law may seem violated through rounding [N]")
 

@@ -113,7 +113,7 @@ def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)
-    works = np.array([trajectory.works(t, side) for t, side in zip(times.tolist(), sides, strict=True)])
+    works = np.array([trajectory.work_at(t, side) for t, side in zip(times.tolist(), sides, strict=True)])
     last = np.searchsorted(trajectory.t, times, side="right") - 1
     first = np.maximum(np.searchsorted(trajectory.t, times, side="left") - 1, 0)
     before = np.array([side == "left" for side in sides])

@@ -12,7 +12,7 @@ EVENTS: tuple[ModuleType, ...] = (gap, joint_limit, saturation, friction_reversa
 """`gap` is first, for its bound needs the kinematics that the step has left.
 
 Of two at the same time the later one here counts: where the forces of what is closed fail just when a gap
-closes, the modes are set anew first.
+closes, the modes are set again first.
 """
 
 

@@ -1,4 +1,4 @@
-"""A motion: smooth up to the next event, what happens there, and so on."""
+"""The integrator of a motion: smooth steps up to the next event, and what changes there."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ UNSETTLED = 1e-3
 """The same where slip or dry joints turn back again and again, however short the steps: no way goes on."""
 
 MOST_HALVED = 6
-"""How often a step in which friction does positive work is halved before modes are set anew; where that does
+"""How often a step in which friction does positive work is halved before modes are set again; where that does
 not help either it is taken, and told."""
 
 RUBBING = 2
@@ -93,7 +93,7 @@ ACCELERATED = 1e-3
 
 PLAIN = (
     *("w", "steps", "rejected", "last_progress", "forces_were_unique", "friction_drove", "forces_beyond"),
-    *("bounce", "ended_by", "_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_anew_at"),
+    *("bounce", "ended_by", "_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_reset_at"),
     *("_struck", "_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
 )
 """Attributes of a motion that are replaced and never changed in place, so that copies share them."""
@@ -124,31 +124,31 @@ def check_numbers(**numbers: float) -> None:
 
 def _dynamics_of(*made_of: Any) -> SceneDynamics:
     """Return the dynamics of a motion of its own."""
-    return Motion(*made_of).dynamics
+    return Integrator(*made_of).dynamics
 
 
 LAST = 5
 """How many of the last impacts are named where there are too many."""
 
 
-def _continued(made_of: tuple[Any, ...], values: dict[str, Any]) -> Motion:
+def _continued(made_of: tuple[Any, ...], values: dict[str, Any]) -> Integrator:
     """Return a motion that continues from the values of another one made of the same arguments."""
-    motion = Motion(*made_of)
-    motion.state.take_over(values["state"])
-    motion.work.take_over(values["work"])
-    motion.events.take_over(values["events"])
-    motion.dense_steps, motion.samples = (list(part) for part in values["steps"])
-    motion._ends = {source: times.copy() for source, times in values["ends"].items()}
+    integrator = Integrator(*made_of)
+    integrator.state.take_over(values["state"])
+    integrator.work.take_over(values["work"])
+    integrator.events.take_over(values["events"])
+    integrator.dense_steps, integrator.samples = (list(part) for part in values["steps"])
+    integrator._ends = {source: times.copy() for source, times in values["ends"].items()}
     for name, value in values["plain"].items():
-        setattr(motion, name, value)
-    return motion
+        setattr(integrator, name, value)
+    return integrator
 
 
 def _sources(impacts: list[ImpactRecord]) -> str:
     return ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
 
 
-class Motion:
+class Integrator:
     """A motion under way, and what there is to tell of it; arguments as in `simulate`.
 
     Attributes:
@@ -226,7 +226,7 @@ class Motion:
         self.max_step = float(max_step)
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
-        self._ahead_at = self._modes_anew_at = self._rested_at = self._all_rested_at = -math.inf
+        self._ahead_at = self._modes_reset_at = self._rested_at = self._all_rested_at = -math.inf
         self._ahead = 0.0
         self._ends: dict[int, deque[float]] = {}
         self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
@@ -284,7 +284,7 @@ class Motion:
             self.ended_by = None
             self._settle_and_begin()
 
-    def copy(self) -> Motion:
+    def copy(self) -> Integrator:
         """Return an independent motion in the same state."""
         return _continued(self._made_of, self._values())
 
@@ -411,7 +411,7 @@ class Motion:
             if changed or t - then > STALLED * scale:
                 self._mark_progress()
             else:
-                if self._go_on():
+                if self._resolve_stall():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise IrregularMotionError(
                     f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
@@ -425,7 +425,7 @@ class Motion:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                if self._go_on():
+                if self._resolve_stall():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise IrregularMotionError(
                     f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
@@ -462,8 +462,8 @@ class Motion:
             if work.friction_power > 0.0:
                 halved += 1
                 if halved == MOST_HALVED:
-                    if self._modes_anew_at != t:
-                        self._modes_anew_at = t
+                    if self._modes_reset_at != t:
+                        self._modes_reset_at = t
                         state.resolve_jam(UNSETTLED)
                         self._settle_and_begin()
                         self._sample()
@@ -534,7 +534,7 @@ class Motion:
         ends = EVENTS[work.event_kind] is force_bound and margins[-1] == -math.inf
         if ends:
             step = self.dynamics.dense_step(t, trial, self.state.q, self.state.v, self.w)
-            ends = step.works(work.event_time)[RUBBING] <= self.w[RUBBING]
+            ends = step.work_at(work.event_time)[RUBBING] <= self.w[RUBBING]
         seen = work.event_time > t and 0.5 * trial > BRIEF * math.ulp(t)
         return 0.5 * trial if seen and not ends else trial
 
@@ -574,8 +574,8 @@ class Motion:
         if self._continuous is not None:
             check_chatter(self._continuous, self.model, self.dense_steps)
 
-    def _go_on(self) -> bool:
-        """Find a way on where steps make no progress; False if there is none.
+    def _resolve_stall(self) -> bool:
+        """Continue where steps make no progress; return False if there is no way to.
 
         Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
         of sticking is taken as at rest, and told: what has come to rest since there was progress, and where
@@ -609,15 +609,15 @@ class Motion:
         state = self.state
         step.end = state.t = interruption.time
         state.q, state.v = step.at(state.t)
-        self.w = step.works(state.t)
+        self.w = step.work_at(state.t)
         self._sample()
-        self._go_on_after(interruption)
+        self._restart_after(interruption)
         if self.ended_by is None:
             self._settle_and_begin(arriving)
         if interruption.velocity is not None:
             self._sample()
 
-    def _go_on_after(self, interruption: Interruption) -> None:
+    def _restart_after(self, interruption: Interruption) -> None:
         """Take over the velocity that an event has set, and whether it ends the run."""
         if interruption.velocity is not None:
             self.state.change_velocity(interruption.velocity)
@@ -629,7 +629,7 @@ class Motion:
             interruption = self.events.at_instant(self.state.t, self.state.q, self.state.v)
             if interruption is None:
                 return
-            self._go_on_after(interruption)
+            self._restart_after(interruption)
             if self.ended_by is None:
                 self._settle_contacts()
 
@@ -638,12 +638,12 @@ class Motion:
 
         Returns:
             Whether it was one: forces that have left their bounds along the step, but are well within them at
-            the same modes found anew, have been off by the error of the step.
+            the same modes found again, have been off by the error of the step.
         """
         state = self.state
         step.end = state.t = t
         state.q, state.v = step.at(t)
-        self.w = step.works(t)
+        self.w = step.work_at(t)
         self._sample()
         if self.work.drift_at_end > self.drift_tolerance:
             state.correct_constraint_drift()
@@ -685,7 +685,7 @@ class Motion:
         state = self.state
         step.end = state.t = meeting.time
         state.q, state.v = step.at(state.t)
-        self.w = step.works(state.t)
+        self.w = step.work_at(state.t)
         self._sample()
         if self.work.drift_at_end > self.drift_tolerance:
             state.correct_constraint_drift()
