@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import copy
+import math
 import pickle
+import warnings
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Box, Contact, Event, InputError, Plane, Scene, SimulationError, Stepper, simulate
+from pinimpact import (
+    Box,
+    Contact,
+    Event,
+    InputError,
+    Plane,
+    Scene,
+    SimulationError,
+    SteppedWarning,
+    Stepper,
+    UnknownNameError,
+    simulate,
+)
 
-from .scene_models import UP, G, ball, pendulum, slider
+from .scene_models import UP, G, ball, pendulum, shaped_body, slider
 
 FLOOR = Plane()
 
@@ -200,8 +214,11 @@ def below(t, q, v):
 
 
 @pytest.mark.parametrize("kind", COPIES)
-@pytest.mark.parametrize("steps", [0, 12, 60])
-def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps):
+@pytest.mark.parametrize(
+    ("steps", "scheme"),
+    [(0, "auto"), (12, "auto"), (60, "auto"), (12, "time-stepping"), (60, "time-stepping")],
+)
+def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
     """A box that tumbles onto a table: before it has begun, in flight, and in contact."""
     model, shapes = pin.Model(), pin.GeometryModel()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
@@ -214,7 +231,7 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps):
     table = Box(size=(4.0, 4.0, 0.2), center=(0.0, 0.0, -0.1))
     contact = Contact(geometry="box", plane=table, friction=0.4, restitution=0.3, name="box")
     scene = Scene(pin.RobotWrapper(model, shapes), [contact], events=[Event(below, name="below")])
-    one = Stepper(scene, [0, 0, 0.3, *UP], [0.3, 0, 0, 1.0, 2.0, 0])
+    one = Stepper(scene, [0, 0, 0.3, *UP], [0.3, 0, 0, 1.0, 2.0, 0], scheme=scheme)
     for _ in range(steps):
         one.step(np.zeros(6), 0.01)
     other = COPIES[kind](one)
@@ -227,6 +244,50 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps):
         assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
     assert one.trajectory.modes == other.trajectory.modes
     assert [i.source for i in one.trajectory.impacts] == [i.source for i in other.trajectory.impacts]
+
+
+@pytest.mark.parametrize("kind", COPIES)
+@pytest.mark.parametrize("steps", [14, 16, 40])
+def test_copies_continue_while_time_steps_cross(kind, steps):
+    """A crate that lands with a corner on a corner, where its normal is not determined."""
+    robot = shaped_body(coal.Box(0.2, 0.2, 0.2), pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.2), name="crate")
+    turned = pin.rpy.rpyToMatrix(math.pi / 4, math.atan(math.sqrt(0.5)), 0.0)
+    tip = Box(size=(1.0, 1.0, 1.0), rpy=tuple(pin.rpy.matrixToRpy(turned)), name="tip")
+    scene = Scene(robot, Contact(geometry="crate", plane=tip))
+    q0 = [0, 0, 0.6 * math.sqrt(3.0) + 0.1, *pin.Quaternion(turned).coeffs()]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SteppedWarning)
+        one = Stepper(scene, q0, np.zeros(6))
+        for _ in range(steps):
+            one.step(np.zeros(6), 0.01)
+        other = COPIES[kind](one)
+        for stepper in (one, other):
+            for _ in range(20):
+                stepper.step(np.zeros(6), 0.01)
+    assert one.trajectory.stepped
+    for name in ("t", "q", "v"):
+        assert np.array_equal(getattr(one.trajectory, name), getattr(other.trajectory, name))
+    assert one.trajectory.stepped == other.trajectory.stepped
+
+
+def test_time_steps_of_a_stepper_are_those_of_a_simulation():
+    """A block is pushed beyond its friction and back, by a control sampled at 100 Hz."""
+    period, count, mu = 0.01, 60, 0.5
+
+    def push(t, q, v):
+        return np.array([0.6 * mu * G + mu * G * math.sin(9.0 * t), 0.0, 0.0])
+
+    rigid = block(mu)
+    control = Scene(rigid.model, rigid.contacts, control=push, period=period)
+    expected = simulate(control, np.zeros(3), np.zeros(3), count * period, scheme="time-stepping", dt=2e-3)
+    stepper = Stepper(rigid, np.zeros(3), np.zeros(3), scheme="time-stepping", dt=2e-3)
+    for k in range(count):
+        stepper.step(push(k * period, stepper.q, stepper.v), period)
+    assert expected.q[-1, 0] > 0.01
+    np.testing.assert_allclose(stepper.q, expected.q[-1], atol=1e-12)
+    np.testing.assert_allclose(stepper.trajectory.t, expected.t, atol=1e-12)
+    with pytest.raises(UnknownNameError, match="scheme: 'steps'"):
+        Stepper(rigid, np.zeros(3), np.zeros(3), scheme="steps")
 
 
 def test_a_copy_of_a_stopped_stepper_has_stopped():

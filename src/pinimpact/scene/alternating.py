@@ -41,6 +41,10 @@ LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
 
 
+OWN = "_crossing", "_prepared", "_entering", "_until", "_interval", "_handed_back", "_begun_at", "_unsolved"
+"""Attributes that are replaced and never changed in place, so that copies share them."""
+
+
 class _Reached(NamedTuple):
     """What a motion has reached where it is consistent, to return to."""
 
@@ -76,6 +80,24 @@ class Alternating(TimeStepping):
         Integrator.__init__(self, scene, q0, v0, rtol, atol, max_step, max_impacts)
         self.state.crowds_refused = True
         self._longest = min(dt, scene.time_scale / STEPS_PER_SCALE)
+
+    def _arguments(self) -> tuple[Any, ...]:
+        return *self._made_of, self._longest
+
+    def _values(self) -> dict[str, Any]:
+        values = TimeStepping._values(self) if self._prepared else Integrator._values(self)
+        own = {name: getattr(self, name) for name in OWN}
+        return values | {"own": own, "crossed": self._crossed.copy()}
+
+    def _take_over(self, values: dict[str, Any]) -> None:
+        if "stepping" in values:
+            self._prepare(self._longest)
+        (TimeStepping if "stepping" in values else Integrator)._take_over(self, values)
+        self._crossed = values["crossed"].copy()
+        for name, value in values["own"].items():
+            setattr(self, name, value)
+        self.state.crowds_refused = not self._crossing
+        self._lengths()
 
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen, and begin to move; see `Integrator.begin`."""

@@ -131,16 +131,10 @@ LAST = 5
 """How many of the last impacts are named where there are too many."""
 
 
-def _continued(made_of: tuple[Any, ...], values: dict[str, Any]) -> Integrator:
-    """Return a motion that continues from the values of another one made of the same arguments."""
-    integrator = Integrator(*made_of)
-    integrator.state.take_over(values["state"])
-    integrator.work.take_over(values["work"])
-    integrator.events.take_over(values["events"])
-    integrator.dense_steps, integrator.samples = (list(part) for part in values["steps"])
-    integrator._ends = {source: times.copy() for source, times in values["ends"].items()}
-    for name, value in values["plain"].items():
-        setattr(integrator, name, value)
+def _continued(kind: type[Integrator], made_of: tuple[Any, ...], values: dict[str, Any]) -> Integrator:
+    """Return an integrator that continues from the values of another one made of the same arguments."""
+    integrator = kind(*made_of)
+    integrator._take_over(values)
     return integrator
 
 
@@ -286,11 +280,15 @@ class Integrator:
 
     def copy(self) -> Integrator:
         """Return an independent motion in the same state."""
-        return _continued(self._made_of, self._values())
+        return _continued(type(self), self._arguments(), self._values())
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scene and the values reached; workspaces and addresses are rebuilt."""
-        return _continued, (self._made_of, self._values())
+        return _continued, (type(self), self._arguments(), self._values())
+
+    def _arguments(self) -> tuple[Any, ...]:
+        """Return the arguments of which another one of the same kind is made."""
+        return self._made_of
 
     def _values(self) -> dict[str, Any]:
         """Return all that the motion has reached, for `_continued`."""
@@ -302,6 +300,16 @@ class Integrator:
             "ends": {source: times.copy() for source, times in self._ends.items()},
             "plain": {name: getattr(self, name) for name in PLAIN},
         }
+
+    def _take_over(self, values: dict[str, Any]) -> None:
+        """Continue from the values of another one."""
+        self.state.take_over(values["state"])
+        self.work.take_over(values["work"])
+        self.events.take_over(values["events"])
+        self.dense_steps, self.samples = (list(part) for part in values["steps"])
+        self._ends = {source: times.copy() for source, times in values["ends"].items()}
+        for name, value in values["plain"].items():
+            setattr(self, name, value)
 
     def stop(self, error: PinimpactError) -> NoReturn:
         """Raise what stops the motion, with what there is of it until then."""

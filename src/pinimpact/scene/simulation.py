@@ -64,16 +64,29 @@ def simulate(
             an impact without an answer.
     """
     check_numbers(duration=duration)
+    integrator = integrator_of(scheme, scene, q0, v0, rtol, atol, max_step, max_impacts, dt)
+    return _run(integrator, float(duration), progress)
+
+
+def integrator_of(
+    scheme: str,
+    scene: Scene,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    rtol: float,
+    atol: float,
+    max_step: float | None,
+    max_impacts: int,
+    dt: float,
+) -> Integrator:
+    """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
-        integrator: Integrator = Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
-    elif scheme == "auto":
-        check_numbers(dt=dt)
-        integrator = Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
-    else:
-        check_numbers(dt=dt)
-        integrator = TimeStepping(scene, q0, v0, float(dt), max_impacts)
-    return _run(integrator, float(duration), progress)
+        return Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
+    check_numbers(dt=dt)
+    if scheme == "auto":
+        return Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
+    return TimeStepping(scene, q0, v0, float(dt), max_impacts)
 
 
 def _run(integrator: Integrator, duration: float, progress: Progress | None) -> Trajectory:

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
-from .integrator import Integrator, check_numbers
+from .integrator import check_numbers
 from .scene import Scene
+from .simulation import integrator_of
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -21,7 +22,8 @@ class Stepper:
 
     The motion is that of `simulate` with a control that is sampled at the starts of the steps. Steps can have
     different lengths. Impacts, changes of contact modes and user events are located at their exact times
-    within a step. A terminal event ends a step early, at the time `t`; the next step continues from there.
+    within a step, as far as the scheme locates them. A terminal event ends a step early, at the time `t`; the
+    next step continues from there.
 
     Args:
         scene: The scene, without a control of its own.
@@ -31,8 +33,11 @@ class Stepper:
         atol: As of `simulate`.
         max_step: As of `simulate`.
         max_impacts: At how many instants of one step to resolve impacts before giving up.
+        scheme: As of `simulate`.
+        dt: Length of the time steps of the scheme [s], as of `simulate`; not that of `step`.
 
     Raises:
+        UnknownNameError: No such scheme.
         InputError: As of `simulate`, or a scene with a control.
         ModelError: A joint that cannot be integrated.
     """
@@ -47,6 +52,8 @@ class Stepper:
         atol: float = 1e-10,
         max_step: float | None = None,
         max_impacts: int = 100_000,
+        scheme: str = "auto",
+        dt: float = 1e-3,
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(
@@ -56,7 +63,7 @@ class Stepper:
                 value=scene,
             )
         self._scene = scene
-        self._options = (rtol, atol, max_step, max_impacts)
+        self._scheme, self._options = scheme, (rtol, atol, max_step, max_impacts, dt)
         self.reset(q0, v0)
 
     def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
@@ -65,7 +72,7 @@ class Stepper:
         Raises:
             InputError: As of `simulate`; the stepper is then as it was.
         """
-        self._integrator = Integrator(self._scene, q0, v0, *self._options)
+        self._integrator = integrator_of(self._scheme, self._scene, q0, v0, *self._options)
         self._begun = self._failed = False
 
     def copy(self) -> Stepper:

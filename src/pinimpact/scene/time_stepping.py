@@ -132,6 +132,19 @@ class TimeStepping(Integrator):
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
         self._gravity = float(np.linalg.norm(model.gravity.linear))
 
+    def _arguments(self) -> tuple[Any, ...]:
+        scene, q0, v0, *_, max_impacts = self._made_of
+        return scene, q0, v0, self._dt, max_impacts
+
+    def _values(self) -> dict[str, Any]:
+        arrays = self._mass, self._inverse, self._added, self._begin, self._pushed
+        return super()._values() | {"stepping": ([array.copy() for array in arrays], self._unsolved)}
+
+    def _take_over(self, values: dict[str, Any]) -> None:
+        super()._take_over(values)
+        arrays, self._unsolved = values["stepping"]
+        self._mass, self._inverse, self._added, self._begin, self._pushed = (one.copy() for one in arrays)
+
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen; see `Integrator.begin`."""
         if self._sampled is not None:
