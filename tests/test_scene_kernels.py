@@ -26,7 +26,7 @@ def bounds_about(work, peak, h, reach):
     """Return the bounds for all points within reach of the first contact."""
     return contact_motion.bounds(
         work.joint_jacobian,
-        work.velocity_signs[0],
+        work.velocity_signs,
         work.velocity_joint,
         work.placements[work.contact_joints[0, 0]],
         work.contact_constants[0],
@@ -54,7 +54,7 @@ def turning_bound(work, peak, h):
     """Return `contact_motion.turning_bound` of the first contact, which is called from kernels only."""
     return contact_motion.turning_bound(
         work.joint_jacobian,
-        work.velocity_signs[0],
+        work.velocity_signs,
         work.placements[work.contact_joints[0, 0]],
         work.contact_constants[0],
         peak,

@@ -293,9 +293,10 @@ def redundant_problem(rng):
 
 def solved(mass, jacobian, free, mu, compliance, impulse):
     """Fill the impulses of one island; return how far they are from the law."""
-    m, none = len(mass), np.empty(0)
+    (n, m), none = jacobian.shape, np.empty(0)
+    every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     return step_impulses(
-        *(mass, np.linalg.inv(mass), jacobian, free, mu, none, none, compliance),
+        *(mass, np.linalg.inv(mass), *every, free, mu, none, none, compliance),
         *(np.ones(len(mu), dtype=bool), np.zeros(m, dtype=np.int64), 1e-11, np.zeros(m)),
         *(np.zeros(m), impulse),
     )

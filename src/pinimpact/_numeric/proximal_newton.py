@@ -279,34 +279,6 @@ def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvatur
 
 
 @external
-def find_columns(jacobian, contacts, values, columns, counts):
-    """Fill J without its columns of zeros, a contact's rows together.
-
-    Args:
-        jacobian: (n, m) J.
-        contacts: Number of contacts.
-        values: (n, m) takes what is not zero.
-        columns: (n, m) takes its columns, in ascending order.
-        counts: (n,) takes how many they are.
-    """
-    n, m = jacobian.shape
-    begin = 0
-    while begin < n:
-        end = begin + 3 if begin < 3 * contacts else begin + 1
-        count = 0
-        for c in range(m):
-            if jacobian[begin, c] != 0.0 or (
-                end > begin + 1 and (jacobian[begin + 1, c] != 0.0 or jacobian[begin + 2, c] != 0.0)
-            ):
-                for a in range(begin, end):
-                    values[a, count], columns[a, count] = jacobian[a, c], c
-                count += 1
-        for a in range(begin, end):
-            counts[a] = count
-        begin = end
-
-
-@external
 def find_profile(mass, columns, counts, start, last):
     """Fill where the rows of M begin (m,), and where those of M + JᵀJ end once it is factorized (m,)."""
     m = len(mass)

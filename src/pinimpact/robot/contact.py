@@ -31,10 +31,10 @@ from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface, Vector, check_frame_key, unit_vector, vector
 from ._kernels import contact_kinematics
 from .data_cache import checked_configuration, data_cache
-from .names import frame_id, model_of, motion_signs
+from .forest import frame_placement
+from .names import frame_id, model_of
 
 Array = NDArray[np.float64]
-_placement = pin.updateFramePlacement
 
 WORLD = np.eye(4)
 """The placement that the kernels take where no body carries a surface."""
@@ -220,18 +220,15 @@ class Contact:
         model = model_of(model)
         cache = data_cache(model, data)
         cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
-        frame = _placement(model, data, cache.frame(self.frame)).homogeneous
+        frame = frame_placement(model, data, cache.frame(self.frame)).homogeneous
         carrier = WORLD
         if self.plane.body is not None:
-            carrier = _placement(model, data, cache.frame(self.plane.body, "body")).homogeneous
+            carrier = frame_placement(model, data, cache.frame(self.plane.body, "body")).homogeneous
         return float(contact_kinematics.locate(frame, carrier, self.constants)[0])
 
 
-def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array, Array]:
-    """Return a contact's joints (of the tip, of the surface), its constants in their axes, and signs.
-
-    The signs (nv,) are 1 for a velocity that moves the tip alone, −1 the surface alone, else 0.
-    """
+def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array]:
+    """Return a contact's joints, of the tip and of the surface, and its constants in their axes."""
     frame = model.frames[frame_id(model, contact.frame)]
     tip, base, carrier = frame.parentJoint, 0, pin.SE3.Identity()
     if contact.plane.body is not None:
@@ -244,7 +241,7 @@ def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Arr
     directions[:] = directions @ carrier.rotation.T
     k[RIM_AXIS:LINE_AXIS] = frame.placement.rotation @ k[RIM_AXIS:LINE_AXIS]
     k[LINE_AXIS:CONSTANTS] = carrier.rotation @ k[LINE_AXIS:CONSTANTS]
-    return tip, base, k, motion_signs(model, tip, base)
+    return tip, base, k
 
 
 def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact) -> tuple[Contact, ...]:

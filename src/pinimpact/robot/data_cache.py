@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ..checks import finite_array
 from ..errors import InputError
+from .forest import Forest, forward_kinematics, joint_jacobian
 from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
 from .pinocchio_bridge import MassAndColumns, Tree, tree_of
@@ -36,8 +37,6 @@ class DataCache:
     )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
-        tree = _tree(model)
-        _check_data(tree, model, data)
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(_caches, id(data)))
         self.nframes = self.frames_seen = model.nframes
@@ -47,13 +46,19 @@ class DataCache:
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
         self.bounds = slack_bounds(model)
-        self.parents = np.array(tree.parents, dtype=np.int64)
-        if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
-            self.parents = np.arange(-1, model.nv - 1)
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         self.struck: dict[int, Any] = {}
         self._tree: Tree | bool | None = False
+        self._read(model, data)
+
+    def _read(self, model: pin.Model, data: pin.Data) -> None:
+        """Set what is read of the Data."""
+        tree = _tree(model)
+        _check_data(tree, model, data)
+        self.parents = np.array(tree.parents, dtype=np.int64)
+        if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
+            self.parents = np.arange(-1, model.nv - 1)
         bridge = MassAndColumns(model, data)
         self.columns = bridge.columns
         self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
@@ -64,8 +69,12 @@ class DataCache:
     def tree(self) -> Tree | None:
         """The numbers of the model for `tree_matrices`, or None if that does not know some of its joints."""
         if isinstance(self._tree, bool):  # nobody has asked yet
-            self._tree = tree_of(self.model())
+            self._tree = self._make_tree()
         return self._tree
+
+    def _make_tree(self) -> Tree | None:
+        model: Any = self.model()
+        return tree_of(model, (model,))
 
     def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         """Return a call that, when it is made first, shows where Pinocchio stores joints of another kind."""
@@ -122,6 +131,28 @@ class DataCache:
             signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
         found = self.contacts[frame, body] = (*ends, signs)
         return found
+
+
+class _ForestCache(DataCache):
+    """What does not change about a model and its `Forest`."""
+
+    __slots__ = ()
+
+    def _read(self, model: pin.Model, data: Forest) -> None:
+        self.parents = data.parents()
+        self.columns = data.J
+
+        def mass_matrix(model: pin.Model, data: Forest, q: np.ndarray, _: Any) -> np.ndarray:
+            data.joint_jacobian(q)
+            return data.mass_matrix(q)
+
+        self.mass_matrix = mass_matrix
+        self.joint_jacobian = joint_jacobian
+        self.forward_kinematics = forward_kinematics
+
+    def _make_tree(self) -> Tree | None:
+        data: Any = self.data()
+        return tree_of(self.model(), [part.model for part in data.parts])
 
 
 class _Tree(NamedTuple):
@@ -224,7 +255,8 @@ def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
     """
     found = _caches.get(id(data))
     if found is None or found.data() is not data or found.model() is not model:
-        found = _caches[id(data)] = DataCache(model, data)
+        kind = _ForestCache if isinstance(data, Forest) else DataCache
+        found = _caches[id(data)] = kind(model, data)
     return found
 
 

@@ -17,12 +17,12 @@ from ._kernels.delassus_factor import delassus_factor
 from ._kernels.responses import half_solve, respond
 from .contact import WORLD, Contact, check_contact, check_held
 from .data_cache import DataCache, checked_configuration, data_cache
+from .forest import frame_placement, mass_matrix
 from .names import free_velocities, model_of, singular_mass
 from .pinocchio_bridge import contact_columns
 
 Array = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
-_placement = pin.updateFramePlacement
 _WORLD = pin.Convention.WORLD
 
 
@@ -142,7 +142,7 @@ def contact_matrices(
     at = np.asarray(q, dtype=np.float64)
     _, _, columns, signs = kinematics(model, data, at, cache, contact)
     columns = columns.copy(order="F")  # crba writes them
-    mass = np.array(pin.crba(model, data, at))
+    mass = mass_matrix(model, data, at)
     rows = np.empty((3, cache.nv))
     axes = np.ascontiguousarray(geometry.axes).ravel()
     contact_kinematics.jacobian_by_axes(columns, signs, geometry.point, axes, rows)
@@ -303,8 +303,8 @@ def kinematics(
     """
     body = contact.plane.body
     frame, carrier, signs = cache.contacts.get((contact.frame, body)) or cache.contact(contact.frame, body)
-    placement = _placement(model, data, frame).homogeneous
-    carried = WORLD if body is None else _placement(model, data, carrier).homogeneous
+    placement = frame_placement(model, data, frame).homogeneous
+    carried = WORLD if body is None else frame_placement(model, data, carrier).homogeneous
     columns = cache.columns
     if columns is None:
         columns = contact_columns(model, data, q, frame, carrier)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -136,6 +136,18 @@ def model_of(robot: Any) -> pin.Model:
             value=robot,
         )
     return model
+
+
+class ShapedRobot(NamedTuple):
+    """A model and its collision shapes, as a RobotWrapper has them, without a Data.
+
+    Attributes:
+        model: Its model.
+        collision_model: Its shapes, if there are any.
+    """
+
+    model: pin.Model
+    collision_model: pin.GeometryModel | None
 
 
 def singular_mass(model: pin.Model, velocity: int) -> ModelError:

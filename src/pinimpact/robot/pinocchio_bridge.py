@@ -46,6 +46,7 @@ from ._kernels.robot_workspace import (
     RobotWorkspace,
 )
 from ._kernels.tree_matrices import BODY, evaluate_tree
+from .forest import Forest, data_of, states
 from .names import singular_mass
 
 Array = NDArray[np.float64]
@@ -147,12 +148,17 @@ class Tree(NamedTuple):
     copied: dict[str, NDArray[Any]]
 
 
-def tree_of(model: pin.Model) -> Tree | None:
-    """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints."""
+def tree_of(model: pin.Model, parts: Sequence[pin.Model]) -> Tree | None:
+    """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints.
+
+    Args:
+        model: The model.
+        parts: Models of its trees, with which the check is made, or itself.
+    """
     if _flaw(model) is not None:
         return None
     compile_all((robot_impact,), (evaluate_tree,), (contact_axes,))  # what an impact needs, at once
-    if not _trusted(model, _disagreement_of_tree):
+    if not all(_trusted(part, _disagreement_of_tree) for part in parts):
         return None
     with contextlib.suppress(_ElsewhereError):
         return _tree(model)
@@ -163,7 +169,8 @@ def _tree(model: pin.Model) -> Tree | None:
     joints, nv = model.njoints, model.nv
     kinds, axes = np.zeros((2, joints), dtype=np.int64)
     turns, joint_of, along = np.zeros(nv, dtype=np.int64), np.zeros(nv, dtype=np.int64), np.zeros((nv, 3))
-    for j, joint in enumerate(model.createData().joints):
+    for j in range(1, joints):
+        joint = model.joints[j].createData()
         name = joint.shortname().removeprefix("JointData").removesuffix("Tpl")
         first = model.idx_vs[j]
         rows = slice(first, first + model.nvs[j])
@@ -176,7 +183,7 @@ def _tree(model: pin.Model) -> Tree | None:
             axes[j] = _AXES.get(name[-1], -1) if name not in _UNALIGNED else -1
             turns[rows] = kinds[j] != PRISMATIC
             along[rows] = joint.S.ravel()[3:] if kinds[j] != PRISMATIC else joint.S.ravel()[:3]
-        elif j > 0:
+        else:
             return None
         joint_of[rows] = j
     if len(joint_of) != sum(model.nvs[j] for j in range(1, joints)):
@@ -391,6 +398,11 @@ def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     Raises:
         ModelError: The mass matrix is not positive definite, or not the right one.
     """
+    for part in states(model, data, q):
+        _check_inertia(*part)
+
+
+def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
     mass = pin.crba(model, data, q)
     with contextlib.suppress(np.linalg.LinAlgError):  # mostly clear, without a kernel
         pivots = np.diag(np.linalg.cholesky(mass[::-1, ::-1]))[::-1] ** 2
@@ -441,6 +453,9 @@ class RobotDynamics:
         self.model = model
         self.q, self.v, self.tau = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
 
+    def refresh(self) -> None:
+        """Take over the numbers of the model, which may have changed, where they are not read in place."""
+
 
 def robot_dynamics(model: pin.Model) -> RobotDynamics:
     """Return the forward dynamics of a robot, its results in place where this Pinocchio lets them be read.
@@ -450,6 +465,9 @@ def robot_dynamics(model: pin.Model) -> RobotDynamics:
             Pinocchio has no forward dynamics.
     """
     _check_joints(model)
+    forest = data_of(model)
+    if isinstance(forest, Forest):
+        return _OfParts(model, forest)
     if _trusted(model, _disagreement_of_dynamics):
         with contextlib.suppress(_ElsewhereError):
             return _InPlace(model)
@@ -520,6 +538,51 @@ class _Copied(RobotDynamics):
     def _copy_placements(self) -> None:
         self.placements[:, :9] = [placement.rotation.T.ravel() for placement in self._moving.oMi]
         self.placements[:, 9:] = [placement.translation for placement in self._moving.oMi]
+
+
+class _OfParts(RobotDynamics):
+    """The arrays are copies of what dynamics of each part of a `Forest` leave."""
+
+    def __init__(self, model: pin.Model, forest: Forest) -> None:
+        super().__init__(model)
+        nj, nv = model.njoints, model.nv
+        self._forest = forest
+        self.forward_dynamics = Call(self._accelerate, ())
+        self.inverse_mass = Call(self._invert, ())
+        self.forward_kinematics = Call(self._move, ())
+        self.acceleration, self.minverse = np.zeros(nv), np.zeros((nv, nv))
+        self.placements = np.zeros((nj, 12))
+        self.placements[0, [0, 4, 8]] = 1.0
+        self.local_velocities, self.velocities, self.accelerations = np.zeros((3, nj, 6))
+        self.accelerations[0] = -model.gravity.vector
+        self.joint_jacobian = np.zeros((6, nv), order="F")
+        self._parts = [(part, robot_dynamics(part.model)) for part in forest.parts]
+
+    def refresh(self) -> None:
+        """See `RobotDynamics.refresh`."""
+        self._forest.refresh()
+
+    def _accelerate(self) -> None:
+        for part, robot in self._parts:
+            robot.q[:], robot.v[:], robot.tau[:] = self.q[part.q], self.v[part.v], self.tau[part.v]
+            robot.forward_dynamics.function(*robot.forward_dynamics.arguments)
+            self.acceleration[part.v] = robot.acceleration
+            self.joint_jacobian[:, part.v] = robot.joint_jacobian
+            self.placements[part.joints] = robot.placements[1:]
+            self.velocities[part.joints] = robot.velocities[1:]
+            self.accelerations[part.joints] = robot.accelerations[1:]
+
+    def _invert(self) -> None:
+        for part, robot in self._parts:
+            robot.inverse_mass.function(*robot.inverse_mass.arguments)
+            self.minverse[part.v, part.v] = robot.minverse
+
+    def _move(self) -> None:
+        for part, robot in self._parts:
+            robot.q[:], robot.v[:] = self.q[part.q], self.v[part.v]
+            robot.forward_kinematics.function(*robot.forward_kinematics.arguments)
+            self.placements[part.joints] = robot.placements[1:]
+            self.local_velocities[part.joints] = robot.local_velocities[1:]
 
 
 def _disagreement_of_dynamics(model: pin.Model) -> str | None:
@@ -618,6 +681,10 @@ def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> floa
 
     Pinocchio's own sum leaves out the rotor inertia of joints about slanted axes, which its M has.
     """
+    return sum(_kinetic_energy(*part) for part in states(model, data, q, v))
+
+
+def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
     if not model.armature.any():
         return float(pin.computeKineticEnergy(model, data, q, v))
     upper = np.triu(pin.crba(model, data, q))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -105,9 +106,16 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
     pair = shape_pair(robot, contact)
     count = pair.most_points
     far = Plane((0.0, 0.0, -FAR), name=pair.b.name)
-    basis = replace(pair.basis, plane=far, pair=contact)
     label = contact.label
-    return tuple(replace(basis, name=f"{label} {k + 1}" if k else label) for k in range(count))
+    first = replace(pair.basis, plane=far, pair=contact, name=label)
+    return (first, *(_called(first, f"{label} {k + 1}") for k in range(1, count)))
+
+
+def _called(contact: Contact, name: str) -> Contact:
+    """Return a contact that differs by its name only, of which nothing needs to be checked again."""
+    other = copy(contact)
+    object.__setattr__(other, "name", name)
+    return other
 
 
 FAR = 1e3

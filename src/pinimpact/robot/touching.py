@@ -13,6 +13,7 @@ from ..errors import InputError
 from ._kernels import contact_kinematics
 from .contact import WORLD, Contact
 from .data_cache import checked_configuration, data_cache
+from .forest import frame_placement
 from .names import model_of
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def flat_rim(contact: Contact) -> str:
 
 def _placements(model: pin.Model, data: pin.Data, contact: Contact) -> tuple[Array, Array]:
     cache = data_cache(model, data)
-    frame = pin.updateFramePlacement(model, data, cache.frame(contact.frame)).homogeneous
+    frame = frame_placement(model, data, cache.frame(contact.frame)).homogeneous
     if contact.plane.body is None:
         return frame, WORLD
-    return frame, pin.updateFramePlacement(model, data, cache.frame(contact.plane.body, "body")).homogeneous
+    return frame, frame_placement(model, data, cache.frame(contact.plane.body, "body")).homogeneous

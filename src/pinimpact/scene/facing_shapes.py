@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,7 @@ from ..geometry._kernels.box_patch import MOST
 from ..geometry.convex_pair import Touch
 from ..geometry.patch import Patch, patch
 from ..robot.contact import Contact
-from ..robot.names import motion_signs
+from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
 from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
 from .dynamics import SceneDynamics
@@ -64,12 +65,11 @@ class FacingShapes:
         self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)
         for pair, numbers in every:
             work.contact_joints[numbers] = pair.a.joint, pair.b.joint
-            work.velocity_signs[numbers] = motion_signs(model, pair.a.joint, pair.b.joint)
         self._pairs = [_Places(*one) for one in every if not all(map(_is_box, (one[0].a, one[0].b)))]
         self._set_boxes([one for one in every if all(map(_is_box, (one[0].a, one[0].b)))])
 
     @cached_property
-    def _data(self) -> pin.Data:
+    def _data(self) -> Any:
         return self._layout.data_for(self, self._model)
 
     def _set_boxes(self, pairs: list[tuple[ShapePair, list[int]]]) -> None:
@@ -113,7 +113,7 @@ class FacingShapes:
             self._dynamics.check()
         facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
         if facing or self._pairs:
-            pin.forwardKinematics(self._model, self._data, q, v)
+            forward_kinematics(self._model, self._data, q, v)
         for p in facing:
             for k in range(int(self._used[p])):
                 ends = self._points[p, k], self._others[p, k]

@@ -37,7 +37,6 @@ class ClosedSet(NamedTuple):
         unique: Whether the motion determined the forces.
         known: Forces that the motion was begun with, of which the nearest act; empty for those of least norm.
         joints: (k, 2) of the contacts that are closed: of the tip, of the surface.
-        signs: (k, nv) of them, see `SceneWorkspace.velocity_signs`.
         swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
     """
 
@@ -51,7 +50,6 @@ class ClosedSet(NamedTuple):
     unique: bool
     known: Array
     joints: NDArray[np.int64]
-    signs: Array
     swapped: NDArray[np.int64]
 
     @classmethod
@@ -78,7 +76,6 @@ class ClosedSet(NamedTuple):
             work.forces_unique,
             work.inner_forces.copy() if rubs else _NONE,
             work.contact_joints.take(index, axis=0),
-            work.velocity_signs.take(index, axis=0),
             swapped,
         )
 
@@ -104,6 +101,34 @@ class Forces(NamedTuple):
     normals: Array
     joints: Array
     unique: bool
+
+
+class StepForces(NamedTuple):
+    """Forces over a time step, in which they are constant, of what is near in it; see `Forces`.
+
+    Attributes:
+        contacts: (k,) numbers of the contacts that are near.
+        world, points, normals: (k, 3) of these.
+        joints: (nv,).
+    """
+
+    contacts: NDArray[np.int64]
+    world: Array
+    points: Array
+    normals: Array
+    joints: Array
+
+    def of_all(self, count: int) -> Forces:
+        """Return the forces of all contacts, which are so many."""
+        world, points, normals = every = np.zeros((3, count, 3))
+        every[:, self.contacts] = self.world, self.points, self.normals
+        return Forces(world, points, normals, self.joints, True)
+
+    def acting(self, count: int) -> NDArray[np.bool_]:
+        """Return which of so many contacts have a force."""
+        acts = np.zeros(count, dtype=bool)
+        acts[self.contacts] = self.world.any(axis=1)
+        return acts
 
 
 class ForceSource(Protocol):
@@ -150,8 +175,10 @@ class EvaluatedForces:
     def at(self, number: int, step: DenseStep, t: float) -> Forces | None:
         """See `ForceSource`."""
         closed = step.closed
-        if closed is None or isinstance(closed, Forces):  # those of a time step are constant over it
-            return closed
+        if closed is None:
+            return None
+        if isinstance(closed, StepForces):
+            return closed.of_all(len(self.contacts))
         dynamics = self._dynamics
         work = dynamics.work
         dynamics.make_room(closed.modes[: work.contacts])
@@ -159,7 +186,7 @@ class EvaluatedForces:
         work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
         work.drive_side[:], work.control_force[:] = closed.sides, closed.control
         work.contact_constants[index] = closed.constants
-        work.contact_joints[index], work.velocity_signs[index] = closed.joints, closed.signs
+        work.contact_joints[index] = closed.joints
         work.direction_speed = closed.direction_speed
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
@@ -215,7 +242,7 @@ class TabulatedForces:
             return source
         count = len(source.contacts)
         closed = [
-            step.closed.world.any(axis=1) if isinstance(step.closed, Forces) else step.closed.modes[:count]
+            step.closed.acting(count) if isinstance(step.closed, StepForces) else step.closed.modes[:count]
             for step in steps
             if step.closed is not None
         ]

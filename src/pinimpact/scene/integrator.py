@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import finite_array, real_number
 from ..errors import InputError, IrregularMotionError, PinimpactError, SimulationError
 from ..robot.data_cache import checked_configuration, data_cache
+from ..robot.forest import potential_energy
 from ..robot.names import coordinate_names
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
@@ -349,7 +350,7 @@ class Integrator:
         kinetic, potential = np.empty((2, len(rows)))
         for k, (_, at, moving, *_) in enumerate(rows):
             kinetic[k] = kinetic_energy(self.model, self.data, at, moving)
-            potential[k] = pin.computePotentialEnergy(self.model, self.data, at)
+            potential[k] = potential_energy(self.model, self.data, at)
         impacts_work = np.array([row[4] for row in rows])
         energy = Energy(kinetic, potential, w[:, 0], w[:, 1], w[:, 2], w[:, 3], impacts_work)
         modes = self.state.modes.ended[:intervals] + [

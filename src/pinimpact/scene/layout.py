@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..geometry._kernels.constants import CONSTANTS
 from ..robot.contact import Contact, contact_constants
+from ..robot.forest import Forest, data_of, inverse_mass
 from ..robot.joint_limits import JointLimit, joint_limits
-from ..robot.names import frame_id, motion_signs
+from ..robot.names import ShapedRobot, frame_id, motion_signs
 from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
 from .contact_runs import bounding_sphere, runs
@@ -61,7 +62,7 @@ class SceneLayout:
         ids = (frame_id(model, key) for key in keys)
         self._frames = [(i, pin.SE3(model.frames[i].placement)) for i in ids]
         self._spare_dynamics: list[RobotDynamics] = []
-        self._spare_data: list[pin.Data] = []
+        self._spare_data: list[Any] = []
         self._damping: _Last[bytes, float] = _Last()
         self._tables: _Last[tuple[Contact, ...], ContactTables] = _Last()
         self._pair_tables: _Last[tuple[Contact, ...], PairTables] = _Last()
@@ -119,7 +120,7 @@ class SceneLayout:
         wanted = dict.fromkeys(c.pair for c in self._contacts if c.pair is not None)
         if not wanted:
             return {}
-        robot = pin.RobotWrapper(self._model, self._geometry)
+        robot = ShapedRobot(self._model, self._geometry)
         return {contact: shape_pair(robot, contact) for contact in wanted}
 
     @cached_property
@@ -139,6 +140,18 @@ class SceneLayout:
         """(nv,) the joint that each velocity belongs to."""
         return np.repeat(np.arange(self._model.njoints), np.array(self._model.nvs))
 
+    @cached_property
+    def chains(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The last of the velocities that move each joint, −1 for none, and the one before each (nv,)."""
+        model = self._model
+        last, before = np.full(model.njoints, -1), np.arange(-1, model.nv - 1)
+        for joint in range(1, model.njoints):
+            start, count = model.idx_vs[joint], model.nvs[joint]
+            last[joint] = above = last[model.parents[joint]]
+            if count > 0:
+                before[start], last[joint] = above, start + count - 1
+        return last, before
+
     def rate_of_damping(self, damping: NDArray[np.float64]) -> float:
         """Return how fast damped joints (nv,) settle at the most, in the neutral configuration [1/s]."""
         if not damping.any():
@@ -147,7 +160,7 @@ class SceneLayout:
 
     def _rate_of_damping(self, damping: NDArray[np.float64]) -> float:
         model = self._model
-        minverse = pin.computeMinverse(model, model.createData(), pin.neutral(model))
+        minverse = inverse_mass(model, data_of(model), pin.neutral(model))
         minverse = np.triu(minverse) + np.triu(minverse, 1).T
         root = np.sqrt(damping)
         return float(np.linalg.eigvalsh(root[:, None] * minverse * root)[-1])
@@ -184,20 +197,29 @@ class SceneLayout:
         if model is not self._model:
             return robot_dynamics(model)
         robot = self._spare_dynamics.pop() if self._spare_dynamics else robot_dynamics(model)
+        robot.refresh()
         weakref.finalize(owner, self._spare_dynamics.append, robot).atexit = False
         return robot
 
-    def data_for(self, owner: object, model: pin.Model) -> pin.Data:
-        """Return data of the robot, for the scene's own model some that an earlier owner has left."""
+    def data_for(self, owner: object, model: pin.Model) -> Any:
+        """Return what `data_of` does; for the scene's own model one that an earlier owner has left."""
         if model is not self._model:
-            return model.createData()
-        data = self._spare_data.pop() if self._spare_data else model.createData()
+            return data_of(model)
+        data = self._spare_data.pop() if self._spare_data else data_of(model)
+        if isinstance(data, Forest):
+            data.refresh()
         weakref.finalize(owner, self._spare_data.append, data).atexit = False
         return data
 
     def _make_tables(self, contacts: tuple[Contact, ...]) -> ContactTables:
         model, count = self._model, len(contacts)
-        parts = [contact_constants(model, contact) for contact in contacts]
+        parts, nowhere = [], None
+        for contact in contacts:
+            if contact.pair is None:
+                parts.append(contact_constants(model, contact))
+            else:  # a place, which is nowhere as yet
+                nowhere = nowhere or contact_constants(model, contact)
+                parts.append(nowhere)
         blocks: list[tuple[int, int, int]] = []
         spheres: list[NDArray[np.float64]] = []
         for first, stop in runs(contacts):
@@ -207,8 +229,7 @@ class SceneLayout:
                 spheres.append(contact_constants(model, sphere)[2])
         return ContactTables(
             np.array([part[2] for part in parts]).reshape(count, CONSTANTS),
-            np.array([ends for *ends, _, _ in parts], dtype=np.int64).reshape(count, 2),
-            np.array([signs for *_, signs in parts]).reshape(count, model.nv),
+            np.array([part[:2] for part in parts], dtype=np.int64).reshape(count, 2),
             np.array([contact.sustained_friction for contact in contacts], dtype=float),
             np.array(blocks, dtype=np.int64).reshape(-1, 3),
             np.array(spheres).reshape(-1, CONSTANTS),
@@ -258,7 +279,6 @@ class ContactTables(NamedTuple):
     Attributes:
         constants: (n, 28) see `robot._kernels.constants`.
         joints: (n, 2) of the tip and of the surface.
-        signs: (n, nv) see `contact_constants`.
         friction: (n,) of sustained contact.
         blocks: (b, 3) runs of contacts looked at together: the first contact, the one after the last, and
             which sphere bounds them or −1.
@@ -267,7 +287,6 @@ class ContactTables(NamedTuple):
 
     constants: NDArray[np.float64]
     joints: NDArray[np.int64]
-    signs: NDArray[np.float64]
     friction: NDArray[np.float64]
     blocks: NDArray[np.int64]
     spheres: NDArray[np.float64]

@@ -21,7 +21,7 @@ from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact, check_contact
 from ..robot.joint_limits import JointLimit
-from ..robot.names import frame_id, free_velocities, joint_keys, model_of, motion_signs
+from ..robot.names import ShapedRobot, frame_id, free_velocities, joint_keys, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
 from ..robot.solids import Shape, Solid
 from .controls import Control, JointPD
@@ -142,7 +142,7 @@ class Scene:
             isinstance(contact, Contact) and contact.geometry is not None for contact in given
         ):
             return contacts
-        robot = pin.RobotWrapper(self.model, self.geometry) if self.geometry is not None else self.model
+        robot = ShapedRobot(self.model, self.geometry) if self.geometry is not None else self.model
         return [
             tip
             for contact in given
@@ -166,7 +166,7 @@ class Scene:
             UnknownNameError: A link that has no shape.
         """
         model = self.model
-        robot = pin.RobotWrapper(model, self.geometry) if self.geometry is not None else model
+        robot = ShapedRobot(model, self.geometry) if self.geometry is not None else model
         shapes = shapes_of_links(model, collision_model(robot), links)
         if isinstance(links, str) and links == "all":
             carrier = 0

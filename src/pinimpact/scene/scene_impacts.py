@@ -23,6 +23,7 @@ from ..errors import IrregularMotionError, PinimpactError, SimulationError, Unst
 from ..robot._kernels.responses import taking_part
 from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
+from ..robot.forest import inverse_mass
 from ..robot.joint_limits import JointLimit
 from ..robot.matrices import (
     ContactMatrices,
@@ -158,6 +159,10 @@ class SceneImpacts:
         self._sustained = "sustained contact" not in without
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
+        self._roots = np.arange(model.njoints)  # of the tree of each joint
+        for joint, parent in enumerate(model.parents):
+            if parent > 0:
+                self._roots[joint] = self._roots[parent]
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
@@ -266,6 +271,7 @@ class SceneImpacts:
         Raises:
             IrregularMotionError: It is.
         """
+        touching = self._connected(first, touching)
         every, matrices = self._matrices(q, touching)
         velocity, surface = matrices.velocity(v), matrices.surface_velocity
         friction = np.array([0.0 if contact is None else contact.friction for contact in every])
@@ -363,6 +369,23 @@ class SceneImpacts:
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
         return _group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
+    def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
+        """Return those of what touches that joints and contacts, held ones too, connect with the first."""
+        work, count = self._dynamics.work, len(self._dynamics.contacts)
+        every = np.array([first, *touching, *range(count - len(self._held), count)])
+        of_contact, ends = every < count, np.empty((len(every), 2), dtype=np.int64)
+        ends[of_contact] = work.contact_joints[every[of_contact]]
+        ends[~of_contact] = work.velocity_joint[work.limit_v[every[~of_contact] - count], None]
+        ends = self._roots[ends]
+        reached = np.zeros(self._model.njoints, dtype=bool)
+        linked = np.arange(len(every)) == 0
+        while True:
+            reached[ends[linked]] = True
+            reached[0] = False  # the world connects nothing
+            before, linked = linked, reached[ends].any(axis=1)
+            if np.array_equal(before, linked):
+                return [i for i, is_linked in zip(touching, linked[1:], strict=False) if is_linked]
+
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
         """Return contacts, None for each limit, and the matrices of all."""
         count = len(self._dynamics.contacts)
@@ -431,7 +454,7 @@ class SceneImpacts:
     def _yielding_inverse(self, t: float, q: Array, v: Array) -> Array:
         """Return M⁻¹ with what is held and locked projected out."""
         nv = self._model.nv
-        inverse = np.array(pin.computeMinverse(self._model, self._data, q)).reshape(nv, nv)
+        inverse = inverse_mass(self._model, self._data, q)
         if self._yielding.all() and not self._held:
             return inverse
         rows = np.eye(nv)[~self._yielding]

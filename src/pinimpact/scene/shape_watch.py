@@ -23,6 +23,7 @@ from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.contact import Contact, contact_constants
+from ..robot.forest import forward_kinematics, joint_jacobian
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
 from ._kernels.contact_forces import FREE
 from ._kernels.events.gap import SAFETY
@@ -127,7 +128,7 @@ class ShapeWatch:
         ]
 
     @cached_property
-    def _data(self) -> pin.Data:
+    def _data(self) -> Any:
         return self._layout.data_for(self, self._model)
 
     def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:
@@ -161,7 +162,7 @@ class ShapeWatch:
     # ---- states
 
     def _set(self, q: Array) -> None:
-        pin.forwardKinematics(self._model, self._data, q)
+        forward_kinematics(self._model, self._data, q)
 
     def start(self, q: Array, rounding: float) -> None:
         """Let the pairs touch that do at the start.
@@ -283,10 +284,8 @@ class ShapeWatch:
 
     def _put(self, i: int, contact: Contact) -> None:
         """Let a place of the workspace be that of a contact."""
-        tip, base, constants, signs = contact_constants(self._model, contact)
-        work = self._work
-        work.contact_constants[i], work.velocity_signs[i] = constants, signs
-        work.contact_joints[i] = tip, base
+        tip, base, constants = contact_constants(self._model, contact)
+        self._work.contact_constants[i], self._work.contact_joints[i] = constants, (tip, base)
 
     def _leave(self, watched: _Watched, i: int) -> None:
         """Let nothing touch in a place any more."""
@@ -350,7 +349,7 @@ class ShapeWatch:
         model, data, pair = self._model, self._data, watched.pair
 
         def at(t: float) -> PairState:
-            pin.forwardKinematics(model, data, *step.at(t), step.acceleration(t))
+            forward_kinematics(model, data, *step.at(t), step.acceleration(t))
             moving = (
                 data.oMi[joint].act(motions[joint]).vector
                 for motions in (data.v, data.a)
@@ -389,8 +388,7 @@ class ShapeWatch:
 
         The latter is for directions that one of them carries, as seen from the other [1/s²].
         """
-        pin.computeJointJacobians(self._model, self._data, step.q)
-        turn = np.linalg.norm(self._data.J[3:], axis=0)
+        turn = np.linalg.norm(joint_jacobian(self._model, self._data, step.q)[3:], axis=0)
         spins = [float((turn * supports) @ peak[0]) for supports in watched.supports]
         faster = sum(float((turn * supports) @ peak[1]) for supports in watched.supports)
         return sum(spins), faster + sum(s * s for s in spins) + sum(spins) ** 2

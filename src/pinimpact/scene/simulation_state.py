@@ -21,6 +21,7 @@ from ..errors import (
     SimulationError,
 )
 from ..robot.contact import Contact
+from ..robot.forest import forward_kinematics
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.pinocchio_bridge import check_inertia
@@ -408,7 +409,7 @@ class SimulationState:
         """Return u × n (3,) of rims, see `tilt_of_rim`."""
         if not rims:
             return []
-        pin.forwardKinematics(self._model, self._data, q)
+        forward_kinematics(self._model, self._data, q)
         return [tilt_of_rim(self._model, self._data, self.dynamics.contacts[k]) for k in rims]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:

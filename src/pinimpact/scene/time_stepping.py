@@ -15,12 +15,13 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._numeric.proximal_newton import ACCURATE
+from ..robot.forest import mass_matrix
 from ._kernels.midpoint_step import midpoint_step, near_rows, report_step
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
-from .forces import Forces
+from .forces import StepForces
 from .integrator import Integrator
 from .scene import Scene
 
@@ -62,7 +63,7 @@ class _Rows(NamedTuple):
         held: (nh,) numbers of the held ones.
         limits: (nl,) numbers of the limits.
         dry: (nd,) velocities of the joints with dry friction.
-        jacobian: (n, nv).
+        values, columns, counts: The Jacobian, see `midpoint_step`.
         surface: (nc + nh, 3) velocities of the surfaces [m/s].
         gaps: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m or rad].
     """
@@ -71,7 +72,9 @@ class _Rows(NamedTuple):
     held: Integers
     limits: Integers
     dry: Integers
-    jacobian: Array
+    values: Array
+    columns: Integers
+    counts: Integers
     surface: Array
     gaps: Array
 
@@ -117,7 +120,7 @@ class TimeStepping(Integrator):
         scene, model, work = self._made_of[0], self.model, self.work
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
         self._faces = FacingShapes(model, self.dynamics, scene.layout())
-        self._tree = _trees(model)
+        self._tree, self._widest = _trees(model), _widest(self.work.velocity_parent)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._begin = np.zeros(model.nv)  # see `step_impulses`
@@ -198,9 +201,9 @@ class TimeStepping(Integrator):
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows = self._rows(middle, v, h)
-        jacobian, normals, softened = rows.jacobian, rows.normals, self._softening(h)
+        normals, softened = rows.normals, self._softening(h)
         self._invert(middle, softened)
-        impulse, u_start, u_end = np.empty((3, len(jacobian)))
+        impulse, u_start, u_end = np.empty((3, len(rows.counts)))
         v_end, predicted = np.empty((2, len(v)))
         arrives = np.empty(len(normals), dtype=bool)
         off = midpoint_step(
@@ -250,9 +253,11 @@ class TimeStepping(Integrator):
         first = int(np.searchsorted(near, work.contacts))
         contacts, limits, held, dry = near[:first].copy(), near[first:] - work.contacts, self._held, self._dry
         every = len(contacts) + len(held)
-        jacobian = np.empty((3 * every + len(limits) + len(dry), work.nv))
+        shape = 3 * every + len(limits) + len(dry), self._widest
         return _Rows(
-            contacts, held, limits, dry, jacobian, np.empty((every, 3)), np.empty(every + len(limits))
+            *(contacts, held, limits, dry),
+            *(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(shape[0], dtype=np.int64)),
+            *(np.empty((every, 3)), np.empty(every + len(limits))),
         )
 
     def _softening(self, h: float) -> Array:
@@ -271,7 +276,7 @@ class TimeStepping(Integrator):
         if self._mass_constant and np.array_equal(added, self._added):
             return
         self._added = added
-        invert_trees(pin.crba(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
+        invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
     def _dense(
         self,
@@ -284,15 +289,16 @@ class TimeStepping(Integrator):
         """Return the step with its forces, and record its modes; see `report_step`."""
         work = self.work
         coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
-        world, points, normals = np.zeros((3, work.contacts, 3))
+        contacts = np.concatenate([rows.contacts, rows.held])
+        world, points, normals = np.zeros((3, len(contacts), 3))
         joints = np.zeros(work.nv)
         still = STILL * (work.resting_speed or 1.0)
         acts = report_step(
-            *(work, h, still, self.state.v, *velocities, *rows[:6], *of_rows),
+            *(work, h, still, self.state.v, *velocities, *rows[:8], *of_rows),
             *(coefficients, world, points, normals, joints),
         )
         step = DenseStep(t, h, self.state.q, self.state.v, self.w, coefficients, work.joint_charts)
-        step.closed = Forces(world, points, normals, joints, True) if acts else None
+        step.closed = StepForces(contacts, world, points, normals, joints) if acts else None
         return step
 
     def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> None:
@@ -313,8 +319,9 @@ class TimeStepping(Integrator):
         upper = np.full(len(free), math.inf)
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
         correction = np.empty(self.model.nv)
+        jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
         step_impulses(
-            *(self._mass, self._inverse, rows.jacobian[normals], free, _NONE, lower, upper, _NONE),
+            *(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE),
             *(np.ones(len(free), dtype=bool), self._tree, ACCURATE, np.zeros(self.model.nv)),
             *(correction, np.empty(len(free))),
         )
@@ -364,9 +371,17 @@ def _trees(model: pin.Model) -> Integers:
     return np.asarray(np.unique(trees, return_inverse=True)[1], dtype=np.int64)
 
 
+def _widest(before: Integers) -> int:
+    """Return how many velocities move the ends of a contact at the most, from the one before each."""
+    depth: list[int] = []
+    for parent in before.tolist():
+        depth.append(1 + (depth[parent] if parent >= 0 else 0))
+    return min(2 * max(depth), len(depth))
+
+
 def _has_constant_mass(model: pin.Model, data: pin.Data) -> bool:
     """Return whether M is that of free bodies, the same everywhere: it is compared in two configurations."""
     q = pin.neutral(model)
-    first = np.array(pin.crba(model, data, q))
-    second = pin.crba(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
+    first = mass_matrix(model, data, q)
+    second = mass_matrix(model, data, pin.integrate(model, q, np.linspace(0.3, 1.1, model.nv)))
     return bool(np.abs(second - first).max(initial=0.0) <= ROUNDING * np.abs(first).max(initial=0.0))

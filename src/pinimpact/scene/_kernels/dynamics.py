@@ -122,10 +122,56 @@ def all_gaps(work, q, v, found):
 # ---- contact motion
 
 
+@external
+def set_signs(work, i):
+    """Set which velocities move the tip of a contact, or its surface, only."""
+    signs = work.velocity_signs
+    for c in range(len(signs)):
+        signs[c] = 0.0
+    for end in range(2):
+        c = work.joint_velocity[work.contact_joints[i, end]]
+        while c >= 0:
+            signs[c] += 1.0 - 2.0 * end
+            c = work.velocity_parent[c]
+
+
+@inlined
+def moving_columns(work, i, columns, signs):
+    """Fill which velocities move the tip of a contact or its surface only, in order, and their signs.
+
+    Return how many they are.
+    """
+    a = work.joint_velocity[work.contact_joints[i, 0]]
+    b = work.joint_velocity[work.contact_joints[i, 1]]
+    count = 0
+    while a != b:  # what they share moves both
+        if a > b:
+            columns[count], signs[count] = a, 1.0
+            a = work.velocity_parent[a]
+        else:
+            columns[count], signs[count] = b, -1.0
+            b = work.velocity_parent[b]
+        count += 1
+    for k in range(count // 2):
+        o = count - 1 - k
+        columns[k], columns[o] = columns[o], columns[k]
+        signs[k], signs[o] = signs[o], signs[k]
+    return count
+
+
 @declared(SceneWorkspace, int, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
 @external
 def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
     """Fill the motion of a contact, see `contact_motion.contact_motion`; return the gap [m]."""
+    set_signs(work, i)
+    return motion_by_columns(
+        work, i, work.joint_jacobian, work.velocity_signs, jacobian, velocity, acceleration, surface
+    )
+
+
+@inlined
+def motion_by_columns(work, i, columns, signs, jacobian, velocity, acceleration, surface):
+    """Fill the motion of a contact, with some columns of the joint Jacobian and their signs."""
     placements, velocities, accelerations = (
         work.placements,
         work.spatial_velocities,
@@ -140,8 +186,8 @@ def motion_of_contact(work, i, jacobian, velocity, acceleration, surface):
         velocities[base],
         accelerations[base],
         work.contact_constants[i],
-        work.joint_jacobian,
-        work.velocity_signs[i],
+        columns,
+        signs,
         jacobian,
         velocity,
         acceleration,

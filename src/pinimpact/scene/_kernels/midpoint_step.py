@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import flags
 from ..._numeric.products import apply_symmetric
-from ..._numeric.proximal_newton import ACCURATE, find_columns, rates
+from ..._numeric.proximal_newton import ACCURATE, rates
 from ...geometry._kernels.constants import RADIUS
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .dynamics import (
@@ -20,13 +20,14 @@ from .dynamics import (
     evaluate_without_contacts,
     follow_surface,
     limit_gap,
-    motion_of_contacts,
+    motion_by_columns,
+    moving_columns,
     set_state,
     sphere_gap,
 )
 from .force_evaluation import places_of_contacts
 from .lie_charts import chart_rate
-from .step_impulses import solve_islands
+from .step_impulses import step_impulses
 from .workspace import SceneWorkspace
 
 
@@ -68,28 +69,33 @@ def near_rows(work, q, v, h, slack, idle, near):
 
 
 @inlined
-def fill_rows(work, v, contacts, held, limits, dry, jacobian, u, surface, acceleration, gap):
+def fill_rows(work, v, contacts, held, limits, dry, values, columns, counts, u, surface, acceleration, gap):
     """Fill the rows of a step at the state last evaluated, and their velocities; see `midpoint_step`."""
-    every, nv = len(contacts) + len(held), len(v)
-    index, motion = np.empty(every, dtype=np.int64), np.empty((every, 3))
+    every, width = len(contacts) + len(held), values.shape[1]
+    signs, jacobian, motion = np.empty(width), np.empty((3, width)), np.empty(3)
     for k in range(every):
-        index[k] = contacts[k] if k < len(contacts) else held[k - len(contacts)]
-        follow_surface(work, index[k])
-    stack = jacobian[: 3 * every].reshape((every, 3, nv))
-    motion_of_contacts(work, index, stack, motion, acceleration, surface, gap)
-    for k in range(every):
-        gap[k] -= work.rest_gap[index[k]]
+        i, a = contacts[k] if k < len(contacts) else held[k - len(contacts)], 3 * k
+        follow_surface(work, i)
+        count = moving_columns(work, i, columns[a], signs)
+        moving = np.empty((count, 6)).T
+        for m in range(count):
+            for e in range(6):
+                moving[e, m] = work.joint_jacobian[e, columns[a, m]]
+        gap[k] = motion_by_columns(
+            work, i, moving, signs[:count], jacobian, motion, acceleration[k], surface[k]
+        )
+        gap[k] -= work.rest_gap[i]
         for e in range(3):
-            u[3 * k + e] = motion[k, e]
-    for a in range(3 * every, len(jacobian)):
-        for c in range(nv):
-            jacobian[a, c] = 0.0
+            u[a + e], counts[a + e] = motion[e], count
+            for m in range(count):
+                values[a + e, m], columns[a + e, m] = jacobian[e, m], columns[a, m]
     for k in range(len(limits)):
-        jacobian[3 * every + k, work.limit_v[limits[k]]] = work.limit_sign[limits[k]]
-        gap[every + k], u[3 * every + k] = limit_gap(work, limits[k], work.q, v)
+        a = 3 * every + k
+        values[a, 0], columns[a, 0], counts[a] = work.limit_sign[limits[k]], work.limit_v[limits[k]], 1
+        gap[every + k], u[a] = limit_gap(work, limits[k], work.q, v)
     for k in range(len(dry)):
-        jacobian[3 * every + len(limits) + k, dry[k]] = 1.0
-        u[3 * every + len(limits) + k] = v[dry[k]]
+        a = 3 * every + len(limits) + k
+        values[a, 0], columns[a, 0], counts[a], u[a] = 1.0, dry[k], 1, v[dry[k]]
 
 
 @inlined
@@ -113,8 +119,8 @@ def free_velocity(h, v, acceleration, inverse, softened, predicted, out):
 
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, float, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
-    *(INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
-    *(FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS),
+    *(INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS),
+    *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS),
     result=float,
 )
 @jit
@@ -137,7 +143,9 @@ def midpoint_step(
     dry,
     begin,
     pushed,
-    jacobian,
+    values,
+    columns,
+    counts,
     surface,
     gap,
     impulse,
@@ -170,7 +178,9 @@ def midpoint_step(
         dry: (nd,) velocities of joints with dry friction.
         begin: (nv,) see `step_impulses`.
         pushed: (nv,) mean acceleration by the impulses of the step before; takes that of this one.
-        jacobian: (rows, nv) to be filled.
+        values: (rows, …) takes what is not zero of each row of the Jacobian.
+        columns: (rows, …) takes where that stands, in ascending order.
+        counts: (rows,) takes how much there is.
         surface: (nc + nh, 3) takes velocities of the surfaces [m/s].
         gap: (nc + nh + nl,) takes the gaps at the midpoint [m or rad].
         impulse: (rows,) takes the impulses.
@@ -180,17 +190,17 @@ def midpoint_step(
         predicted: (nv,) takes the velocity with which forces were evaluated at the end.
         v_end: (nv,) takes the velocity at the end.
     """
-    n, nv, nc, every = len(jacobian), len(v), len(contacts), len(contacts) + len(held)
+    n, nv, nc, every = len(counts), len(v), len(contacts), len(contacts) + len(held)
     offset, free, powers, mean = np.empty(n), np.empty(n), np.empty(2), np.empty(nv)
     acceleration, friction, compliance = np.empty((every, 3)), np.empty(nc), np.empty(nc)
-    values, columns = np.empty((n, nv)), np.empty((n, nv), dtype=np.int64)
-    counts = np.empty(n, dtype=np.int64)
     set_state(work, q, v)
     evaluate_without_contacts(work, t, powers)
     if work.callback_failed:
         return 0.0
-    fill_rows(work, v, contacts, held, limits, dry, jacobian, u_start, surface, acceleration, gap)
-    find_columns(jacobian, every, values, columns, counts)
+    fill_rows(
+        *(work, v, contacts, held, limits, dry, values, columns, counts),
+        *(u_start, surface, acceleration, gap),
+    )
     rates(values, columns, counts, v, offset)
     for a in range(n):
         offset[a] = u_start[a] - offset[a]
@@ -233,7 +243,7 @@ def midpoint_step(
             free[a] += 2.0 * max(gap[a - 2 * every], 0.0) / h
     for i in range(every):
         free[3 * i + 2] += 2.0 * (max(gap[i], 0.0) if i < nc else gap[i]) / h
-    off = solve_islands(
+    off = step_impulses(
         *(
             mass,
             inverse,
@@ -260,7 +270,8 @@ def midpoint_step(
 
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, INTEGERS, INTEGERS, INTEGERS),
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
+    *(FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
     result=bool,
 )
 @jit
@@ -276,7 +287,9 @@ def report_step(
     held,
     limits,
     dry,
-    jacobian,
+    values,
+    columns,
+    counts,
     surface,
     impulse,
     u_start,
@@ -303,15 +316,17 @@ def report_step(
         held: (nh,) likewise.
         limits: (nl,) likewise.
         dry: (nd,) likewise.
-        jacobian: (rows, nv) likewise.
+        values: (rows, …) likewise.
+        columns: (rows, …) likewise.
+        counts: (rows,) likewise.
         surface: (nc + nh, 3) likewise.
         impulse: (rows,) likewise.
         u_start: (rows,) likewise.
         u_end: (rows,) likewise.
         coefficients: (terms, 2 nv + works) takes the dense output; zero before.
-        world: (n, 3) takes the forces in world axes [N]; zero before, like those that follow.
-        points: (n, 3) takes where they act [m].
-        normals: (n, 3) takes the normals there.
+        world: (nc + nh, 3) takes the forces in world axes [N]; zero before, like those that follow.
+        points: (nc + nh, 3) takes where they act [m].
+        normals: (nc + nh, 3) takes the normals there.
         joints: (nv,) takes the forces of limits and dry friction.
     """
     nv, nc, every, modes, acts = len(v), len(contacts), len(contacts) + len(held), work.modes, False
@@ -339,16 +354,16 @@ def report_step(
             speed = v[c] if e == 0 else v_end[c]
             powers[0, e] += pushed * speed
             powers[1, e] += lost * speed
-    index, axes, places = np.empty(every, dtype=np.int64), np.empty((every, 3, 3)), np.empty((every, 3))
+    index, axes = np.empty(every, dtype=np.int64), np.empty((every, 3, 3))
     for k in range(every):
         index[k] = contacts[k] if k < nc else held[k - nc]
-    places_of_contacts(work, index, axes, places)
+    places_of_contacts(work, index, axes, points)
     for k in range(every):
         i, a = index[k], 3 * k
         for e in range(3):
-            points[i, e], normals[i, e] = places[k, e], axes[k, 2, e]
+            normals[k, e] = axes[k, 2, e]
             for o in range(3):
-                world[i, e] += impulse[a + o] / h * axes[k, o, e]
+                world[k, e] += impulse[a + o] / h * axes[k, o, e]
             for o in range(2):
                 powers[3, o] += impulse[a + e] * surface[k, e]
         if k >= nc:
@@ -366,6 +381,6 @@ def report_step(
     for a in range(len(impulse)):
         acts = acts or impulse[a] != 0.0
         if a >= 3 * every and impulse[a] != 0.0:
-            for c in range(nv):
-                joints[c] += impulse[a] / h * jacobian[a, c]
+            for k in range(counts[a]):
+                joints[columns[a, k]] += impulse[a] / h * values[a, k]
     return acts

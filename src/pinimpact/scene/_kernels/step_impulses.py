@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
 from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.proximal_newton import find_columns, solve_velocities
+from ..._numeric.proximal_newton import solve_velocities
 
 USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
@@ -125,8 +125,13 @@ def solve_island(
     return left
 
 
-@external
-def solve_islands(
+@declared(
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
+    *(FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS),
+    result=float,
+)
+@jit
+def step_impulses(
     mass,
     inverse,
     values,
@@ -144,7 +149,26 @@ def solve_islands(
     change,
     impulse,
 ):
-    """Find the impulses of a step as `step_impulses`, with J as of `solve_velocities`."""
+    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.
+
+    Of several solutions nearly the limit of small compliances is taken. (11.5)
+
+    Args:
+        mass: (nv, nv) M, zero between trees of joints.
+        inverse: (nv, nv) M⁻¹.
+        values, columns, counts: J as of `solve_velocities`.
+        free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
+        friction: (nc,) coefficients of friction.
+        lower, upper: (ns,) bounds of the scalar rows.
+        compliance: (nc,) relative compliances of the contacts.
+        active: (nc + ns,) what takes part.
+        tree: (nv,) number of the tree that each velocity belongs to.
+        accuracy: Part of `free` to which to find them.
+        begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
+            nearly the same begins best.
+        change: (nv,) takes that by the impulses.
+        impulse: (n,) takes the impulses.
+    """
     nc, nv = len(friction), len(tree)
     trees = 0
     for c in range(nv):
@@ -211,54 +235,3 @@ def solve_islands(
         for a in range(m):
             begin[moves[a]], change[moves[a]] = start[a], moved[a]
     return worst
-
-
-@declared(
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
-    *(FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS),
-    result=float,
-)
-@jit
-def step_impulses(
-    mass,
-    inverse,
-    jacobian,
-    free,
-    friction,
-    lower,
-    upper,
-    compliance,
-    active,
-    tree,
-    accuracy,
-    begin,
-    change,
-    impulse,
-):
-    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.
-
-    Of several solutions nearly the limit of small compliances is taken. (11.5)
-
-    Args:
-        mass: (nv, nv) M, zero between trees of joints.
-        inverse: (nv, nv) M⁻¹.
-        jacobian: (n, nv) of the contacts, three rows (t₁, t₂, n) each, then of scalar rows.
-        free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-        friction: (nc,) coefficients of friction.
-        lower, upper: (ns,) bounds of the scalar rows.
-        compliance: (nc,) relative compliances of the contacts.
-        active: (nc + ns,) what takes part.
-        tree: (nv,) number of the tree that each velocity belongs to.
-        accuracy: Part of `free` to which to find them.
-        begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
-            nearly the same begins best.
-        change: (nv,) takes that by the impulses.
-        impulse: (n,) takes the impulses.
-    """
-    values, counts = np.empty(jacobian.shape), np.empty(len(free), dtype=np.int64)
-    columns = np.empty(jacobian.shape, dtype=np.int64)
-    find_columns(jacobian, len(friction), values, columns, counts)
-    return solve_islands(
-        *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
-        *(active, tree, accuracy, begin, change, impulse),
-    )

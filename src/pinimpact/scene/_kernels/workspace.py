@@ -81,14 +81,14 @@ class SceneWorkspace(Workspace):
     # all contacts and joint limits
     contact_constants = reals("contacts", CONSTANTS, meaning="see `robot._kernels.constants`")
     contact_joints = integers("contacts", 2, meaning="joints of the tip and of the surface")
-    velocity_signs = reals("contacts", "nv", meaning="1: moves the tip only, −1: the surface only, else 0")
+    joint_velocity = integers("bodies", meaning="the last velocity that moves each joint, or −1")
+    velocity_parent = integers("nv", meaning="the velocity before each on the way to the root, or −1")
+    velocity_signs = reals("nv", meaning="of a contact: 1 moves the tip only, −1 the surface only, else 0")
     velocity_joint = integers("nv", meaning="the joint that each velocity belongs to")
     contact_blocks = integers(
         "blocks", 3, meaning="first contact, the one after the last, and the sphere or −1"
     )
-    sphere_constants = reals(
-        "spheres", CONSTANTS, meaning="as of a contact; joints and signs are its first's"
-    )
+    sphere_constants = reals("spheres", CONSTANTS, meaning="as of a contact; its joints are its first's")
     friction = reals("contacts", meaning="coefficients of friction of sustained contact")
     bilateral = integers("contacts", meaning="1 for a held contact")
     rest_gap = reals("contacts", meaning="the gap that each keeps while closed [m]")

@@ -10,7 +10,7 @@ from ....geometry._kernels import surfaces
 from ....geometry._kernels.constants import RADIUS, RIM
 from ....robot._kernels import contact_motion
 from ..contact_forces import FREE
-from ..dynamics import compute_kinematics, contact_gap, set_state
+from ..dynamics import compute_kinematics, contact_gap, set_signs, set_state
 from ..event_location import search_for_closing
 from ..gap_bounds import clear, curvatures
 from ..rim_location import first_touch_of_rim
@@ -49,9 +49,10 @@ def bound(work, i, constants, reach, out):
         reach: Zero, or the sphere's radius for the bounds of all tips in it [m].
         out: Takes the bounds.
     """
+    set_signs(work, i)
     size, change, speed = contact_motion.bounds(
         work.joint_jacobian,
-        work.velocity_signs[i],
+        work.velocity_signs,
         work.velocity_joint,
         work.placements[work.contact_joints[i, 0]],
         constants,
@@ -73,7 +74,7 @@ def bound_contact(work, i):
     if constants[RIM] > 0.0:
         work.turning_bounds[i] = SAFETY * contact_motion.turning_bound(
             work.joint_jacobian,
-            work.velocity_signs[i],
+            work.velocity_signs,
             work.placements[work.contact_joints[i, 0]],
             constants,
             work.rate_bounds,

@@ -1,0 +1,202 @@
+"""Robots of several trees of joints, as scenes of many free bodies are: Pinocchio's Data for some trees each.
+
+A Data has tables of nv³ numbers: one of 60 free bodies takes 3 GB. Trees move without each other but for
+contacts, so each Data of a `Forest` is of a few of them; what is read of a Data is put together from theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LARGE = 60
+"""Velocities up to which a robot has one Data, and so have trees that stand together in one part."""
+
+
+class Part(NamedTuple):
+    """Some trees of a robot, as a robot of their own.
+
+    Attributes:
+        model: Their model.
+        data: Its Data.
+        q, v: Where its coordinates and velocities stand in those of the whole.
+        first: Number of the first of its joints in the whole, where they follow one another.
+    """
+
+    model: pin.Model
+    data: pin.Data
+    q: slice
+    v: slice
+    first: int
+
+    @property
+    def joints(self) -> slice:
+        """Where its joints stand in those of the whole."""
+        return slice(self.first, self.first + self.model.njoints - 1)
+
+
+class _OfJoints:
+    """A field of all Data that has an element for each joint, the world first."""
+
+    def __init__(self, parts: list[Part], field: str) -> None:
+        self._parts, self._field = parts, field
+
+    def __getitem__(self, joint: int) -> Any:
+        part = next((part for part in reversed(self._parts) if part.first <= joint), self._parts[0])
+        return getattr(part.data, self._field)[joint - part.first + 1 if joint > 0 else 0]
+
+
+class Forest:
+    """What stands in for the Data of a robot of many trees.
+
+    Attributes:
+        model: The robot's model.
+        parts: Its trees, some together each.
+        oMi, v, a: Placements and motions of the joints, as those of a Data.
+        J: (6, nv) joint Jacobian, brought up to date by `joint_jacobian`.
+
+    Args:
+        model: The model; its joints are in depth-first order.
+        most: Velocities of a part, unless a single tree has more.
+    """
+
+    def __init__(self, model: pin.Model, most: int = LARGE) -> None:
+        self.model = model
+        self.parts = [_part(model, first, stop) for first, stop in _ranges(model, most)]
+        self.oMi, self.v, self.a = (_OfJoints(self.parts, field) for field in ("oMi", "v", "a"))
+        self.J = np.zeros((6, model.nv), order="F")
+
+    def refresh(self) -> None:
+        """Take over the numbers of the model, which may have changed."""
+        for part in self.parts:
+            _set_numbers(part.model, self.model, part.first, part.v)
+
+    def forward_kinematics(self, q: Array, *motion: Array) -> None:
+        """Bring placements to q (nq,), and motions to v and v̇ (nv,) if given."""
+        for part in self.parts:
+            pin.forwardKinematics(part.model, part.data, q[part.q], *(one[part.v] for one in motion))
+
+    def joint_jacobian(self, q: Array) -> Array:
+        """Bring J and placements to q (nq,), and return it."""
+        for part in self.parts:
+            self.J[:, part.v] = pin.computeJointJacobians(part.model, part.data, q[part.q]).reshape(6, -1)
+        return self.J
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return M (nv, nv) at q (nq,)."""
+        return self._by_blocks(pin.crba, q)
+
+    def inverse_mass(self, q: Array) -> Array:
+        """Return M⁻¹ (nv, nv) at q (nq,)."""
+        return self._by_blocks(pin.computeMinverse, q)
+
+    def _by_blocks(self, function: Callable[..., Array], q: Array) -> Array:
+        found = np.zeros((self.model.nv,) * 2)
+        for part in self.parts:
+            size = part.model.nv
+            found[part.v, part.v] = function(part.model, part.data, q[part.q]).reshape(size, size)
+        return found
+
+    def parents(self) -> NDArray[np.int64]:
+        """Return (nv,) the next velocity on the way to the root, or −1."""
+        found = [np.array(part.data.parents_fromRow, dtype=np.int64) for part in self.parts]
+        return np.concatenate(
+            [np.where(one >= 0, one + part.v.start, -1) for one, part in zip(found, self.parts, strict=True)]
+        )
+
+
+def data_of(model: pin.Model) -> Any:
+    """Return a Data of a model, or a `Forest` in place of one that would be large."""
+    return Forest(model) if model.nv > LARGE and len(_ranges(model, 0)) > 1 else model.createData()
+
+
+def forward_kinematics(model: pin.Model, data: Any, q: Array, *motion: Array) -> None:
+    """Bring placements to q (nq,), and motions to v and v̇ (nv,) if given; of a Data or a `Forest`."""
+    if isinstance(data, Forest):
+        data.forward_kinematics(q, *motion)
+    else:
+        pin.forwardKinematics(model, data, q, *motion)
+
+
+def joint_jacobian(model: pin.Model, data: Any, q: Array) -> Array:
+    """Return the joint Jacobian (6, nv) at q (nq,), and bring placements there; of a Data or a `Forest`."""
+    if isinstance(data, Forest):
+        return data.joint_jacobian(q)
+    return np.asarray(pin.computeJointJacobians(model, data, q)).reshape(6, -1)
+
+
+def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
+    """Return M (nv, nv) at q (nq,); of a Data or a `Forest`."""
+    return data.mass_matrix(q) if isinstance(data, Forest) else np.array(pin.crba(model, data, q))
+
+
+def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
+    """Return M⁻¹ (nv, nv) at q (nq,); of a Data or a `Forest`."""
+    if isinstance(data, Forest):
+        return data.inverse_mass(q)
+    return np.array(pin.computeMinverse(model, data, q)).reshape(model.nv, model.nv)
+
+
+def potential_energy(model: pin.Model, data: Any, q: Array) -> float:
+    """Return the energy in the field of gravity [J]; of a Data or a `Forest`."""
+    return sum(float(pin.computePotentialEnergy(*part)) for part in states(model, data, q))
+
+
+def frame_placement(model: pin.Model, data: Any, frame: int) -> pin.SE3:
+    """Return the placement of a frame where placements of joints are up to date; of a Data or a `Forest`."""
+    if isinstance(data, Forest):
+        return data.oMi[model.frames[frame].parentJoint] * model.frames[frame].placement
+    return pin.updateFramePlacement(model, data, frame)
+
+
+def states(model: pin.Model, data: Any, q: Array, *motion: Array) -> Iterator[tuple[Any, ...]]:
+    """Yield model, data, q and what else is given (nv,) of each part; for a Data there is one, the whole."""
+    if isinstance(data, Forest):
+        for part in data.parts:
+            yield part.model, part.data, q[part.q], *(one[part.v] for one in motion)
+    else:
+        yield model, data, q, *motion
+
+
+def _ranges(model: pin.Model, most: int) -> list[tuple[int, int]]:
+    """Return the first joint of each part and the one after its last; none if trees are mixed."""
+    found: list[tuple[int, int]] = []
+    parents, widths, size = list(model.parents), list(model.nvs), 0
+    roots = [j for j in range(1, model.njoints) if parents[j] == 0]
+    for root, stop in zip(roots, [*roots[1:], model.njoints], strict=True):
+        if min(parents[root + 1 : stop], default=root) < root:
+            return []
+        width = sum(widths[root:stop])
+        if found and size + width <= most:
+            found[-1], size = (found[-1][0], stop), size + width
+        else:
+            found.append((root, stop))
+            size = width
+    return found
+
+
+def _part(model: pin.Model, first: int, stop: int) -> Part:
+    own = pin.Model()
+    for j in range(first, stop):
+        parent = max(model.parents[j] - first + 1, 0)
+        own.addJoint(parent, model.joints[j], model.jointPlacements[j], model.names[j])
+    q, v = (
+        slice(starts[first], starts[first] + size)
+        for starts, size in ((model.idx_qs, own.nq), (model.idx_vs, own.nv))
+    )
+    _set_numbers(own, model, first, v)
+    return Part(own, own.createData(), q, v, first)
+
+
+def _set_numbers(own: pin.Model, model: pin.Model, first: int, v: slice) -> None:
+    own.gravity = model.gravity
+    own.armature = np.array(model.armature[v])
+    for j in range(1, own.njoints):
+        own.jointPlacements[j] = model.jointPlacements[j + first - 1]
+        own.inertias[j] = model.inertias[j + first - 1]
