@@ -378,11 +378,12 @@ class SceneImpacts:
         ends[~of_contact] = work.velocity_joint[work.limit_v[every[~of_contact] - count], None]
         ends = self._roots[ends]
         reached = np.zeros(self._model.njoints, dtype=bool)
-        linked = np.arange(len(every)) == 0
+        linked: NDArray[np.bool_] = np.zeros(len(every), dtype=bool)
+        linked[0] = True
         while True:
             reached[ends[linked]] = True
             reached[0] = False  # the world connects nothing
-            before, linked = linked, reached[ends].any(axis=1)
+            before, linked = linked, np.asarray(reached[ends].any(axis=1))
             if np.array_equal(before, linked):
                 return [i for i, is_linked in zip(touching, linked[1:], strict=False) if is_linked]
 
