@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pinimpact._numeric import coulomb_problem
-from pinimpact.scene import locked_posture, motion, scene_impacts, simulation_state
+from pinimpact.scene import integrator, locked_posture, scene_impacts, simulation_state
 from pinimpact.scene._kernels import contact_forces, contact_modes, projected_gauss_seidel, slip
 from tools import pages
 
@@ -117,12 +117,12 @@ NUMBERS = [
     (simulation_state.CLEAR, 10.0, "is less than ten times that fraction"),
     (simulation_state.PASSED, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
     (simulation_state.MOST_JAMS, 10, "After ten such impacts at one instant"),
-    (motion.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
-    (motion.UNSETTLED, 1e-3, "and $10^{-3}$ where slip or dry joints reverse"),
-    (motion.CROWD, 10, "ends ten times within the time"),
-    (motion.MAX_STALLED, 200, "Where 200 steps make no progress"),
-    (motion.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
-    (motion.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
+    (integrator.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
+    (integrator.UNSETTLED, 1e-3, "and $10^{-3}$ where slip or dry joints reverse"),
+    (integrator.CROWD, 10, "ends ten times within the time"),
+    (integrator.MAX_STALLED, 200, "Where 200 steps make no progress"),
+    (integrator.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
+    (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
     (scene_impacts.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
