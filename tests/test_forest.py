@@ -1,0 +1,174 @@
+"""Robots of many trees, which have one Pinocchio Data for a few trees each, against one Data of the whole."""
+
+from __future__ import annotations
+
+import math
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Plane, Scene, contact_matrices, impact, simulate
+from pinimpact.robot.data_cache import data_cache
+from pinimpact.robot.forest import (
+    Forest,
+    data_of,
+    forward_kinematics,
+    frame_placement,
+    inverse_mass,
+    joint_jacobian,
+    mass_matrix,
+    potential_energy,
+)
+from pinimpact.robot.matrices import many_matrices
+from pinimpact.robot.pinocchio_bridge import _InPlace, _OfParts, kinetic_energy
+
+from .scene_models import UP, G, unbounded
+
+
+def several():
+    """Return two arms with a free body before, between and after them, and a state at random."""
+    model = pin.Model()
+    for k in range(5):
+        if k % 2:
+            arm = pin.buildSampleModelManipulator()
+            for j in range(1, arm.njoints):
+                arm.names[j] = f"{k} {arm.names[j]}"
+            for f in range(1, arm.nframes):
+                arm.frames[f].name = f"{k} {arm.frames[f].name}"
+            model = pin.appendModel(model, arm, 0, pin.SE3.Random())
+        else:
+            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Random(), f"free {k}")
+            model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+            model.addFrame(pin.Frame(f"free {k}", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    model.armature = np.linspace(0.0, 0.3, model.nv)
+    unbounded(model)
+    rng = np.random.default_rng(5)
+    q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv))
+    return model, q, rng.normal(size=model.nv)
+
+
+def test_what_is_put_together_of_parts_is_that_of_the_whole():
+    pin.seed(3)
+    model, q, v = several()
+    forest, data = Forest(model, 7), model.createData()
+    assert len(forest.parts) > 3
+    for one, other in (
+        (mass_matrix, 1e-13),
+        (inverse_mass, 1e-10),
+        (joint_jacobian, 1e-13),
+    ):
+        whole = one(model, data, q)
+        whole = np.triu(whole) + np.triu(whole, 1).T if one is inverse_mass else whole
+        found = one(model, forest, q)
+        found = np.triu(found) + np.triu(found, 1).T if one is inverse_mass else found
+        assert np.abs(found - whole).max() <= other * np.abs(whole).max()
+    assert kinetic_energy(model, forest, q, v) == pytest.approx(kinetic_energy(model, data, q, v), rel=1e-13)
+    assert potential_energy(model, forest, q) == pytest.approx(potential_energy(model, data, q), rel=1e-12)
+    a = np.linspace(-1.0, 1.0, model.nv)
+    for at in (forest, data):
+        forward_kinematics(model, at, q, v, a)
+    for joint in range(1, model.njoints):
+        assert forest.oMi[joint].isApprox(data.oMi[joint], 1e-12)
+        assert forest.v[joint].isApprox(data.v[joint], 1e-12)
+        assert forest.a[joint].isApprox(data.a[joint], 1e-12)
+    for frame in range(model.nframes):
+        assert frame_placement(model, forest, frame).isApprox(frame_placement(model, data, frame), 1e-12)
+
+
+def test_dynamics_of_parts_are_those_of_the_whole():
+    pin.seed(3)
+    model, q, v = several()
+    whole, parts = _InPlace(model), _OfParts(model, Forest(model, 7))
+    model.inertias[1] = pin.Inertia.Random()  # what has changed since counts
+    parts.refresh()
+    for robot in (whole, parts):
+        robot.q[:], robot.v[:], robot.tau[:] = q, v, np.linspace(-3.0, 3.0, model.nv)
+        for call in (robot.forward_kinematics, robot.forward_dynamics, robot.inverse_mass):
+            call.function(*call.arguments)
+    for name in (
+        *("acceleration", "minverse", "placements", "local_velocities"),
+        *("velocities", "accelerations", "joint_jacobian"),
+    ):
+        expected = getattr(whole, name)
+        assert np.abs(getattr(parts, name) - expected).max() <= 1e-11 * (1.0 + np.abs(expected).max()), name
+
+
+def test_contacts_between_trees_and_their_impacts_are_those_of_the_whole():
+    pin.seed(3)
+    model, q, v = several()
+    forest, data = Forest(model, 7), model.createData()
+    tip = model.frames[-2].name if model.frames[-2].name != "universe" else model.frames[-1].name
+    contacts = [
+        Contact("free 0", Plane(body="free 4"), friction=0.5, restitution=0.4),
+        Contact("free 2", Plane(), friction=0.3, restitution=0.4),
+        Contact(tip, Plane(body="free 2"), friction=0.3, restitution=0.4),
+    ]
+    assert data_cache(model, forest).tree is not None
+    for contact in contacts:
+        one, other = (contact_matrices(model, at, q, contact) for at in (forest, data))
+        assert np.abs(one.jacobian - other.jacobian).max() <= 1e-12 * np.abs(other.jacobian).max()
+        assert np.abs(one.delassus - other.delassus).max() <= 1e-10 * np.abs(other.delassus).max()
+        one, other = (impact(model, at, q, v, contact) for at in (forest, data))
+        assert np.abs(one.v - other.v).max() <= 1e-9 * np.abs(v).max()
+    one, other = (many_matrices(model, at, q, contacts) for at in (forest, data))
+    assert np.abs(one.delassus - other.delassus).max() <= 1e-10 * np.abs(other.delassus).max()
+
+
+def free_boxes(count, e):
+    """Return a scene of free boxes above a floor, of which none meets another."""
+    model, shapes, contacts = pin.Model(), pin.GeometryModel(), []
+    for k in range(count):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box {k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.1), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(
+            pin.GeometryObject(f"shape {k}", joint, pin.SE3.Identity(), coal.Box(0.2, 0.2, 0.1))
+        )
+        contacts.append(
+            Contact(geometry=f"shape {k}", plane=Plane(), friction=0.5, restitution=e, name=f"box {k}")
+        )
+    unbounded(model)
+    return Scene(model, contacts, geometry=shapes)
+
+
+@pytest.mark.parametrize("scheme", ["time-stepping", "event-driven"])
+def test_boxes_apart_move_as_one_alone(scheme):
+    count = 12
+    rng = np.random.default_rng(1)
+    pin.seed(1)
+    placed = [pin.SE3ToXYZQUAT(pin.SE3.Random()) for _ in range(count)]
+    for k, one in enumerate(placed):
+        one[:3] = k, 0.0, 0.25
+    moving = rng.normal(size=(count, 6))
+    assert isinstance(data_of(free_boxes(count, 0.4).model), Forest)
+    together = simulate(
+        free_boxes(count, 0.4), np.concatenate(placed), moving.ravel(), 0.15, scheme=scheme, dt=1e-3
+    )
+    alone = free_boxes(1, 0.4)
+    for k in range(0, count, 4):
+        one = simulate(alone, placed[k], moving[k], 0.15, scheme=scheme, dt=1e-3)
+        # impacts cut the steps of all, so time steps are others; events are found by the tolerance
+        error = 2e-3 if scheme == "time-stepping" else 1e-6
+        assert np.abs(together.q[-1, 7 * k : 7 * k + 7] - one.q[-1]).max() < error
+        own = [record for record in together.impacts if record.source.startswith(f"box {k} ")]
+        assert len(own) == len(one.impacts)
+
+
+def test_a_hundred_free_boxes_fall_bounce_and_rest():
+    """Their heights differ, so that each lands by itself, at √(2h/g)."""
+    count, e = 100, 0.3
+    heights = np.linspace(0.01, 0.04, count)
+    q0 = np.array([[0.5 * (k % 10), 0.5 * (k // 10), 0.05 + h, *UP] for k, h in enumerate(heights)])
+    scene = free_boxes(count, e)
+    run = simulate(scene, q0.ravel(), np.zeros(6 * count), 0.3, scheme="time-stepping", dt=1e-3)
+    first = {}
+    for record in run.impacts:
+        first.setdefault(int(record.source.split()[1]), record)
+    assert len(first) == count
+    for k, record in first.items():
+        assert record.time == pytest.approx(math.sqrt(2.0 * heights[k] / G), abs=1e-9)
+        speed = math.sqrt(2.0 * G * heights[k])
+        assert record.v_after[6 * k + 2] == pytest.approx(e * speed, rel=1e-9)
+    assert run.q[-1].reshape(count, 7)[:, 2] == pytest.approx(np.full(count, 0.05), abs=1e-8)
