@@ -37,6 +37,7 @@ class DataCache:
     )
 
     def __init__(self, model: pin.Model, data: pin.Data) -> None:
+        self._read(model, data)
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(_caches, id(data)))
         self.nframes = self.frames_seen = model.nframes
@@ -50,7 +51,6 @@ class DataCache:
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
         self.struck: dict[int, Any] = {}
         self._tree: Tree | bool | None = False
-        self._read(model, data)
 
     def _read(self, model: pin.Model, data: pin.Data) -> None:
         """Set what is read of the Data."""
