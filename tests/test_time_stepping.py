@@ -291,15 +291,35 @@ def redundant_problem(rng):
     return mass, jacobian, free, rng.uniform(0.0, 1.0, nc)
 
 
-def solved(mass, jacobian, free, mu, compliance, impulse):
+def solved(mass, jacobian, free, mu, compliance, impulse, begin=None):
     """Fill the impulses of one island; return how far they are from the law."""
     (n, m), none = jacobian.shape, np.empty(0)
     every = jacobian, np.tile(np.arange(m), (n, 1)), np.full(n, m)
     return step_impulses(
         *(mass, np.linalg.inv(mass), *every, free, mu, none, none, compliance),
-        *(np.ones(len(mu), dtype=bool), np.zeros(m, dtype=np.int64), 1e-11, np.zeros(m)),
-        *(np.zeros(m), impulse),
+        *(np.ones(len(mu), dtype=bool), np.zeros(m, dtype=np.int64), 1e-11),
+        *(np.zeros(m) if begin is None else begin, np.zeros(m), impulse),
     )
+
+
+@pytest.mark.parametrize("wrong", [1e30, 1e300, math.inf, math.nan])
+def test_a_beginning_that_is_far_off_is_left(wrong):
+    """It may lead to another solution where slip has several, but that one obeys the law too."""
+    rng, found = np.random.default_rng(11), 0
+    for _ in range(20):
+        mass, jacobian, free, mu = redundant_problem(rng)
+        inverse, impulse = np.linalg.inv(mass), np.zeros(len(free))
+        if solved(mass, jacobian, free, mu, np.ones(len(mu)), impulse) > 1e-7:
+            continue
+        found += 1
+        assert solved(mass, jacobian, free, mu, np.ones(len(mu)), impulse, np.full(len(mass), wrong)) < 1e-5
+        u, force = (free + jacobian @ inverse @ jacobian.T @ impulse).reshape(-1, 3), impulse.reshape(-1, 3)
+        size, largest = np.abs(free).max(), np.abs(impulse).max()
+        assert np.abs(u).max() < 3.0 * size
+        assert u[:, 2].min() > -1e-4 * size
+        assert np.minimum(u[:, 2] / size, force[:, 2] / max(largest, 1e-300)).max() < 1e-4
+        assert (np.linalg.norm(force[:, :2], axis=1) - mu * force[:, 2]).max() <= 1e-9 * largest
+    assert found > 10
 
 
 def test_more_rows_than_velocities_obey_coulombs_law():

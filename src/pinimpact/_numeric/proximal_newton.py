@@ -25,10 +25,10 @@ from .products import apply, dot
 
 SYSTEM = (
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
-    *(float, FLOATS, FLOATS, FLOATS),
+    *(float, float, FLOATS, FLOATS, FLOATS),
 )
-"""Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, accuracy, begin, w and the
-impulses."""
+"""Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, r, accuracy, begin, w and
+the impulses."""
 
 PROXIMAL = 3e-4
 """The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
@@ -299,7 +299,7 @@ def find_profile(mass, columns, counts, start, last):
 
 
 @external
-def fill_compliances(inverse, values, columns, counts, compliance, diagonal, given):
+def fill_compliances(inverse, values, columns, counts, compliance, proximal, diagonal, given):
     """Fill the diagonal (n,) of W, of each contact the largest, and the r (n,) of (16.3)."""
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
@@ -309,20 +309,34 @@ def fill_compliances(inverse, values, columns, counts, compliance, diagonal, giv
             for o in range(k):
                 total += row[columns[a, o]] * values[a, o]
             diagonal[a] += values[a, k] * (2.0 * total + row[columns[a, k]] * values[a, k])
-        given[a] = PROXIMAL * diagonal[a]
+        given[a] = proximal * diagonal[a]
     for i in range(nc):
         j = 3 * i
         diagonal[j] = diagonal[j + 1] = diagonal[j + 2] = max(diagonal[j], diagonal[j + 1], diagonal[j + 2])
         largest, softest = max(largest, diagonal[j]), max(softest, compliance[i])
     for i in range(nc):
         for a in range(3 * i, 3 * i + 3):
-            given[a] = PROXIMAL * largest * compliance[i] / softest
+            given[a] = proximal * largest * compliance[i] / softest
 
 
 @declared(*SYSTEM, result=float)
 @external
 def solve_velocities(
-    mass, inverse, values, columns, counts, free, mu, lower, upper, compliance, accuracy, begin, w, x
+    mass,
+    inverse,
+    values,
+    columns,
+    counts,
+    free,
+    mu,
+    lower,
+    upper,
+    compliance,
+    proximal,
+    accuracy,
+    begin,
+    w,
+    x,
 ):
     """Fill x with impulses that obey the law.
 
@@ -338,6 +352,7 @@ def solve_velocities(
         lower: (ns,) least scalar impulses.
         upper: (ns,) largest scalar impulses.
         compliance: (nc,) of the contacts, up to a factor.
+        proximal: The largest r, in parts of the largest of W, see `PROXIMAL`.
         accuracy: Part of u_free that f⁺ − f may change velocities by at the end; see `ACCURATE`.
         begin: (m,) change of the velocities with which to begin; takes that of the first iteration, with
             which a problem that is nearly the same begins best.
@@ -346,13 +361,13 @@ def solve_velocities(
             metric of the compliances.
 
     Returns:
-        How far they are from the law, in parts of u_free.
+        How far they are from the law, in parts of u_free; infinite where the iteration has diverged.
     """
     n, m, nc = len(free), len(mass), len(mu)
     start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     find_profile(mass, columns, counts, start, last)
     diagonal, r = np.empty(n), np.empty(n)
-    fill_compliances(inverse, values, columns, counts, compliance, diagonal, r)
+    fill_compliances(inverse, values, columns, counts, compliance, proximal, diagonal, r)
     u, f, du, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros(nc)
     slipped, gain = np.zeros(nc), np.zeros(nc)
     off, d, md = np.empty(m), np.empty(m), np.empty(m)
@@ -414,7 +429,9 @@ def solve_velocities(
         u[a] += free[a]
     slip(u, mu, shift)
     impulses(u, shift, x, mu, lower, upper, diagonal, f)
-    missed = 0.0
+    missed = total = 0.0
     for a in range(n):
-        missed = max(missed, diagonal[a] * abs(f[a] - x[a]))
-    return missed / size
+        part = diagonal[a] * abs(f[a] - x[a])
+        missed = max(missed, part)
+        total += part
+    return missed / size if math.isfinite(total) else math.inf

@@ -279,6 +279,7 @@ class Alternating(TimeStepping):
         """Take time steps until a time, or until an event ends the motion."""
         self._dt = dt
         self._pushed[:] = 0.0  # impulses in steps of another length are no start for these
+        self._rest.wake_all()
         while self.state.t < end and self.ended_by is None:
             TimeStepping._step(self, dt, end, 1.0)
 

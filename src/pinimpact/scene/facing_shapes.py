@@ -43,15 +43,19 @@ class FacingShapes:
 
     Attributes:
         idle: (n,) contacts that are kept for a pair and stand for no point now.
+        boxes: Whether there are pairs of boxes, so that `place` leaves the kinematics of its state.
 
     Args:
         model: The robot.
         dynamics: The scene's contacts.
         layout: Of the scene.
+        rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
     """
 
-    def __init__(self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout) -> None:
-        self._model, self._layout = model, layout
+    def __init__(
+        self, model: pin.Model, dynamics: SceneDynamics, layout: SceneLayout, rests: NDArray[np.bool_]
+    ) -> None:
+        self._model, self._layout, self._rests = model, layout, rests
         self._dynamics, self._work = dynamics, dynamics.work
         self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
@@ -90,6 +94,7 @@ class FacingShapes:
             dtype=np.int64,
         ).reshape(-1, 4)
         count = len(pairs)
+        self.boxes = count > 0
         self._used, self._normals = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
         self._points, self._others = np.zeros((2, count, MOST, 3))
 
@@ -105,10 +110,11 @@ class FacingShapes:
         for i, blank in self._struck.items():
             self._dynamics.contacts[i] = blank
         self._struck.clear()
-        if len(self._ranges):
+        if self.boxes:
             face_boxes(
                 *(self._work, q, v, h, self._gravity, touching, self._joints, self._boxes, self._ranges),
-                *(self._blanks, self.idle, self._used, self._normals, self._points, self._others),
+                *(self._blanks, self._rests, self.idle, self._used),
+                *(self._normals, self._points, self._others),
             )
             self._dynamics.check()
         facing = np.flatnonzero(self._used).tolist() if touching >= 0.0 else []
@@ -119,6 +125,8 @@ class FacingShapes:
                 ends = self._points[p, k], self._others[p, k]
                 self._strike(self._box_pairs[p], self._ranges[p, 2] + k, self._normals[p], ends)
         for places in self._pairs:
+            if self._rests[[places.pair.a.joint, places.pair.b.joint]].all():
+                continue
             within = touching
             if touching < 0.0:
                 speed = sum(self._speed(side) for side in (places.pair.a, places.pair.b))

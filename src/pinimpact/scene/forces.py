@@ -110,6 +110,7 @@ class StepForces(NamedTuple):
         contacts: (k,) numbers of the contacts that are near.
         world, points, normals: (k, 3) of these.
         joints: (nv,).
+        resting: The same of what is at rest, if anything is.
     """
 
     contacts: NDArray[np.int64]
@@ -117,17 +118,28 @@ class StepForces(NamedTuple):
     points: Array
     normals: Array
     joints: Array
+    resting: StepForces | None = None
+
+    def together(self) -> StepForces:
+        """Return these and the resting ones as one."""
+        if self.resting is None:
+            return self
+        contacts = np.concatenate([self.contacts, self.resting.contacts])
+        both = zip(self[1:4], self.resting[1:4], strict=True)
+        world, points, normals = (np.concatenate(pair) for pair in both)
+        return StepForces(contacts, world, points, normals, self.joints + self.resting.joints)
 
     def of_all(self, count: int) -> Forces:
         """Return the forces of all contacts, which are so many."""
         world, points, normals = every = np.zeros((3, count, 3))
-        every[:, self.contacts] = self.world, self.points, self.normals
-        return Forces(world, points, normals, self.joints, True)
+        whole = self.together()
+        every[:, whole.contacts] = whole.world, whole.points, whole.normals
+        return Forces(world, points, normals, whole.joints, True)
 
     def acting(self, count: int) -> NDArray[np.bool_]:
         """Return which of so many contacts have a force."""
-        acts = np.zeros(count, dtype=bool)
-        acts[self.contacts] = self.world.any(axis=1)
+        acts, whole = np.zeros(count, dtype=bool), self.together()
+        acts[whole.contacts] = whole.world.any(axis=1)
         return acts
 
 

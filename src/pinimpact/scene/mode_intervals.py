@@ -38,7 +38,8 @@ class ModeIntervals:
         self._names = [*contacts, *limits]
         self._joints: dict[int, str] = {}
         self._drives: dict[int, str] = {}
-        self._last = b""
+        self._named = np.zeros(len(self._names), dtype=np.int64)
+        self._others: bytes | None = None  # unknown, so that all are looked at
 
     def update(self, t: float, modes: NDArray[np.int64], sides: NDArray[np.int64]) -> None:
         """Take the modes from t: some intervals end, others begin.
@@ -48,10 +49,14 @@ class ModeIntervals:
             modes: (n + nl + nv,) the modes.
             sides: (nv,) not zero for the drives that are at the bounds of their efforts.
         """
-        present = modes.tobytes() + sides.tobytes()
-        if present == self._last:
+        others = modes[len(self._names) :].tobytes() + sides.tobytes()
+        named = modes[: len(self._names)]
+        if others == self._others:
+            for i in np.flatnonzero(named != self._named).tolist():
+                self._change(t, i, int(named[i]))
+            self._named = named.copy()
             return
-        self._last = present
+        self._named, self._others = named.copy(), others
         active = np.flatnonzero(modes)
         now = dict(
             self._names_of(i, mode) for i, mode in zip(active.tolist(), modes[active].tolist(), strict=True)
@@ -65,17 +70,26 @@ class ModeIntervals:
         for source, mode in now.items():
             self.present.setdefault(source, (mode, t))
 
+    def _change(self, t: float, i: int, mode: int) -> None:
+        """Take the mode of a contact or a limit from t, which has another one."""
+        source = self._names[i]
+        before = self.present.pop(source, None)
+        if before is not None and t > before[1]:
+            self.ended.append(ModeInterval(source, before[0], before[1], t))
+        if mode:
+            self.present[source] = self._names_of(i, mode)[1], t
+
     def return_to(self, present: dict[str, tuple[str, float]]) -> None:
         """Take modes that were present before for those of now."""
-        self.present, self._last = dict(present), b""
+        self.present, self._others = dict(present), None
 
     def values(self) -> tuple[Any, ...]:
         """Return the modes of the run, to be pickled or given to `take_over`."""
-        return self.ended.copy(), self.present.copy(), self._last
+        return self.ended.copy(), self.present.copy(), self._named, self._others
 
     def take_over(self, values: tuple[Any, ...]) -> None:
         """Continue from the `values` of another run of the same scene."""
-        ended, present, self._last = values
+        ended, present, self._named, self._others = values
         self.ended, self.present = ended.copy(), present.copy()
 
     def _drive(self, velocity: int) -> str:

@@ -14,8 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .._numeric.proximal_newton import ACCURATE
+from ..errors import SimulationError
 from ..robot.forest import mass_matrix
+from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.midpoint_step import midpoint_step, near_rows, report_step
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.workspace import DENSE_TERMS
@@ -23,6 +24,7 @@ from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
+from .rest import Rest
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -49,6 +51,15 @@ SHORTEST = 1e-9
 
 STILL = 1e-7
 """Part of the resting speed below which slip is reported as stick: what the contact problem leaves."""
+
+FAILED = 0.1
+"""What the contact problem may miss at the most, in parts of its velocities: more is no answer."""
+
+ROUGH = 1e-6
+"""Part of an overlap that may be left when it is taken away."""
+
+REST = 1e-5
+"""Part of the resting speed up to which velocities are none: what the contact problem leaves at rest."""
 
 _NONE = np.empty(0)
 
@@ -119,8 +130,10 @@ class TimeStepping(Integrator):
         self._dt = dt
         scene, model, work = self._made_of[0], self.model, self.work
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
-        self._faces = FacingShapes(model, self.dynamics, scene.layout())
-        self._tree, self._widest = _trees(model), _widest(self.work.velocity_parent)
+        self._rest, self._widest = Rest(model, work), _widest(work.velocity_parent)
+        self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
+        self._still = REST * (work.resting_speed or 1.0)
+        self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._begin = np.zeros(model.nv)  # see `step_impulses`
@@ -141,11 +154,14 @@ class TimeStepping(Integrator):
 
     def _values(self) -> dict[str, Any]:
         arrays = self._mass, self._inverse, self._added, self._begin, self._pushed
-        return super()._values() | {"stepping": ([array.copy() for array in arrays], self._unsolved)}
+        return super()._values() | {
+            "stepping": ([array.copy() for array in arrays], self._unsolved, self._rest.values())
+        }
 
     def _take_over(self, values: dict[str, Any]) -> None:
         super()._take_over(values)
-        arrays, self._unsolved = values["stepping"]
+        arrays, self._unsolved, rest = values["stepping"]
+        self._rest.take_over(rest)
         self._mass, self._inverse, self._added, self._begin, self._pushed = (one.copy() for one in arrays)
 
     def begin(self, tau: Array | None = None) -> None:
@@ -160,19 +176,25 @@ class TimeStepping(Integrator):
 
     def hold_force(self, tau: Array) -> None:
         """Let a constant force (nv,) act from now on."""
+        if not np.array_equal(tau, self.work.control_force):
+            self._rest.wake_all()
         self.work.control_force[:] = tau
 
     def _settle_contacts(self, arriving: Any = None) -> None:
+        self._rest.wake_all()
         self._collide()
 
     def _settle_and_begin(self, arriving: Any = None) -> None:
+        self._rest.wake_all()
         self._collide()
         self._let_events_happen()
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take one step, with the impacts in it; return the length of the next."""
         state = self.state
-        left, struck = min(self._dt, stop - state.t), 0
+        # what rests needs no steps, but functions of the user's are to be asked
+        longest = math.inf if self._rest.complete and not self.events else self._dt
+        left, struck = min(longest, stop - state.t), 0
         if stop - state.t - left < SHORTEST * self._dt:
             left = stop - state.t
         end = state.t + left
@@ -208,10 +230,24 @@ class TimeStepping(Integrator):
         arrives = np.empty(len(normals), dtype=bool)
         off = midpoint_step(
             *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf, self._bounces),
-            *(self._compliances, softened, self._mass, self._inverse, self._tree, *rows[:4]),
+            *(
+                self._compliances,
+                softened,
+                self._mass,
+                self._inverse,
+                self._tree,
+                self._rest.joints,
+                *rows[:4],
+            ),
             *(self._begin, self._pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
         )
         self.dynamics.check()
+        if off > FAILED:
+            raise SimulationError(
+                f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: impulses are "
+                f"off Coulomb's law by {off:.2g} of its velocities; dt below {h:.3g} s may help",
+                field="scene",
+            )
         if off > max(USABLE, self._unsolved):
             if self._unsolved == 0.0:
                 state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
@@ -241,17 +277,54 @@ class TimeStepping(Integrator):
             rates = -(u_start + share * (u_end - u_start))[normals][closing]
             self._collide(0.5 * float(rates.min()), TOGETHER * h * float(rates.max()))
             return True
+        moved = self._project(step, rows, ~arrives, gap + 0.5 * h * u_end[normals])
+        if self._continuous is None:
+            self._let_rest(step, rows, ~arrives, (v, v_end, moved / h))
         state.v = v_end
-        self._project(step, rows, ~arrives, gap + 0.5 * h * u_end[normals])
         return False
+
+    def _let_rest(
+        self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], velocities: tuple[Array, Array, Array]
+    ) -> None:
+        """Let what has come to rest in a step rest.
+
+        Args:
+            step: The step.
+            rows: Its rows.
+            active: (nc + nl,) contacts and limits that took part.
+            velocities: At its start, at its end, and that of taking away overlap, (nv,) each.
+        """
+        nc, every = len(rows.contacts), len(rows.surface)
+        items = np.ones(len(rows.counts) - 2 * nc, dtype=bool)
+        items[:nc] = active[:nc]
+        items[3 * every - 2 * nc :][: len(rows.limits)] = active[nc:]
+        islands = np.empty(self._trees, dtype=np.int64)
+        trees_at_rest(
+            *(*velocities, self._still, self._tree, rows.columns, rows.counts, nc, items),
+            *(rows.surface, islands),
+        )
+        if step.closed is not None and self._rest.begin(islands, step.closed):
+            velocities[1][islands[self._tree] >= 0] = 0.0
 
     def _rows(self, q: Array, v: Array, h: float) -> _Rows:
         """Return the rows of what may close within a step, not filled as yet."""
-        work, near = self.work, self._near
+        work = self.work
         slack = SLACK * h * h * self._gravity
-        near = near[: near_rows(work, q, v, h, slack, self._faces.idle, near)]
-        first = int(np.searchsorted(near, work.contacts))
-        contacts, limits, held, dry = near[:first].copy(), near[first:] - work.contacts, self._held, self._dry
+        near, held, dry, rest = self._near, self._held, self._dry, self._rest
+        placed = self._faces.boxes  # at this state
+        while True:
+            found = near[: near_rows(work, q, v, h, slack, self._faces.idle, rest.joints, placed, near)]
+            first = int(np.searchsorted(found, work.contacts))
+            contacts, limits = found[:first].copy(), found[first:] - work.contacts
+            if not rest:
+                break
+            ends = work.contact_joints[contacts].ravel()
+            met = ends[(ends > 0) & rest.joints[ends]]
+            if not met.size:
+                held = held[~rest.joints[work.contact_joints[held]].all(axis=1)]
+                dry = dry[~rest.joints[work.velocity_joint[dry]]]
+                break
+            rest.wake(met)
         every = len(contacts) + len(held)
         shape = 3 * every + len(limits) + len(dry), self._widest
         return _Rows(
@@ -294,15 +367,17 @@ class TimeStepping(Integrator):
         joints = np.zeros(work.nv)
         still = STILL * (work.resting_speed or 1.0)
         acts = report_step(
-            *(work, h, still, self.state.v, *velocities, *rows[:8], *of_rows),
+            *(work, h, still, self.state.v, *velocities, self._rest.joints, *rows[:8], *of_rows),
             *(coefficients, world, points, normals, joints),
         )
         step = DenseStep(t, h, self.state.q, self.state.v, self.w, coefficients, work.joint_charts)
-        step.closed = StepForces(contacts, world, points, normals, joints) if acts else None
+        resting = self._rest.forces
+        if acts or resting is not None:
+            step.closed = StepForces(contacts, world, points, normals, joints, resting)
         return step
 
-    def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> None:
-        """Take away what overlaps at the end of a step, by the least displacement in the metric of M.
+    def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> Array:
+        """Take away what overlaps at the end of a step, by the least displacement (nv,) in the metric of M.
 
         Args:
             step: The step, which ends where it is taken away.
@@ -310,23 +385,23 @@ class TimeStepping(Integrator):
             active: (nc + nl,) contacts and limits that took part.
             gap: (nc + nl,) gaps at the end [m or rad].
         """
-        off = rows.off
-        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self.drift_tolerance:
-            return
+        off, correction = rows.off, np.zeros(self.model.nv)
+        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self._touching:
+            return correction
         self._invert(self.state.q, np.zeros(self.model.nv))
         normals = np.concatenate([rows.normals[active], rows.held_normals])
         free = np.concatenate([gap[active], off])
         upper = np.full(len(free), math.inf)
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
-        correction = np.empty(self.model.nv)
         jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
         step_impulses(
             *(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE),
-            *(np.ones(len(free), dtype=bool), self._tree, ACCURATE, np.zeros(self.model.nv)),
+            *(np.ones(len(free), dtype=bool), self._tree, ROUGH, np.zeros(self.model.nv)),
             *(correction, np.empty(len(free))),
         )
         self.state.q = pin.integrate(self.model, self.state.q, correction)
         step.coefficients[0, : self.model.nv] += correction
+        return correction
 
     # ---- impacts
 
@@ -342,6 +417,7 @@ class TimeStepping(Integrator):
         self._faces.place(state.q, state.v, 0.0, touching=touching)
         state.collide(touching, max(self.work.resting_speed, slowest))
         if len(state.impacts) > before:
+            self._rest.wake_moving(state.v)
             self._count_impacts(before)
             self._sample()
 
@@ -359,16 +435,6 @@ def _touch(gap: float, first: float, last: float) -> float:
     root = math.sqrt(max(b * b - 4.0 * a * gap, 0.0))
     share = 2.0 * gap / (root - b) if root > b else 1.0
     return min(max(share, 0.0), 1.0)
-
-
-def _trees(model: pin.Model) -> Integers:
-    """Return (nv,) the number of the tree of joints that each velocity belongs to, without gaps."""
-    roots, trees = [-1], np.zeros(model.nv, dtype=np.int64)
-    for joint in range(1, model.njoints):
-        parent, start = model.parents[joint], model.idx_vs[joint]
-        roots.append(joint if parent == 0 else roots[parent])
-        trees[start : start + model.nvs[joint]] = roots[joint]
-    return np.asarray(np.unique(trees, return_inverse=True)[1], dtype=np.int64)
 
 
 def _widest(before: Integers) -> int:

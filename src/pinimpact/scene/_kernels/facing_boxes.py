@@ -41,11 +41,11 @@ def fill_contact(row, tip, base, normal, point, other):
 
 @declared(
     *(SceneWorkspace, FLOATS, FLOATS, float, float, float, INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-    *(FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
+    *(FLAGS, FLAGS, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK),
 )
 @jit
 def face_boxes(
-    work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, idle, used, normals, points, others
+    work, q, v, h, gravity, touching, joints, boxes, pairs, blanks, rests, idle, used, normals, points, others
 ):
     """Fill the contacts that are kept for pairs of boxes with the corners of their patches.
 
@@ -60,6 +60,7 @@ def face_boxes(
         boxes: (k, `BOX`) see `HALF`.
         pairs: (p, 4) the two boxes, the first contact that is kept for them, and how many are.
         blanks: (contacts, constants) what stands where nothing is near.
+        rests: (nj,) joints that are at rest, the world among them; what faces each other there stays.
         idle: (contacts,) takes which contacts stand for no corner.
         used: (p,) how many contacts stand for corners; takes how many do now.
         normals: (p, 3) takes the normals, from the second box to the first.
@@ -82,6 +83,8 @@ def face_boxes(
         )
     for p in range(len(pairs)):
         a, b, first, room = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
+        if rests[joints[a]] and rests[joints[b]]:
+            continue
         within = touching if touching >= 0.0 else h * (speeds[a] + speeds[b]) + 8.0 * gravity * h * h
         reach = boxes[a, REACH] + boxes[b, REACH] + within
         square = 0.0

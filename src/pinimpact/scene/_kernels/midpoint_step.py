@@ -31,9 +31,9 @@ from .step_impulses import step_impulses
 from .workspace import SceneWorkspace
 
 
-@declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, INTEGERS, result=int)
+@declared(SceneWorkspace, FLOATS, FLOATS, float, float, FLAGS, FLAGS, bool, INTEGERS, result=int)
 @jit
-def near_rows(work, q, v, h, slack, idle, near):
+def near_rows(work, q, v, h, slack, idle, rests, placed, near):
     """Fill which contacts, and limits past those, may close within a step; return how many.
 
     Args:
@@ -43,26 +43,29 @@ def near_rows(work, q, v, h, slack, idle, near):
         h: Length of the step [s].
         slack: What gaps may close by beside their rates [m or rad].
         idle: (n,) contacts that are kept for shapes which are apart.
+        rests: (nj,) joints that are at rest, the world among them.
+        placed: Whether kinematics are those of this state already.
         near: (n + nl,) takes the numbers, without held contacts.
     """
-    set_state(work, q, v)
-    compute_kinematics(work)
-    blocks, count = work.contact_blocks, 0
+    if not placed:
+        set_state(work, q, v)
+        compute_kinematics(work)
+    blocks, ends, count = work.contact_blocks, work.contact_joints, 0
     for b in range(len(blocks)):
         first, stop, k = blocks[b, 0], blocks[b, 1], blocks[b, 2]
-        if k >= 0:
+        if k >= 0 and not (rests[ends[first, 0]] and rests[ends[first, 1]]):
             gap, _ = sphere_gap(work, k, first)
             if gap > FAR * work.sphere_constants[k, RADIUS]:
                 continue
         for i in range(first, stop):
-            if not idle[i] and work.bilateral[i] == 0:
+            if not idle[i] and work.bilateral[i] == 0 and not (rests[ends[i, 0]] and rests[ends[i, 1]]):
                 gap, rate = contact_gap(work, i)
                 if gap + 0.5 * h * rate <= slack:
                     near[count] = i
                     count += 1
     for k in range(work.limits):
         gap, rate = limit_gap(work, k, q, v)
-        if gap + 0.5 * h * rate <= slack:
+        if not rests[work.velocity_joint[work.limit_v[k]]] and gap + 0.5 * h * rate <= slack:
             near[count] = work.contacts + k
             count += 1
     return count
@@ -119,7 +122,8 @@ def free_velocity(h, v, acceleration, inverse, softened, predicted, out):
 
 @declared(
     *(SceneWorkspace, float, float, FLOATS, FLOATS, float, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
-    *(INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS),
+    *(INTEGERS, FLAGS, INTEGERS, INTEGERS, INTEGERS, INTEGERS),
+    *(FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS),
     *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS),
     result=float,
 )
@@ -137,6 +141,7 @@ def midpoint_step(
     mass,
     inverse,
     tree,
+    rests,
     contacts,
     held,
     limits,
@@ -172,6 +177,7 @@ def midpoint_step(
         mass: (nv, nv) M with that.
         inverse: (nv, nv) of it.
         tree: (nv,) number of the tree that each velocity belongs to.
+        rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
         contacts: (nc,) that are near.
         held: (nh,) that are held.
         limits: (nl,) that are near.
@@ -262,14 +268,18 @@ def midpoint_step(
         *(begin, mean, impulse),
     )
     for c in range(nv):
-        v_end[c] += mean[c]
-        pushed[c] = mean[c] / h
+        if rests[work.velocity_joint[c]]:
+            v_end[c] = predicted[c] = 0.0
+        else:
+            v_end[c] += mean[c]
+            pushed[c] = mean[c] / h
     velocities(values, columns, counts, offset, v_end, u_end)
     return off
 
 
 @declared(
-    *(SceneWorkspace, float, float, FLOATS, FLOATS, FLOATS, FLOATS, INTEGERS, INTEGERS, INTEGERS, INTEGERS),
+    *(SceneWorkspace, float, float, FLOATS, FLOATS, FLOATS, FLOATS, FLAGS),
+    *(INTEGERS, INTEGERS, INTEGERS, INTEGERS),
     *(FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS),
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOATS),
     result=bool,
@@ -283,6 +293,7 @@ def report_step(
     v_end,
     softened,
     predicted,
+    rests,
     contacts,
     held,
     limits,
@@ -312,6 +323,7 @@ def report_step(
         v_end: (nv,) at the end.
         softened: (nv,) as of `midpoint_step`, like the arguments up to `u_end`.
         predicted: (nv,) likewise.
+        rests: (nj,) likewise; the modes of what rests stay.
         contacts: (nc,) likewise.
         held: (nh,) likewise.
         limits: (nl,) likewise.
@@ -335,8 +347,15 @@ def report_step(
         mean[c] = 0.5 * (v[c] + v_end[c])
         turn[c] = 0.5 * h * mean[c]
     chart_rate(work.joint_charts, turn, mean, rate)
-    for i in range(len(modes)):
-        modes[i] = FREE
+    for i in range(work.contacts):
+        if not (rests[work.contact_joints[i, 0]] and rests[work.contact_joints[i, 1]]):
+            modes[i] = FREE
+    for k in range(work.limits):
+        if not rests[work.velocity_joint[work.limit_v[k]]]:
+            modes[work.contacts + k] = FREE
+    for c in range(nv):
+        if not rests[work.velocity_joint[c]]:
+            modes[work.contacts + work.limits + c] = FREE
     powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces
     for k in range(len(dry)):
         row = 3 * every + len(limits) + k

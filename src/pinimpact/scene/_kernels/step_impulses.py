@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
@@ -11,11 +13,17 @@ from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.proximal_newton import solve_velocities
+from ..._numeric.proximal_newton import PROXIMAL, solve_velocities
 
 USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far
 less than steps of any useful length do."""
+
+ATTEMPTS = 3
+"""Attempts with the proximal Newton method, the first from where the step before has ended."""
+
+LESS = 0.1
+"""Part of the compliances of an attempt that the next one takes: it takes more steps, but surer ones."""
 
 
 @declared(FLOAT_ROWS, FLOATS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS)
@@ -93,12 +101,22 @@ def solve_island(
 ):
     """Find the impulses of an island; arguments as of `solve_velocities`."""
     n, m, nc = len(free), len(mass), len(friction)
-    off = solve_velocities(
-        *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
-        *(accuracy, begin, change, found),
-    )
-    if off <= USABLE:
-        return off
+    off, other, moved, proximal = math.inf, np.zeros(n), np.empty(m), PROXIMAL
+    for attempt in range(ATTEMPTS):
+        if attempt > 0:  # with less at a time, from nothing
+            proximal *= LESS
+            for c in range(m):
+                begin[c] = 0.0
+        left = solve_velocities(
+            *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
+            *(proximal, accuracy, begin, moved, other),
+        )
+        if left < off:
+            off = left
+            assign(change, moved)
+            assign(found, other)
+        if off <= USABLE:
+            return off
     jacobian, response, delassus = np.zeros((n, m)), np.empty((n, m)), np.empty((n, n))
     for a in range(n):
         for k in range(counts[a]):
@@ -108,14 +126,16 @@ def solve_island(
     for a in range(n):
         for b in range(a):
             delassus[b, a] = delassus[a, b]
-    other, velocity, least, held = np.zeros(n), np.zeros((nc, 2)), np.zeros(nc), flags(nc, False)
+    velocity, least, held = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False)
+    for a in range(n):
+        other[a] = 0.0
     if n > m and nc > 0:
         left = solve_compliant(
             delassus, free, velocity, friction, least, held, lower, upper, other, compliance
         )
     else:
         left = solve_coulomb(delassus, free, velocity, friction, least, held, lower, upper, other)
-    if left >= off:
+    if not left < off:
         return off
     assign(found, other)
     for c in range(m):

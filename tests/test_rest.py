@@ -1,0 +1,124 @@
+"""What rests in time steps takes no part in them: it stays, bears its load, and wakes when it has to."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, Event, Plane, Scene, Shape, Stepper, simulate
+
+from .scene_models import UP, G, box_on
+from .test_time_stepping import boxes
+
+DT = 1e-3
+
+
+def step(scene, q0, v0, duration, **options):
+    return simulate(scene, q0, v0, duration, scheme="time-stepping", dt=DT, **options)
+
+
+def never_resting(scene):
+    """Return the same scene with a control that does nothing but may do something at any time."""
+    nv = scene.model.nv
+    return Scene(scene.model, scene.contacts, geometry=scene.geometry, control=lambda t, q, v: np.zeros(nv))
+
+
+def test_a_stack_at_rest_for_a_minute_stands_and_bears_its_load():
+    count = 10
+    scene = boxes(count, (0.2, 0.2, 0.1), 1.0)
+    q0 = np.array([[0, 0, 0.05 + 0.1 * k, *UP] for k in range(count)])
+    run = step(scene, q0.ravel(), np.zeros(6 * count), 60.0)
+    assert np.abs(run.q[-1] - q0.ravel()).max() < 1e-8
+    assert run.statistics["steps"] < 100
+    for t in (0.5e-3, 30.0, 59.0):
+        for k in range(count - 1):
+            names = [f"pair {k}", *(f"pair {k} {i}" for i in range(2, 9))]
+            force = sum(np.array(run.forces(name, t)) for name in names)
+            assert force == pytest.approx([0.0, 0.0, (count - 1 - k) * G], abs=1e-5)
+    assert run.mode_at("floor 0 corner 1", 59.0) == "stick"
+
+
+@pytest.mark.parametrize("height", [0.05, 0.15])
+def test_what_is_hit_wakes_with_what_rests_on_it(height):
+    """A box slides into a stack of three at rest: as in steps in which nothing rests."""
+    scene = boxes(3, (0.2, 0.2, 0.1), 1.0)
+    model = scene.model
+    other = pin.Model(model)
+    joint = other.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "thrown")
+    other.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.1, 0.1, 0.1), pin.SE3.Identity())
+    other.addJointFrame(joint)
+    shapes = scene.geometry.copy()
+    shapes.addGeometryObject(pin.GeometryObject("thrown", joint, pin.SE3.Identity(), coal.Box(0.1, 0.1, 0.1)))
+    for limit in (other.lowerPositionLimit, other.upperPositionLimit):
+        limit[:] = np.inf
+    other.lowerPositionLimit[:] = -np.inf
+    contacts = [
+        Contact(geometry=f"box_{k}_0", plane=Plane(), friction=0.5, name=f"floor {k}") for k in range(3)
+    ]
+    contacts += [
+        Contact(geometry=f"box_{k + 1}_0", plane=Shape(f"box_{k}_0"), friction=0.5, name=f"pair {k}")
+        for k in range(2)
+    ]
+    contacts += [
+        Contact(geometry="thrown", plane=Shape(f"box_{k}_0"), friction=0.3, name=f"hit {k}") for k in range(3)
+    ]
+    contacts.append(Contact(geometry="thrown", plane=Plane(), friction=0.2, name="thrown"))
+    hit = Scene(other, contacts, geometry=shapes)
+    q0 = [*(c for k in range(3) for c in (0, 0, 0.05 + 0.1 * k, *UP)), -0.5, 0.01, height, *UP]
+    v0 = [*np.zeros(18), 3.0, 0, 0.5, 0, 0, 0]
+    one, other = (step(scene, q0, v0, 0.4) for scene in (hit, never_resting(hit)))
+    short = simulate(hit, q0, v0, 0.4, scheme="time-stepping", dt=0.5 * DT)
+    by_length = np.abs(one.q[-1] - short.q[-1]).max()  # what such steps miss anyway
+    assert np.abs(one.q[-1][:21] - np.array(q0[:21])).max() > 1e-2
+    assert np.abs(one.q[-1] - other.q[-1]).max() < 0.1 * by_length
+
+
+def test_a_force_that_changes_wakes():
+    """Pushed from t = 0.5 s on, a box slides by (F/m − μ g) t²/2."""
+    model, contacts = box_on(4, mu=0.3)
+
+    def control(t, q, v):
+        return [5.0 if t >= 0.5 else 0.0, 0, 0, 0, 0.0, 0]
+
+    scene = Scene(model, contacts, control=control, period=0.01)
+    run = step(scene, [0, 0, 0.1, *UP], np.zeros(6), 1.0)
+    rate = 5.0 - 0.3 * G
+    assert run.statistics["steps"] < 800
+    assert run.q[-1, 0] == pytest.approx(0.5 * rate * 0.5**2, abs=2.0 * rate * 0.5 * DT)
+
+
+def test_an_event_that_gives_a_velocity_wakes():
+    model, contacts = box_on(4, mu=0.3)
+    kick = Event(lambda t, q, v: t - 0.5, lambda t, q, v: np.array([1.0, 0, 0, 0, 0, 0]))
+    run = step(Scene(model, contacts, events=[kick]), [0, 0, 0.1, *UP], np.zeros(6), 1.5)
+    assert run.q[-1, 0] == pytest.approx(0.5 / (0.3 * G), abs=2.0 * DT)
+
+
+def test_a_belt_that_slips_under_a_box_that_stands_goes_on_working():
+    model, _ = box_on(4, turn=0.25 * np.pi)
+    belt = Plane(velocity=(1.0, 0.0, 0.0))
+    contacts = [Contact(f"tip{k}", belt, friction=0.3) for k in range(4)]
+    wall = Plane(point=(0.25, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
+    contacts += [Contact("tip0", wall, name="stop 0"), Contact("tip3", wall, name="stop 3")]
+    placed = [0.0, 0, 0.1, *UP]
+    run = step(Scene(model, contacts), placed, np.zeros(6), 3.0)
+    assert np.abs(run.v[-1]).max() < 1e-6
+    late = run.t > 2.0
+    power = np.polyfit(run.t[late], run.energy.friction[late] + run.energy.surface[late], 1)[0]
+    assert run.energy.friction[-1] - run.energy.friction[late][0] == pytest.approx(-0.3 * G, rel=1e-3)
+    assert power == pytest.approx(0.0, abs=1e-6)
+
+
+def test_copies_at_rest_go_on_as_the_original():
+    model, contacts = box_on(4, mu=0.3)
+    stepper = Stepper(Scene(model, contacts), [0, 0, 0.1, *UP], np.zeros(6), scheme="time-stepping", dt=DT)
+    still, push = np.zeros(6), np.array([5.0, 0, 0, 0, 0, 0])
+    stepper.step(still, 0.05)
+    other = stepper.copy()
+    for one in (stepper, other):
+        for force in (still, push, still):
+            one.step(force, 0.05)
+    assert np.array_equal(stepper.q, other.q)
+    assert stepper.q[0] > 1e-4
