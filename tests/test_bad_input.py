@@ -13,6 +13,7 @@ import pinimpact
 from pinimpact import Contact, ImpactProblem, InputError, PinimpactError, Plane, Scene, simulate
 from pinimpact.app.cli import main
 from pinimpact.app.scene_file import read_scene_file
+from pinimpact.visual import plots
 
 from .scene_models import UP, ball, pendulum
 
@@ -178,7 +179,35 @@ def test_files_go_into_folders_that_exist(tmp_path):
         pinimpact.replay(MODEL, trajectory, path=nowhere / "replay.html")
     with pytest.raises(InputError, match=r"^path: there is no folder"):
         trajectory.save(nowhere / "trajectory.npz")
+    with pytest.raises(InputError, match=r"^path: there is no folder"):
+        plots.save_figure(plots.energy_figure(trajectory), nowhere / "energy.png")
     assert not nowhere.exists()
+    with pytest.raises(InputError, match=r"^path: .* is a folder"):
+        trajectory.save(tmp_path)
+
+
+def test_files_that_hold_no_trajectory_are_called_what_they_are(tmp_path):
+    with pytest.raises(InputError, match=r"^path: there is no file .*fall\.npz$"):
+        pinimpact.Trajectory.load(tmp_path / "fall.npz")
+    (tmp_path / "text.npz").write_text("t, q, v")
+    with pytest.raises(InputError, match=r"text\.npz' is no readable trajectory \(not a zip archive\)"):
+        pinimpact.Trajectory.load(tmp_path / "text.npz")
+
+
+def test_solve_impact_takes_a_problem():
+    with pytest.raises(InputError, match=r"^problem: ndarray given; an ImpactProblem is expected"):
+        pinimpact.solve_impact(np.eye(3), [0, 0, -1])
+
+
+def test_degrees_are_noticed_before_anything_else():
+    arm = pinimpact.load_robot("panda")
+    degrees = np.rad2deg(arm.q0)
+    below = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane((0, 0, 5)))
+    with pytest.raises(InputError, match=r"^q0: .* beyond its limit .*looks like degrees"):
+        simulate(pinimpact.Scene(arm, [below]), degrees, np.zeros(9), 0.1)
+    table = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane((0, 0, 0.3)))
+    with pytest.warns(pinimpact.JointLimitWarning, match=r"looks like degrees"):
+        pinimpact.place_in_contact(arm.model, arm.data, degrees, table)
 
 
 def test_one_table_in_place_of_a_list_is_told(tmp_path):

@@ -70,6 +70,14 @@ def test_unknown_names_and_times_outside_are_errors(trajectory) -> None:
         assert caught.value.field == "t"
 
 
+def test_times_off_the_ends_by_rounding_are_the_ends(trajectory) -> None:
+    end = 1.0 + 4e-16  # two roundings above 1
+    assert end > 1.0
+    np.testing.assert_array_equal(trajectory.at(end)[0], trajectory.q[-1])
+    np.testing.assert_array_equal(trajectory.at(-1e-16)[0], trajectory.q[0])
+    assert trajectory.mode_at("ball", end) == trajectory.mode_at("ball", 1.0)
+
+
 def test_names_are_saved_and_files_without_them_are_read(trajectory, tmp_path) -> None:
     path = tmp_path / "ball.npz"
     trajectory.save(path)

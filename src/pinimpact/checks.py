@@ -85,8 +85,10 @@ def file_path(field: str, path: Any) -> Path:
 
 
 def output_file(field: str, path: str | Path) -> Path:
-    """Return the path of a file to be written, or raise `InputError` where its folder does not exist."""
+    """Return the path of a file to be written; raise `InputError` for a folder or where there is none."""
     path = file_path(field, path)
+    if path.is_dir():
+        raise InputError(f"{field}: {path} is a folder; add the name of a file", field=field, value=str(path))
     if not path.absolute().parent.is_dir():
         raise InputError(
             f"{field}: there is no folder {path.absolute().parent}; make it first, or give another path",

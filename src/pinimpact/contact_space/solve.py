@@ -52,6 +52,12 @@ def solve_impact(
         UnstoppableApproachError: The contact approaches and cannot be stopped.
         LawError: The mechanism cannot reach what the law asks for.
     """
+    if not isinstance(problem, ImpactProblem):
+        raise InputError(
+            f"problem: {type(problem).__name__} given; an ImpactProblem is expected",
+            field="problem",
+            value=problem,
+        )
     if np.ndim(problem.velocity) == 2 or simultaneous is not None:
         if np.ndim(problem.velocity) != 2:
             raise InputError(

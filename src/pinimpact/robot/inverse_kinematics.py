@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from .contact import Contact, check_contact
 from .data_cache import checked_configuration, data_cache
-from .joint_limits import bounds
+from .joint_limits import bounds, degrees_hint
 from .matrices import contact_geometry
 from .names import model_of
 
@@ -63,9 +63,16 @@ def place_in_contact(
         InputError: No such configuration is found; the message has the remaining gap. No contacts, or a
             q of the wrong length, not finite or not normalised.
         UnknownNameError: A frame that the model does not have.
+
+    Warns:
+        JointLimitWarning: An angle of q looks like degrees; given once for each Data.
     """
     model = model_of(model)
-    given = checked_configuration(data_cache(model, data), model, q)
+    cache = data_cache(model, data)
+    given = checked_configuration(cache, model, q)
+    low, high = cache.bounds
+    if any(degrees_hint(at) for at in given[(given < low) | (given > high)]):
+        cache.warn_of_limits(given, stacklevel=3)
     wanted = (contacts,) if isinstance(contacts, (Contact, str)) else tuple(contacts)
     if not wanted:
         raise InputError("contacts: none given; give those to be closed", field="contacts", value=contacts)

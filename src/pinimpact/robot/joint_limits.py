@@ -72,6 +72,11 @@ def slack_bounds(model: pin.Model) -> NDArray[np.float64]:
     return bounds(model) + np.array([[-SLACK], [SLACK]])
 
 
+def degrees_hint(value: float) -> str:
+    """Return what a message adds where a coordinate beyond its limit looks like an angle in degrees."""
+    return "; angles are in radians, and this looks like degrees" if abs(value) > 2.0 * math.pi else ""
+
+
 def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklevel: int) -> None:
     """Warn that a configuration (nq,) lies beyond the limits of a joint.
 
@@ -85,9 +90,9 @@ def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklev
     beyond = np.maximum(low - q, q - high)
     i = int(np.argmax(beyond))
     name = next(limit.name.rpartition(" ")[0] for limit in joint_limits(model) if limit.index_q == i)
-    degrees = "; angles are in radians, and these look like degrees" if abs(q[i]) > 2.0 * math.pi else ""
     warnings.warn(
-        f"q: joint {name!r} is at {q[i]:.6g}, beyond its limits {low[i]:.6g} to {high[i]:.6g}{rows}{degrees}",
+        f"q: joint {name!r} is at {q[i]:.6g}, beyond its limits {low[i]:.6g} to {high[i]:.6g}{rows}"
+        f"{degrees_hint(q[i])}",
         JointLimitWarning,
         stacklevel=stacklevel,
     )

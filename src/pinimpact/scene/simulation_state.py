@@ -23,6 +23,7 @@ from ..errors import (
 from ..robot.contact import Contact
 from ..robot.forest import forward_kinematics
 from ..robot.inverse_kinematics import closed_by_rounding
+from ..robot.joint_limits import degrees_hint
 from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.pinocchio_bridge import check_inertia
 from ..robot.touching import flat_rim, tilt_of_rim
@@ -655,12 +656,13 @@ class SimulationState:
         count = len(dynamics.contacts)
         free = count - held_count
         gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
-        acting = np.append(np.arange(free), np.arange(count, len(gaps)))
+        acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # an angle in degrees is met first
         if ((gaps[acting] < -dynamics.work.touching_gap) & (gaps[acting] >= -START_ROUNDING)).any():
             self._begin_at(acting[np.abs(gaps[acting]) <= START_ROUNDING])
             gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
-        for i, gap in enumerate(gaps.tolist()):
-            if gap >= -dynamics.work.touching_gap or free <= i < count:
+        for i in acting.tolist():
+            gap = float(gaps[i])
+            if gap >= -dynamics.work.touching_gap:
                 continue
             if i < count:
                 contact = dynamics.contacts[i]
@@ -671,10 +673,11 @@ class SimulationState:
                     field="q0",
                     value=gap,
                 )
+            limit = dynamics.limits[i - count]
             raise InputError(
                 f"q0: the joint starts {-gap:.6g} beyond its limit {self.names[i]!r} "
-                f"({dynamics.limits[i - count].bound:.6g}); start within the limits, or leave "
-                'them out with without=("joint limits",)',
+                f"({limit.bound:.6g}){degrees_hint(self.q[limit.index_q])}; start within the limits, or "
+                'leave them out with without=("joint limits",)',
                 field="q0",
                 value=gap,
             )

@@ -25,6 +25,9 @@ from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
 
+TIME_ROUNDING = 1e-12
+"""Relative rounding of a time that a caller sums up, such as 3 * 0.1 > 0.3; 4500 roundings at most."""
+
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
 
@@ -277,15 +280,20 @@ class Trajectory:
         return "free"
 
     def _covered(self, t: float) -> float:
-        """Return a time as a float, or raise `InputError` where the trajectory does not cover it."""
+        """Return a time as a float, or raise `InputError` where the trajectory does not cover it.
+
+        Times off its ends by `TIME_ROUNDING` are taken as the ends.
+        """
         time = real_number("t", t)
-        if not self.t[0] <= time <= self.t[-1]:
+        start, end = self.t[[0, -1]].tolist()
+        slack = TIME_ROUNDING * max(abs(start), abs(end))
+        if not start - slack <= time <= end + slack:
             raise InputError(
-                f"t: {t!r} lies outside the trajectory, from {self.t[0]:.6g} s to {self.t[-1]:.6g} s",
+                f"t: {t!r} lies outside the trajectory, from {start:.6g} s to {end:.6g} s",
                 field="t",
                 value=t,
             )
-        return time
+        return min(max(time, start), end)
 
     def columns(self, rows: Literal["samples", "impacts", "modes"] = "samples") -> dict[str, NDArray[Any]]:
         """Return a table as arrays of equal length, by the names of its columns.

@@ -140,7 +140,11 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         InputError: A file that is missing, or is no trajectory.
     """
     path = file_path("path", path)
+    if not path.is_file():
+        raise InputError(f"path: there is no file {path}", field="path", value=path)
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("not a zip archive")
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = json.loads(str(arrays["meta"]))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...checks import output_file
 from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
 from ...contact_space.solution import Solution
@@ -91,6 +92,11 @@ def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = 
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG and return its path."""
+    """Write a figure in the format of the path's suffix (PNG, PDF, SVG) and return its path.
+
+    Raises:
+        InputError: A path in a folder that does not exist.
+    """
+    path = output_file("path", path)
     figure.savefig(path, dpi=130)
-    return Path(path)
+    return path
