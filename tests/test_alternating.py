@@ -156,6 +156,25 @@ def test_a_corner_that_stays_on_a_corner_is_crossed():
         assert overlap(crate, ((1.0, 1.0, 1.0), pin.SE3(turned, np.zeros(3)))) < 5e-6
 
 
+@pytest.mark.parametrize("scheme", ["auto", "event-driven"])
+def test_ten_aligned_boxes_stand_for_a_minute(scheme):
+    """Corners on corners: by rounding they leave their faces and edges, and come back."""
+    scene = boxes(10, (0.2, 0.2, 0.1), 1.0)
+    q0 = np.tile([0, 0, 0, *UP], 10)
+    q0[2::7] = 0.05 + 0.1 * np.arange(10)
+    trajectory = simulate(scene, q0, np.zeros(60), 60.0, scheme=scheme)
+    assert trajectory.complete
+    assert not trajectory.stepped
+    assert not trajectory.impacts
+    for t in np.linspace(0.0, 60.0, 31):
+        q, v = trajectory.at(t)
+        assert np.abs(q - q0).max() < 1e-8
+        assert np.abs(v).max() < 1e-9
+    assert sum(trajectory.forces(f"floor 0 corner {k}", 60.0)[2] for k in (1, 2, 3, 4)) == pytest.approx(
+        10.0 * 9.81, rel=1e-9
+    )
+
+
 def dominoes(count, order):
     """Dominoes in a row, numbered in an order; the one at the origin turns about its lower edge."""
     thick, wide, high, rate = 0.008, 0.024, 0.048, 6.0

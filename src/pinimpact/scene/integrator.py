@@ -416,7 +416,8 @@ class Integrator:
         state, work, t = self.state, self.work, self.state.t
         if self.steps - self.last_progress[0] > MAX_STALLED:
             _, then, velocity = self.last_progress
-            changed = np.abs(state.v - velocity).max() > ACCELERATED * np.abs(velocity).max()
+            least = max(ACCELERATED * np.abs(velocity).max(), state.error(velocity))
+            changed = np.abs(state.v - velocity).max() > least
             if changed or t - then > STALLED * scale:
                 self._mark_progress()
             else:

@@ -400,7 +400,7 @@ class ShapeWatch:
     ) -> Meeting | None:
         """Return where what touches becomes something else."""
         at = self._at(watched, step)
-        slack = ROUNDING * watched.size
+        slack = max(ROUNDING * watched.size, self.tolerance)
         best: Meeting | None = None
 
         def beyond(t: float) -> float:
@@ -418,7 +418,8 @@ class ShapeWatch:
                 best, end = Meeting(found, number, True), found
                 break
             before = time
-        advanced = self._next_corner(watched, at, step, end, peak)
+        # within no time at all nothing else can come near
+        advanced = self._next_corner(watched, at, step, end, peak) if end > step.start else None
         if advanced is not None and advanced.touches:
             best = Meeting(advanced.time, number, False)
         if best is None:
@@ -556,7 +557,9 @@ class ShapeWatch:
         found = touches(*placed, apart.normal, slack) if round_ else []
         known = {(touch.kind, touch.features) for touch in found}
         for i, point in list(watched.points.items()):
-            beyond = follow(point.touch, *placed, watched.normals[i]).beyond > ROUNDING * watched.size
+            beyond = follow(point.touch, *placed, watched.normals[i]).beyond > max(
+                ROUNDING * watched.size, self.tolerance
+            )
             other = bool(known) and (point.touch.kind, point.touch.features) not in known
             if beyond or other:
                 self._leave(watched, i)

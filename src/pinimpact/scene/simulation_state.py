@@ -60,9 +60,6 @@ HELD_GAP = 1e-3
 STICK_FRACTION = 0.1
 """Slip slower than this part of the resting speed is none."""
 
-LEAST_APPROACH_FRACTION = 1e-9
-"""An approach slower than this part of the resting speed is rounding."""
-
 SINGULAR = 1e-8
 """Forces whose effects cancel to this part are those of a singularity."""
 
@@ -127,7 +124,6 @@ class SimulationState:
         work.gap_floor = GAP_FLOOR * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
         work.resting_speed = 0.0 if "sustained contact" in without else resting_speed
-        work.least_approach = LEAST_APPROACH_FRACTION * resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
         self.shapes = ShapeWatch(model, layout, self.dynamics)
@@ -184,7 +180,9 @@ class SimulationState:
         Raises:
             SimulationError: Impacts do not settle, or friction locks a contact.
         """
-        where, slow = self._where, self._slow
+        where, slow, work = self._where, self._slow, self.dynamics.work
+        # an approach that the error of a step explains is no impact; modes take it away
+        work.least_approach = min(self.error(self.v), work.resting_speed)
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
