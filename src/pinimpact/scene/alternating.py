@@ -38,10 +38,7 @@ STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
 
 LOOKED_AT = 50
-"""Steps over which it is watched: if those of a crowd are shorter than `dt` on average, time steps follow."""
-
-ACCUMULATED = 1e-3
-"""Part of `dt` that so many steps cover at least; otherwise events accumulate, and time steps take over."""
+"""Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
 
 
 OWN = "_crossing", "_prepared", "_entering", "_until", "_interval", "_handed_back", "_begun_at", "_unsolved"
@@ -179,7 +176,7 @@ class Alternating(TimeStepping):
         if not self._crossing:
             try:
                 length = Integrator._step(self, h, stop, scale)
-                self._watch_cost()
+                self._watch_crowd()
                 return length
             except IrregularMotionError as error:
                 self._cross(error)
@@ -190,26 +187,20 @@ class Alternating(TimeStepping):
             return self._longest
         return self._hand_back()
 
-    def _watch_cost(self) -> None:
-        """Refuse steps that are shorter than time steps where many contacts are closed, or events accumulate.
+    def _watch_crowd(self) -> None:
+        """Refuse to go on where many contacts are closed and steps are shorter than time steps.
 
         Raises:
             IrregularMotionError: See above.
         """
-        steps = self.dense_steps
-        if len(steps) - self._begun_at < LOOKED_AT:
-            return
-        closed, covered = self.work.active_contacts, steps[-1].end - steps[-LOOKED_AT].start
-        if covered < ACCUMULATED * self._longest:
-            self._check_for_chatter()
-            why = "events accumulate"
-        elif closed > CROWD and covered < LOOKED_AT * self._longest:
-            why = f"{closed} contacts are closed"
-        else:
-            return
-        raise IrregularMotionError(
-            f"scene: {why}, and {LOOKED_AT} steps cover {covered:.3g} s", field="scene"
-        )
+        closed, steps = self.work.active_contacts, self.dense_steps
+        if closed > CROWD and len(steps) - self._begun_at >= LOOKED_AT:
+            covered = steps[-1].end - steps[-LOOKED_AT].start
+            if covered < LOOKED_AT * self._longest:
+                raise IrregularMotionError(
+                    f"scene: {closed} contacts are closed, and {LOOKED_AT} steps cover {covered:.3g} s",
+                    field="scene",
+                )
 
     def _cross(self, refusal: IrregularMotionError) -> None:
         """Return to the last consistent state, and cross what comes by time steps."""
