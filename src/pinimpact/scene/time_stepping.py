@@ -101,12 +101,6 @@ class _Rows(NamedTuple):
         return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
 
     @property
-    def gap(self) -> Array:
-        """(nc + nl,) The gaps of contacts and limits."""
-        nc, nh = len(self.contacts), len(self.held)
-        return np.concatenate([self.gaps[:nc], self.gaps[nc + nh :]])
-
-    @property
     def off(self) -> Array:
         """(nh,) By how much the held contacts are off their surfaces."""
         return self.gaps[len(self.contacts) : len(self.contacts) + len(self.held)]
@@ -138,7 +132,7 @@ class TimeStepping(Integrator):
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
         self._begin = np.zeros(model.nv)  # see `step_impulses`
         self._pushed = np.zeros(model.nv)  # mean acceleration by the impulses of the step before
-        self._unsolved = 0.0
+        self._unsolved, self._no_change = 0.0, np.zeros(model.nv)
         # what has no restitution closes within a step's contact problem, by Moreau's law
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
         bounces += [scene.limit_restitution > 0.0] * len(self.dynamics.limits)
@@ -223,11 +217,12 @@ class TimeStepping(Integrator):
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
         rows = self._rows(middle, v, h)
-        normals, softened = rows.normals, self._softening(h)
+        softened = self._softening(h)
         self._invert(middle, softened)
         impulse, u_start, u_end = np.empty((3, len(rows.counts)))
         v_end, predicted = np.empty((2, len(v)))
-        arrives = np.empty(len(normals), dtype=bool)
+        gap_end, numbers = np.empty(len(rows.contacts) + len(rows.limits)), np.empty(3)
+        arrives = np.empty(len(gap_end), dtype=bool)
         off = midpoint_step(
             *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf, self._bounces),
             *(
@@ -240,6 +235,7 @@ class TimeStepping(Integrator):
                 *rows[:4],
             ),
             *(self._begin, self._pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
+            *(gap_end, numbers),
         )
         self.dynamics.check()
         if off > FAILED:
@@ -252,12 +248,7 @@ class TimeStepping(Integrator):
             if self._unsolved == 0.0:
                 state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
             self._unsolved = off
-        gap = rows.gap
-        before = gap - 0.5 * h * u_start[normals]
-        closing = np.flatnonzero(arrives & (gap + 0.5 * h * u_end[normals] < 0.0)).tolist()
-        share = min(
-            (_touch(before[i] / h, u_start[normals[i]], u_end[normals[i]]) for i in closing), default=1.0
-        )
+        share, lost, overlap = numbers.tolist()
         step = self._dense(t, h, rows, (v_end, softened, predicted), (impulse, u_start, u_end))
         step.end = t + share * h
         state.modes.update(t, self.work.modes, self.work.drive_side)
@@ -268,18 +259,21 @@ class TimeStepping(Integrator):
                 self._interrupt(step, interruption, None)
                 return True
         self.w = step.work_at(step.end)
-        lost = share * impulse * (u_start + 0.5 * share * (u_end - u_start))
-        state.impact_energy += float(lost[normals].sum())
+        state.impact_energy += lost
         state.t = step.end
         state.q, state.v = step.at(step.end)
-        if closing:
+        closing = arrives & (gap_end < 0.0)
+        if closing.any():
             self._sample()
-            rates = -(u_start + share * (u_end - u_start))[normals][closing]
+            rates = -(u_start + share * (u_end - u_start))[rows.normals[closing]]
             self._collide(0.5 * float(rates.min()), TOGETHER * h * float(rates.max()))
             return True
-        moved = self._project(step, rows, ~arrives, gap + 0.5 * h * u_end[normals])
+        active = ~arrives
+        moved = self._no_change
+        if overlap > self._touching:
+            moved = self._project(step, rows, active, gap_end)
         if self._continuous is None:
-            self._let_rest(step, rows, ~arrives, (v, v_end, moved / h))
+            self._let_rest(step, rows, active, (v, v_end, moved / h))
         state.v = v_end
         return False
 
@@ -385,12 +379,10 @@ class TimeStepping(Integrator):
             active: (nc + nl,) contacts and limits that took part.
             gap: (nc + nl,) gaps at the end [m or rad].
         """
-        off, correction = rows.off, np.zeros(self.model.nv)
-        if max((-gap[active]).max(initial=0.0), np.abs(off).max(initial=0.0)) <= self._touching:
-            return correction
+        correction = np.empty(self.model.nv)
         self._invert(self.state.q, np.zeros(self.model.nv))
         normals = np.concatenate([rows.normals[active], rows.held_normals])
-        free = np.concatenate([gap[active], off])
+        free = np.concatenate([gap[active], rows.off])
         upper = np.full(len(free), math.inf)
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
         jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
@@ -420,21 +412,6 @@ class TimeStepping(Integrator):
             self._rest.wake_moving(state.v)
             self._count_impacts(before)
             self._sample()
-
-
-def _touch(gap: float, first: float, last: float) -> float:
-    """Return the part of a step after which a gap closes, whose rate goes linearly from one to another.
-
-    Args:
-        gap: The gap at the start over the length of the step [m/s].
-        first: Its rate at the start [m/s].
-        last: Its rate at the end [m/s].
-    """
-    # gap + first s + (last − first) s²/2 = 0
-    a, b = 0.5 * (last - first), first
-    root = math.sqrt(max(b * b - 4.0 * a * gap, 0.0))
-    share = 2.0 * gap / (root - b) if root > b else 1.0
-    return min(max(share, 0.0), 1.0)
 
 
 def _widest(before: Integers) -> int:

@@ -110,6 +110,21 @@ def velocities(values, columns, counts, offset, v, out):
 
 
 @inlined
+def part_to_touch(gap, first, last):
+    """Return the part of a step after which a gap closes, whose rate goes linearly from one to another.
+
+    Args:
+        gap: The gap at the start over the length of the step [m/s].
+        first: Its rate at the start [m/s].
+        last: Its rate at the end [m/s].
+    """
+    # gap + first s + (last − first) s²/2 = 0
+    root = math.sqrt(max(first * first - 2.0 * (last - first) * gap, 0.0))
+    share = 2.0 * gap / (root - first) if root > first else 1.0
+    return min(max(share, 0.0), 1.0)
+
+
+@inlined
 def free_velocity(h, v, acceleration, inverse, softened, predicted, out):
     """Fill v (nv,) at the end of the step without impulses; `softened` forces are those of its end."""
     moved = np.empty(len(v))
@@ -124,7 +139,7 @@ def free_velocity(h, v, acceleration, inverse, softened, predicted, out):
     *(SceneWorkspace, float, float, FLOATS, FLOATS, float, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
     *(INTEGERS, FLAGS, INTEGERS, INTEGERS, INTEGERS, INTEGERS),
     *(FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS),
-    *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS),
+    *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS, FLOATS),
     result=float,
 )
 @jit
@@ -159,6 +174,8 @@ def midpoint_step(
     arrives,
     predicted,
     v_end,
+    gap_end,
+    numbers,
 ):
     """Take a step; return how far its impulses are from Coulomb's law, see `step_impulses`.
 
@@ -195,6 +212,10 @@ def midpoint_step(
         arrives: (nc + nl,) takes what closes so fast that it collides: it has no impulse here.
         predicted: (nv,) takes the velocity with which forces were evaluated at the end.
         v_end: (nv,) takes the velocity at the end.
+        gap_end: (nc + nl,) takes the gaps at the end [m or rad].
+        numbers: (3,) takes the part of the step until what arrives first touches, one if nothing does; the
+            work of impulses along normals and limits until then [J]; and by how much what has taken part
+            overlaps at the end, or what is held is off [m or rad].
     """
     n, nv, nc, every = len(counts), len(v), len(contacts), len(contacts) + len(held)
     offset, free, powers, mean = np.empty(n), np.empty(n), np.empty(2), np.empty(nv)
@@ -274,6 +295,21 @@ def midpoint_step(
             v_end[c] += mean[c]
             pushed[c] = mean[c] / h
     velocities(values, columns, counts, offset, v_end, u_end)
+    share, work_done, overlap = 1.0, 0.0, 0.0
+    for i in range(nc + len(limits)):
+        row = 3 * i + 2 if i < nc else 3 * every + i - nc
+        height = gap[i] if i < nc else gap[every + i - nc]
+        gap_end[i] = height + 0.5 * h * u_end[row]
+        if not arrives[i]:
+            overlap = max(overlap, -gap_end[i])
+        elif gap_end[i] < 0.0:
+            share = min(share, part_to_touch(height / h - 0.5 * u_start[row], u_start[row], u_end[row]))
+    for k in range(nc, every):
+        overlap = max(overlap, abs(gap[k]))
+    for i in range(nc + len(limits)):
+        row = 3 * i + 2 if i < nc else 3 * every + i - nc
+        work_done += share * impulse[row] * (u_start[row] + 0.5 * share * (u_end[row] - u_start[row]))
+    numbers[0], numbers[1], numbers[2] = share, work_done, overlap
     return off
 
 
