@@ -27,7 +27,7 @@ from pinimpact.robot.pinocchio_bridge import _InPlace, _OfParts, kinetic_energy
 from .scene_models import UP, G, unbounded
 
 
-def several():
+def several(most=0.3):
     """Return two arms with a free body before, between and after them, and a state at random."""
     model = pin.Model()
     for k in range(5):
@@ -42,7 +42,7 @@ def several():
             joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Random(), f"free {k}")
             model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
             model.addFrame(pin.Frame(f"free {k}", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    model.armature = np.linspace(0.0, 0.3, model.nv)
+    model.armature = np.linspace(0.0, most, model.nv)
     unbounded(model)
     rng = np.random.default_rng(5)
     q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv))
@@ -77,9 +77,10 @@ def test_what_is_put_together_of_parts_is_that_of_the_whole():
         assert frame_placement(model, forest, frame).isApprox(frame_placement(model, data, frame), 1e-12)
 
 
-def test_dynamics_of_parts_are_those_of_the_whole():
+@pytest.mark.parametrize("armature", [0.0, 0.3])
+def test_dynamics_of_parts_are_those_of_the_whole(armature):
     pin.seed(3)
-    model, q, v = several()
+    model, q, v = several(armature)
     whole, parts = _InPlace(model), _OfParts(model, Forest(model, 7))
     model.inertias[1] = pin.Inertia.Random()  # what has changed since counts
     parts.refresh()

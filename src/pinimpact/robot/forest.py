@@ -165,19 +165,22 @@ def states(model: pin.Model, data: Any, q: Array, *motion: Array) -> Iterator[tu
 
 
 def _ranges(model: pin.Model, most: int) -> list[tuple[int, int]]:
-    """Return the first joint of each part and the one after its last; none if trees are mixed."""
+    """Return the first joint of each part and the one after its last; none if trees are mixed.
+
+    Trees of a single joint are apart from others.
+    """
     found: list[tuple[int, int]] = []
-    parents, widths, size = list(model.parents), list(model.nvs), 0
+    parents, widths, size, alone = list(model.parents), list(model.nvs), 0, False
     roots = [j for j in range(1, model.njoints) if parents[j] == 0]
     for root, stop in zip(roots, [*roots[1:], model.njoints], strict=True):
         if min(parents[root + 1 : stop], default=root) < root:
             return []
-        width = sum(widths[root:stop])
-        if found and size + width <= most:
+        width, single = sum(widths[root:stop]), stop == root + 1
+        if found and size + width <= most and single == alone:
             found[-1], size = (found[-1][0], stop), size + width
         else:
             found.append((root, stop))
-            size = width
+            size, alone = width, single
     return found
 
 

@@ -34,6 +34,8 @@ from .._compile.jit import compile_all
 from ..errors import ModelError
 from ..geometry._kernels.contact_axes import contact_axes
 from ._kernels import tree
+from ._kernels.free_bodies import BODY as BODIES
+from ._kernels.free_bodies import accelerate_bodies, move_bodies
 from ._kernels.robot_impact import robot_impact, room_for
 from ._kernels.robot_workspace import (
     FREE_FLYER,
@@ -541,7 +543,7 @@ class _Copied(RobotDynamics):
 
 
 class _OfParts(RobotDynamics):
-    """The arrays are copies of what dynamics of each part of a `Forest` leave."""
+    """The arrays are filled by kernels for free bodies, else copied from each part of a `Forest`."""
 
     def __init__(self, model: pin.Model, forest: Forest) -> None:
         super().__init__(model)
@@ -556,13 +558,34 @@ class _OfParts(RobotDynamics):
         self.local_velocities, self.velocities, self.accelerations = np.zeros((3, nj, 6))
         self.accelerations[0] = -model.gravity.vector
         self.joint_jacobian = np.zeros((6, nv), order="F")
-        self._parts = [(part, robot_dynamics(part.model)) for part in forest.parts]
+        free = [j for j in range(1, nj) if _flies_freely(model, j)]
+        starts = [(j, model.idx_qs[j], model.idx_vs[j]) for j in free]
+        self._free = np.array(starts, dtype=np.int64).reshape(-1, 3)
+        self._bodies, self._gravity = np.zeros((len(free), BODIES)), np.array(model.gravity.linear)
+        self._parts = [
+            (part, robot_dynamics(part.model))
+            for part in forest.parts
+            if not set(range(part.joints.start, part.joints.stop)) <= set(free)
+        ]
+        self.refresh()
 
     def refresh(self) -> None:
         """See `RobotDynamics.refresh`."""
         self._forest.refresh()
+        for body, (joint, _, first) in zip(self._bodies, self._free.tolist(), strict=True):
+            inertia, base = self.model.inertias[joint], self.model.jointPlacements[joint]
+            body[:] = [
+                *(inertia.mass, *inertia.lever, *inertia.inertia.ravel()),
+                *(*np.linalg.inv(inertia.inertia).ravel(), *base.rotation.T.ravel(), *base.translation),
+            ]
+            rows = slice(first, first + 6)
+            self.minverse[rows, rows] = np.linalg.inv(inertia.matrix())
 
     def _accelerate(self) -> None:
+        accelerate_bodies(
+            *(self._free, self._bodies, self._gravity, self.q, self.v, self.tau, self.acceleration),
+            *(self.placements, self.velocities, self.accelerations, self.joint_jacobian),
+        )
         for part, robot in self._parts:
             robot.q[:], robot.v[:], robot.tau[:] = self.q[part.q], self.v[part.v], self.tau[part.v]
             robot.forward_dynamics.function(*robot.forward_dynamics.arguments)
@@ -578,11 +601,24 @@ class _OfParts(RobotDynamics):
             self.minverse[part.v, part.v] = robot.minverse
 
     def _move(self) -> None:
+        move_bodies(self._free, self._bodies, self.q, self.v, self.placements, self.local_velocities)
         for part, robot in self._parts:
             robot.q[:], robot.v[:] = self.q[part.q], self.v[part.v]
             robot.forward_kinematics.function(*robot.forward_kinematics.arguments)
             self.placements[part.joints] = robot.placements[1:]
             self.local_velocities[part.joints] = robot.local_velocities[1:]
+
+
+def _flies_freely(model: pin.Model, joint: int) -> bool:
+    """Return whether a joint lets its body fly in the world, carries no other and has no rotor inertia."""
+    rows = slice(model.idx_vs[joint], model.idx_vs[joint] + 6)
+    return (
+        model.parents[joint] == 0
+        and model.joints[joint].shortname() == "JointModelFreeFlyer"
+        and len(model.subtrees[joint]) == 1
+        and not model.armature[rows].any()
+        and model.inertias[joint].mass > 0.0
+    )
 
 
 def _disagreement_of_dynamics(model: pin.Model) -> str | None:

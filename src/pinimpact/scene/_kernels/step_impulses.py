@@ -20,7 +20,7 @@ USABLE = 1e-5
 less than steps of any useful length do."""
 
 TOLERABLE = 1e-3
-"""The same, before it is solved in the impulses, which takes a thousand times as long where contacts are many."""
+"""The same, before it is solved in the impulses, which takes a thousand times as long for many contacts."""
 
 ATTEMPTS = 3
 """Attempts with the proximal Newton method, the first from where the step before has ended."""

@@ -1,0 +1,119 @@
+"""Dynamics of bodies that fly freely in the world, each with a free-flyer joint of its own.
+
+Newton's and Euler's equations about the centre of mass c, in the body's axes, with v and ω of its joint:
+
+    m (v̇ + ω̇ × c + ω × (v + ω × c)) = f + m g,   I ω̇ + ω × I ω = n − c × f.
+"""
+
+from __future__ import annotations
+
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, declared
+from ..._compile.jit import inlined, jit
+from .placement import cross, rotate, rotate_back
+
+MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
+"""Where numbers of a body stand: mass, centre, inertia about it and the inverse of that, placement."""
+
+
+@inlined
+def times(k, at, a, b, c):
+    """Return a symmetric (3, 3) matrix that stands at k[at:at + 9] times a vector."""
+    return (
+        k[at] * a + k[at + 1] * b + k[at + 2] * c,
+        k[at + 3] * a + k[at + 4] * b + k[at + 5] * c,
+        k[at + 6] * a + k[at + 7] * b + k[at + 8] * c,
+    )
+
+
+@inlined
+def set_placement(k, q, i, out):
+    """Fill the placement (12,) of a joint whose coordinates stand at q[i:i + 7]."""
+    x, y, z, w = q[i + 3], q[i + 4], q[i + 5], q[i + 6]
+    turn = (
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        *(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        *(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    base = k[PLACEMENT : PLACEMENT + 12]
+    for c in range(3):
+        out[3 * c], out[3 * c + 1], out[3 * c + 2] = rotate(
+            base, turn[3 * c], turn[3 * c + 1], turn[3 * c + 2]
+        )
+    x, y, z = rotate(base, q[i], q[i + 1], q[i + 2])
+    out[9], out[10], out[11] = x + base[9], y + base[10], z + base[11]
+
+
+@inlined
+def set_motion(R, a, b, c, d, e, f, out):
+    """Fill a motion (6,), given in the axes that R places, in world axes at the world's origin."""
+    w1, w2, w3 = rotate(R, d, e, f)
+    v1, v2, v3 = rotate(R, a, b, c)
+    x1, x2, x3 = cross(R[9], R[10], R[11], w1, w2, w3)
+    out[0], out[1], out[2], out[3], out[4], out[5] = v1 + x1, v2 + x2, v3 + x3, w1, w2, w3
+
+
+@declared(INTEGER_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
+@jit
+def move_bodies(joints, bodies, q, v, placements, velocities):
+    """Fill placements (nj, 12) and velocities (nj, 6) of bodies, the latter in their own axes.
+
+    Args:
+        joints: (n, 3) the joint of each body, and where its coordinates and its velocities begin.
+        bodies: (n, `BODY`) see `MASS`.
+        q, v: State of the robot.
+        placements, velocities: To be filled.
+    """
+    for k in range(len(joints)):
+        j = joints[k, 0]
+        set_placement(bodies[k], q, joints[k, 1], placements[j])
+        for e in range(6):
+            velocities[j, e] = v[joints[k, 2] + e]
+
+
+@declared(
+    *(INTEGER_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_COLUMNS),
+)
+@jit
+def accelerate_bodies(
+    joints, bodies, gravity, q, v, tau, acceleration, placements, velocities, accelerations, jacobian
+):
+    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` leaves them.
+
+    Args:
+        joints, bodies: As of `move_bodies`.
+        gravity: (3,) [m/s²].
+        q, v, tau: State of the robot, generalized forces.
+        acceleration: (nv,) takes v̇.
+        placements: (nj, 12) takes placements.
+        velocities: (nj, 6) takes velocities, in world axes at the world's origin.
+        accelerations: (nj, 6) takes accelerations likewise, less gravity's.
+        jacobian: (6, nv) takes the joint Jacobian likewise.
+    """
+    for i in range(len(joints)):
+        j, a, k = joints[i, 0], joints[i, 2], bodies[i]
+        R = placements[j]
+        set_placement(k, q, joints[i, 1], R)
+        v1, v2, v3, w1, w2, w3 = v[a], v[a + 1], v[a + 2], v[a + 3], v[a + 4], v[a + 5]
+        f1, f2, f3 = tau[a], tau[a + 1], tau[a + 2]
+        c1, c2, c3 = k[CENTER], k[CENTER + 1], k[CENTER + 2]
+        x1, x2, x3 = cross(c1, c2, c3, f1, f2, f3)
+        i1, i2, i3 = times(k, INERTIA, w1, w2, w3)
+        y1, y2, y3 = cross(w1, w2, w3, i1, i2, i3)
+        d1, d2, d3 = times(k, INVERSE, tau[a + 3] - x1 - y1, tau[a + 4] - x2 - y2, tau[a + 5] - x3 - y3)
+        g1, g2, g3 = rotate_back(R, gravity[0], gravity[1], gravity[2])
+        x1, x2, x3 = cross(d1, d2, d3, c1, c2, c3)
+        y1, y2, y3 = cross(w1, w2, w3, c1, c2, c3)
+        y1, y2, y3 = cross(w1, w2, w3, v1 + y1, v2 + y2, v3 + y3)
+        # without gravity
+        b1, b2, b3 = f1 / k[MASS] - x1 - y1, f2 / k[MASS] - x2 - y2, f3 / k[MASS] - x3 - y3
+        acceleration[a], acceleration[a + 1], acceleration[a + 2] = b1 + g1, b2 + g2, b3 + g3
+        acceleration[a + 3], acceleration[a + 4], acceleration[a + 5] = d1, d2, d3
+        set_motion(R, v1, v2, v3, w1, w2, w3, velocities[j])
+        set_motion(R, b1, b2, b3, d1, d2, d3, accelerations[j])
+        for e in range(3):
+            r1, r2, r3 = R[3 * e], R[3 * e + 1], R[3 * e + 2]
+            x1, x2, x3 = cross(R[9], R[10], R[11], r1, r2, r3)
+            jacobian[0, a + e], jacobian[1, a + e], jacobian[2, a + e] = r1, r2, r3
+            jacobian[0, a + 3 + e], jacobian[1, a + 3 + e], jacobian[2, a + 3 + e] = x1, x2, x3
+            jacobian[3, a + 3 + e], jacobian[4, a + 3 + e], jacobian[5, a + 3 + e] = r1, r2, r3
