@@ -37,6 +37,9 @@ MOST_PARTS = 16
 STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
 
+ACCUMULATION = 0.01
+"""Part of `dt` that steps last where events accumulate, on average."""
+
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
 
@@ -176,7 +179,7 @@ class Alternating(TimeStepping):
         if not self._crossing:
             try:
                 length = Integrator._step(self, h, stop, scale)
-                self._watch_crowd()
+                self._watch_events()
                 return length
             except IrregularMotionError as error:
                 self._cross(error)
@@ -187,20 +190,21 @@ class Alternating(TimeStepping):
             return self._longest
         return self._hand_back()
 
-    def _watch_crowd(self) -> None:
-        """Refuse to go on where many contacts are closed and steps are shorter than time steps.
+    def _watch_events(self) -> None:
+        """Refuse to go on where events accumulate, or with many closed contacts are closer than time steps.
 
         Raises:
             IrregularMotionError: See above.
         """
         closed, steps = self.work.active_contacts, self.dense_steps
-        if closed > CROWD and len(steps) - self._begun_at >= LOOKED_AT:
-            covered = steps[-1].end - steps[-LOOKED_AT].start
-            if covered < LOOKED_AT * self._longest:
-                raise IrregularMotionError(
-                    f"scene: {closed} contacts are closed, and {LOOKED_AT} steps cover {covered:.3g} s",
-                    field="scene",
-                )
+        if closed == 0 or len(steps) - self._begun_at < LOOKED_AT:
+            return
+        covered = steps[-1].end - steps[-LOOKED_AT].start
+        if covered < (1.0 if closed > CROWD else ACCUMULATION) * LOOKED_AT * self._longest:
+            raise IrregularMotionError(
+                f"scene: {closed} contacts are closed, and {LOOKED_AT} steps cover {covered:.3g} s",
+                field="scene",
+            )
 
     def _cross(self, refusal: IrregularMotionError) -> None:
         """Return to the last consistent state, and cross what comes by time steps."""

@@ -439,7 +439,7 @@ class SimulationState:
             return self._collide_together(i, touching) or [self._collide(i, approach)]
         impact = self._impacts.resolve_group(self.q, self.v, i, touching, limit=True)
         if impact is None or not impact.struck or beyond > len(touching):
-            raise SimulationError(
+            raise IrregularMotionError(
                 f"scene: {len(before)} impacts at t = {self.t:.6g} s do not settle, the last at "
                 f'{_last(before)}; simultaneous="propagate" ends by itself',
                 field="scene",
