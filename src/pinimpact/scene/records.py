@@ -243,7 +243,7 @@ class Energy:
         friction: Work of friction in sustained contacts, in the velocity relative to the surface, ≤ 0.
         surface: Work of moving surfaces in sustained contacts.
         impacts: Change of kinetic energy in impacts, moving surfaces included, in contacts that came to
-            rest, and by callbacks of events.
+            rest, and by callbacks of events; in time steps also of energy where overlap is taken away.
     """
 
     kinetic: Array

@@ -15,7 +15,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SimulationError
-from ..robot.forest import mass_matrix
+from ..robot.forest import mass_matrix, potential_energy
+from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
 from ._kernels.midpoint_step import midpoint_step, near_rows, report_step
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
@@ -391,9 +392,16 @@ class TimeStepping(Integrator):
             *(np.ones(len(free), dtype=bool), self._tree, ROUGH, np.zeros(self.model.nv)),
             *(correction, np.empty(len(free))),
         )
+        before = self._energy(self.state.q, self.state.v)
         self.state.q = pin.integrate(self.model, self.state.q, correction)
+        self.state.impact_energy += self._energy(self.state.q, self.state.v) - before
         step.coefficients[0, : self.model.nv] += correction
         return correction
+
+    def _energy(self, q: Array, v: Array) -> float:
+        """Return the kinetic and the potential energy [J]."""
+        model, data = self.model, self.data
+        return kinetic_energy(model, data, q, v) + potential_energy(model, data, q)
 
     # ---- impacts
 

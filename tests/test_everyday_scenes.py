@@ -1,0 +1,166 @@
+"""Scenes that people try first: stairs, a table's edge, a peg in a hole, a gap between walls, a handover.
+
+Each has to end where it can, with its energy accounted for.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Box, Contact, Plane, Scene, Shape, SteppedWarning, simulate
+
+from .scene_models import UP, G, unbounded
+
+
+def body(name, size, mass):
+    """Return a model with a free box, and its shapes."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(mass, *size), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    shapes.addGeometryObject(pin.GeometryObject(f"{name}_0", joint, pin.SE3.Identity(), coal.Box(*size)))
+    unbounded(model)
+    return model, shapes
+
+
+def among(size, mass, solids, friction, restitution=0.0):
+    """Return a scene of a free box among solids that stand still, and a floor."""
+    model, shapes = body("box", size, mass)
+    every = {"floor": Plane(), **solids}
+    contacts = [
+        Contact(geometry="box_0", plane=solid, friction=friction, restitution=restitution, name=name)
+        for name, solid in every.items()
+    ]
+    return Scene(model, contacts, geometry=shapes)
+
+
+def stairs(rng):
+    """A cube slides off the top of five stairs of 0.2 m."""
+    steps = {
+        f"step {k}": Box((0.2, 1.0, 1.0 - 0.2 * k), center=(0.2 * k, 0, 0.5 - 0.1 * k)) for k in range(5)
+    }
+    q0, v0 = (
+        pin.SE3ToXYZQUAT(pin.SE3(turned(rng, 0.1), np.array([0, 0, 1.09]))),
+        np.array([1.2, *np.zeros(5)]),
+    )
+    return among((0.1, 0.1, 0.1), 1.0, steps, 0.5), q0, v0 + rng.normal(0.0, 0.1, 6), 1.5
+
+
+def edge(rng):
+    """A cube slides over the edge of a table."""
+    table = {"table": Box((1.0, 1.0, 0.1), center=(-0.5, 0, 0.45))}
+    q0, v0 = pin.SE3ToXYZQUAT(pin.SE3(turned(rng, 0.1), np.array([-0.2, 0, 0.59]))), [1.3, 0, 0, 0, 0, 0]
+    return among((0.1, 0.1, 0.1), 1.0, table, 0.3), q0, v0 + rng.normal(0.0, 0.1, 6), 1.2
+
+
+def peg(rng):
+    """A peg with 1 mm of play falls into a hole, or stays on its rim."""
+    w = 0.021
+    sides = [((0.1, 0.3, 0.1), (w + 0.05, 0)), ((2 * w, 0.1, 0.1), (0, w + 0.05))]
+    walls = {
+        f"wall {k} {s}": Box(size, center=(s * x, s * y, 0.05))
+        for (k, (size, (x, y))), s in itertools.product(enumerate(sides), (-1, 1))
+    }
+    q0 = pin.SE3ToXYZQUAT(pin.SE3(turned(rng, 0.005), np.array([*rng.normal(0.0, 3e-4, 2), 0.17])))
+    return among((0.04, 0.04, 0.1), 0.2, walls, 0.2), q0, rng.normal(0.0, 0.01, 6), 0.6
+
+
+def walls(rng):
+    """A cube falls between two walls, with 1 mm of play on each side."""
+    sides = {f"wall {s}": Box((0.1, 1.0, 1.0), center=(s * 0.101, 0, 0.5)) for s in (-1, 1)}
+    q0 = pin.SE3ToXYZQUAT(pin.SE3(turned(rng, 0.002), np.array([0, 0, 0.3])))
+    return among((0.1, 0.1, 0.1), 1.0, sides, 0.4), q0, np.array([0.3, 0, 0, 0, 1.0, 0]), 0.6
+
+
+def turned(rng, angle):
+    return pin.exp3(rng.normal(0.0, angle, 3))
+
+
+def lowest(q, size):
+    """Return the height of the lowest corner of a box."""
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
+    return (corners @ pin.XYZQUATToSE3(q).rotation.T + q[:3])[:, 2].min()
+
+
+@pytest.mark.parametrize("scene", [stairs, edge, peg, walls])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_what_falls_among_solids_ends_with_its_energy_accounted_for(scene, seed):
+    built, q0, v0, duration = scene(np.random.default_rng(seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SteppedWarning)
+        run = simulate(built, q0, v0, duration)
+    assert run.complete
+    mass = pin.computeTotalMass(built.model)
+    lost = mass * G * (q0[2] - run.q[-1, 2])
+    assert lost > 0.0
+    # time steps across what cannot be located turn with the velocity that they predict: of first order
+    assert np.abs(run.energy.residual).max() < (1e-5 if run.stepped else 1e-6) * lost
+    size = (0.04, 0.04, 0.1) if scene is peg else (0.1, 0.1, 0.1)
+    assert min(lowest(q, size) for q in run.q) > -1e-6
+    steps = simulate(built, q0, v0, duration, scheme="time-stepping", dt=1e-3)
+    assert steps.complete
+    assert lowest(steps.q[-1], size) > -1e-6
+    # what such steps miss of the energy, of first order
+    assert np.abs(steps.energy.residual).max() < 1e-2 * lost
+
+
+def grippers(squeeze):
+    """Two pairs of fingers about a cube: the second closes at 0.15 s, the first opens at 0.3 s."""
+    model, shapes = body("cube", (0.05, 0.05, 0.05), 0.1)
+    fingers = [(axis, side) for axis in "xy" for side in (-1, 1)]
+    for axis, side in fingers:
+        slide = pin.JointModelPX() if axis == "x" else pin.JointModelPY()
+        base = pin.SE3(np.eye(3), np.array([0, 0, 0.5]))
+        joint = model.addJoint(0, slide, base, f"finger {axis}{side}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(0.2, 0.02, 0.02, 0.02), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        size = (0.01, 0.03, 0.03) if axis == "x" else (0.03, 0.01, 0.03)
+        shapes.addGeometryObject(
+            pin.GeometryObject(f"finger {axis}{side}_0", joint, pin.SE3.Identity(), coal.Box(*size))
+        )
+    unbounded(model)
+    contacts = [
+        Contact(geometry="cube_0", plane=Shape(f"finger {a}{s}_0"), friction=0.6, name=f"grasp {a}{s}")
+        for a, s in fingers
+    ]
+    contacts.append(Contact(geometry="cube_0", plane=Plane(), friction=0.5, name="floor"))
+
+    def control(t, q, v):
+        tau = np.zeros(model.nv)
+        for k, (axis, side) in enumerate(fingers):
+            closes = t < 0.3 if axis == "x" else t >= 0.15
+            tau[6 + k] = -side * (squeeze if closes else -1.0) - 10.0 * v[6 + k]
+        return tau
+
+    q0 = np.array([0, 0, 0.5, *UP, *(side * (0.03 if axis == "x" else 0.04) for axis, side in fingers)])
+    return Scene(model, contacts, geometry=shapes, control=control, period=2e-3), q0
+
+
+@pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
+def test_a_cube_is_handed_over(scheme):
+    """3 N on each side hold 0.1 kg at μ = 0.6; the cube stays where it is."""
+    scene, q0 = grippers(3.0)
+    run = simulate(scene, q0, np.zeros(10), 0.6, scheme=scheme)
+    assert np.abs(run.q[-1, :7] - q0[:7]).max() < 1e-6
+    assert np.abs(run.energy.residual).max() < 1e-6 * 0.1 * G * 0.5
+    assert run.q[-1, 8] - q0[8] > 0.01
+    for axis, force in (("x", 0.0), ("y", 3.0)):
+        names = [name for name in run.sources if name.startswith(f"grasp {axis}1")]
+        pushes = sum(np.array(run.forces(name, 0.55)) for name in names)
+        assert np.ravel(pushes)[-1] == pytest.approx(force, abs=1e-6)
+
+
+def test_a_cube_that_is_held_too_weakly_falls_as_newton_says():
+    squeeze, t = 0.5, 0.1
+    scene, q0 = grippers(squeeze)
+    run = simulate(scene, q0, np.zeros(10), t, scheme="time-stepping", dt=1e-3)
+    fallen = 0.5 * (G - 2.0 * 0.6 * squeeze / 0.1) * t**2
+    assert q0[2] - run.q[-1, 2] == pytest.approx(fallen, abs=0.5e-3 * (G - 6.0) * t)
+    assert math.hypot(*run.q[-1, :2]) < 1e-7
