@@ -37,8 +37,8 @@ MOST_PARTS = 16
 STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
 
-ACCUMULATION = 0.01
-"""Part of `dt` that steps last where events accumulate, on average."""
+ACCUMULATING, BRIEF = 200, 0.01
+"""So many steps, which last a smaller part of `dt` on average, are events that accumulate without an end."""
 
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
@@ -197,13 +197,13 @@ class Alternating(TimeStepping):
             IrregularMotionError: See above.
         """
         closed, steps = self.work.active_contacts, self.dense_steps
-        if closed == 0 or len(steps) - self._begun_at < LOOKED_AT:
+        count, part = (LOOKED_AT, 1.0) if closed > CROWD else (ACCUMULATING, BRIEF)
+        if closed == 0 or len(steps) - self._begun_at < count:
             return
-        covered = steps[-1].end - steps[-LOOKED_AT].start
-        if covered < (1.0 if closed > CROWD else ACCUMULATION) * LOOKED_AT * self._longest:
+        covered = steps[-1].end - steps[-count].start
+        if covered < part * count * self._longest:
             raise IrregularMotionError(
-                f"scene: {closed} contacts are closed, and {LOOKED_AT} steps cover {covered:.3g} s",
-                field="scene",
+                f"scene: {closed} contacts are closed, and {count} steps cover {covered:.3g} s", field="scene"
             )
 
     def _cross(self, refusal: IrregularMotionError) -> None:
