@@ -22,7 +22,9 @@ from pinimpact.robot.forest import (
     potential_energy,
 )
 from pinimpact.robot.matrices import many_matrices
+from pinimpact.robot.merging import Placed, assemble
 from pinimpact.robot.pinocchio_bridge import _InPlace, _OfParts, kinetic_energy
+from pinimpact.visual.robot_shapes import joint_poses
 
 from .scene_models import UP, G, unbounded
 
@@ -173,3 +175,41 @@ def test_a_hundred_free_boxes_fall_bounce_and_rest():
         speed = math.sqrt(2.0 * G * heights[k])
         assert record.v_after[6 * k + 2] == pytest.approx(e * speed, rel=1e-9)
     assert run.q[-1].reshape(count, 7)[:, 2] == pytest.approx(np.full(count, 0.05), abs=1e-8)
+
+
+def test_robots_put_together_have_data_when_asked():
+    parts = [
+        Placed(pin.RobotWrapper(pin.buildSampleModelManipulator()), f"{k} ", pin.SE3.Random()) for k in (1, 2)
+    ]
+    for part in parts:
+        for name in ("collision_model", "visual_model"):
+            setattr(part.robot, name, pin.GeometryModel())
+    robot = assemble(parts)
+    assert not {"data", "collision_data", "visual_data"} & set(vars(robot))
+    assert robot.q0.shape == (robot.nq,)
+    q = pin.randomConfiguration(robot.model)
+    pin.forwardKinematics(robot.model, robot.data, q)
+    other = pin.RobotWrapper(robot.model, robot.collision_model, robot.visual_model)
+    assert robot.mass(q) == pytest.approx(other.mass(q), rel=1e-12, abs=1e-12)
+    assert len(robot.collision_data.oMg) == len(other.collision_data.oMg)
+
+
+def test_placements_of_joints_for_replays_are_those_of_the_whole():
+    model = several()[0]
+    for prefix in ("again", "once more"):
+        model = pin.appendModel(model, _renamed(several()[0], prefix), 0, pin.SE3.Identity())
+    assert isinstance(data_of(model), Forest)
+    every = [pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq)) for _ in range(2)]
+    poses, data = joint_poses(model, every), model.createData()
+    for k, at in enumerate(every):
+        pin.forwardKinematics(model, data, at)
+        for joint in range(model.njoints):
+            assert pin.XYZQUATToSE3(poses[k, joint]).isApprox(data.oMi[joint], 1e-9)
+
+
+def _renamed(model, prefix):
+    for j in range(1, model.njoints):
+        model.names[j] = f"{prefix} {model.names[j]}"
+    for f in range(1, model.nframes):
+        model.frames[f].name = f"{prefix} {model.frames[f].name}"
+    return model

@@ -14,6 +14,8 @@ from rich.text import Text
 from ..checks import counted
 from ..contact_space.solution import CAUSES
 from ..robot.contact import Contact
+from ..robot.forest import data_of
+from ..robot.pinocchio_bridge import kinetic_energy
 from ..scene.records import ImpactRecord, Note, group_notes
 from ..scene.trajectory import Trajectory
 from ..status import Flag
@@ -269,10 +271,8 @@ def velocity_names(model: pin.Model) -> Iterator[str]:
 
 
 def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
-    data = model.createData()
-    mass = pin.crba(model, data, impact.q).reshape(model.nv, model.nv)
-    mass = np.triu(mass) + np.triu(mass, 1).T
-    kinetic = [0.5 * float(v @ mass @ v) for v in (impact.v_before, impact.v_after)]
+    data = data_of(model)
+    kinetic = [kinetic_energy(model, data, impact.q, v) for v in (impact.v_before, impact.v_after)]
     work = impact.solution.work
     rows = [("kinetic energy before", kinetic[0])]
     rows += [(cause, getattr(work, cause)) for cause in CAUSES if cause != "surface" or work.surface != 0.0]

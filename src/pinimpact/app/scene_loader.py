@@ -40,7 +40,7 @@ class JointControl:
     def __init__(self, table: ControlTable, model: pin.Model, start: Array) -> None:
         self._table = table
         self._model = model
-        self._data = model.createData()
+        self._data = model.createData() if table.cancel_gravity else None
         self._start = start
         self._driven = np.ones(model.nv)
         for joint in range(1, model.njoints):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -48,9 +49,34 @@ def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
         _, visual = pin.appendModel(model, added, visual, shapes[1], 0, part.placement)
         model, collision = pin.appendModel(model, added, collision, shapes[0], 0, part.placement)
     model.name = ", ".join(part.prefix + part.robot.model.name for part in parts)
-    whole = pin.RobotWrapper(model, collision, visual)
+    whole = _Assembled(model, collision, visual)
     whole.q0 = np.concatenate([part.robot.q0 for part in parts])
     return whole
+
+
+class _Assembled(pin.RobotWrapper):
+    """A robot whose Data are made when they are asked for: those of many parts are large."""
+
+    def __init__(self, model: pin.Model, collision: pin.GeometryModel, visual: pin.GeometryModel) -> None:
+        super().__init__()
+        del self.data, self.collision_data, self.visual_data
+        self.model, self.collision_model, self.visual_model = model, collision, visual
+        self.v0 = np.zeros(model.nv)
+
+    @cached_property
+    def data(self) -> pin.Data:
+        """The Data of the model."""
+        return self.model.createData()
+
+    @cached_property
+    def collision_data(self) -> pin.GeometryData:
+        """The data of the collision shapes."""
+        return self.collision_model.createData()
+
+    @cached_property
+    def visual_data(self) -> pin.GeometryData:
+        """The data of the visual shapes."""
+        return self.visual_model.createData()
 
 
 def _renamed(part: Placed) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:

@@ -22,6 +22,7 @@ from ..geometry.collision_shapes import extreme_points
 from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface
 from ..robot.contact import Contact
+from ..robot.forest import data_of
 from ..robot.many_impact import ManyHit
 from ..robot.matrices import contact_geometry
 from ..robot.names import frame_id, model_of
@@ -200,7 +201,7 @@ def _motion_page(
     slow_moments = [time for time, on in zip(moments, slow, strict=True) if on]
     times = frame_times(start, end, speed, moments, slow_moments, width)
     configurations = [trajectory.at(float(t))[0] for t in times]
-    data = model.createData()
+    data = data_of(model)
     by_name = {contact.label: contact for contact in contacts}
     bodies = {contact.label: bodies_of(contact) for contact in every}
     marks = []
@@ -249,7 +250,7 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
             field="contacts",
             value=given,
         )
-    geometry = contact_geometry(model, model.createData(), q, drawn[0])
+    geometry = contact_geometry(model, data_of(model), q, drawn[0])
     mark = impact_mark(impact, source, {source: (geometry.point, geometry.axes)})
     return _page(robot, model, np.zeros(2), [q, q], drawn, [None] * len(drawn), [mark], WITHIN, [])
 
@@ -385,7 +386,7 @@ def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
 
 def _way(model: pin.Model, configurations: Sequence[Array], contact: Contact) -> Array:
     """Return where a contact's point goes, (frames, 3) in world axes."""
-    data = model.createData()
+    data = data_of(model)
     return np.array([contact_geometry(model, data, q, contact).point for q in configurations])
 
 

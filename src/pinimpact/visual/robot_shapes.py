@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..robot.forest import data_of, forward_kinematics, frame_placement
 from .impact_marks import short
 from .page_file import Recorder, packed
 from .shapes_in_contact import surface_points
@@ -67,17 +68,19 @@ def _colored(shapes: pin.GeometryModel) -> pin.GeometryModel:
 
 def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> Array:
     """Return points (k, 3) in world axes that hold a robot between them, at some of its configurations."""
-    data, found = model.createData(), [np.zeros((0, 3))]
+    data, found = data_of(model), [np.zeros((0, 3))]
     solids = [] if shapes is None else list(shapes.geometryObjects)
     corners = [_moved(shape.placement, extreme(surface_points(shape.geometry))) for shape in solids]
     every = max(1, len(configurations) // OUTLINES)
     for q in [*configurations[::every], *configurations[-1:]] if model.njoints > 1 else ():
-        pin.framesForwardKinematics(model, data, q)
+        forward_kinematics(model, data, q)
         found += [
             _moved(data.oMi[shape.parentJoint], points) for shape, points in zip(solids, corners, strict=True)
         ]
         if not solids:
-            found.append(np.array([placement.translation.copy() for placement in data.oMf]))
+            found.append(
+                np.array([frame_placement(model, data, k).translation for k in range(model.nframes)])
+            )
     return np.vstack(found)
 
 
@@ -116,10 +119,10 @@ def send_background(recorder: Recorder, height: float, grid: float) -> None:
 
 def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:
     """Return (frames, joints, 7) positions and unit quaternions x, y, z, w of all joints in world axes."""
-    data = model.createData()
+    data = data_of(model)
     poses = np.empty((len(configurations), model.njoints, 7))
     for frame, q in enumerate(configurations):
-        pin.forwardKinematics(model, data, q)
+        forward_kinematics(model, data, q)
         for joint, placement in enumerate(data.oMi):
             poses[frame, joint] = pin.SE3ToXYZQUAT(placement)
     for frame in range(1, len(configurations)):  # a quaternion and its negative turn alike: take the nearer
@@ -144,11 +147,10 @@ def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]
         Pairs of joints, each with the one it hangs from, but for a base that moves away from the world's
         origin; and each frame that is away from its joint as the joint and a point in its axes.
     """
-    data, q = model.createData(), pin.neutral(model)
     links = [
         (int(model.parents[joint]), joint)
         for joint in range(1, model.njoints)
-        if model.parents[joint] > 0 or not pin.computeJointJacobian(model, data, q, joint)[:3].any()
+        if model.parents[joint] > 0 or not model.joints[joint].createData().S[:3].any()
     ]
     spots = {
         (int(frame.parentJoint), *short(frame.placement.translation))

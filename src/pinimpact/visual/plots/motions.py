@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...robot.forest import data_of
 from ...robot.names import model_of
 from ...scene.trajectory import Trajectory
 from ..shapes_in_contact import contacts_to_draw
@@ -53,7 +54,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
     ax = axes_for(ax, (8.0, 3.0))
     times, sides = moments(trajectory)
     states = [trajectory.at(t, side)[0] for t, side in zip(times, sides, strict=True)]
-    data = model.createData()
+    data = data_of(model)
     for k, contact in enumerate(contacts_to_draw(trajectory, trajectory.contacts)):
         values = [contact.gap(model, data, q) for q in states]
         ax.plot(times, values, color=CYCLE[k % len(CYCLE)], ls=_dash(k), label=contact.label)
