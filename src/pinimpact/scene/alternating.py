@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Sequence
@@ -38,7 +39,7 @@ STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
 
 ACCUMULATING, BRIEF = 200, 0.01
-"""So many steps, which last a smaller part of `dt` on average, are events that accumulate without an end."""
+"""So many steps that last a smaller part of `dt` on average are accumulating impacts, if half end in one."""
 
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
@@ -197,14 +198,21 @@ class Alternating(TimeStepping):
             IrregularMotionError: See above.
         """
         closed, steps = self.work.active_contacts, self.dense_steps
-        count, part = (LOOKED_AT, 1.0) if closed > CROWD else (ACCUMULATING, BRIEF)
-        if closed == 0 or len(steps) - self._begun_at < count:
+        crowded = closed > CROWD
+        count, part = (LOOKED_AT, 1.0) if crowded else (ACCUMULATING, BRIEF)
+        if len(steps) - self._begun_at < count:
             return
-        covered = steps[-1].end - steps[-count].start
-        if covered < part * count * self._longest:
+        start = steps[-count].start
+        covered = steps[-1].end - start
+        if covered < part * count * self._longest and (crowded or self._impacts_since(start) > 0.5 * count):
             raise IrregularMotionError(
                 f"scene: {closed} contacts are closed, and {count} steps cover {covered:.3g} s", field="scene"
             )
+
+    def _impacts_since(self, start: float) -> int:
+        """Return at how many instants there have been impacts since a time."""
+        latest = itertools.takewhile(lambda impact: impact.time >= start, reversed(self.state.impacts))
+        return len({impact.time for impact in latest})
 
     def _cross(self, refusal: IrregularMotionError) -> None:
         """Return to the last consistent state, and cross what comes by time steps."""
