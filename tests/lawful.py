@@ -90,12 +90,13 @@ def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
         slips = {m.source for m in trajectory.modes if m.mode == "slip" and m.start < t[k] <= m.end}
         pin.computeJointJacobians(model, data, trajectory.q[k])
         start = max(np.searchsorted(t, t[k]) - 1, 0)  # of the step before: its error may be that of its start
-        error = 20.0 * (1e-2 * rtol + rtol * np.abs(v[start : k + 1]).max())
+        off = 1e-2 * rtol + rtol * np.abs(v[start : k + 1]).max()  # each velocity, by the step's tolerances
         for contact in scene.contacts:
             if contact.label in slips:
                 jacobian = pin.getFrameJacobian(
                     model, data, model.getFrameId(contact.frame), pin.LOCAL_WORLD_ALIGNED
                 )[:3]
+                error = 10.0 * off * np.linalg.norm(np.abs(jacobian).sum(axis=1))  # of ten such steps
                 before, change = np.linalg.norm(jacobian @ v[k]), np.linalg.norm(jacobian @ (v[k + 1] - v[k]))
                 if before > error and change > error:
                     return f"{contact.label} at {t[k]:.9g} s loses {change:.3g} of {before:.3g} m/s, unstruck"
