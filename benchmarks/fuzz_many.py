@@ -1,18 +1,26 @@
 """Hold impacts at many contacts against mechanics: random problems, regular and not.
 
     python -m benchmarks.fuzz_many --seed 1 --count 100000
+    python -m benchmarks.fuzz_many --landings --count 2000
 
 Run from the root of the repository. Problems have one to five contacts, W of any rank, coefficients of their
 own or equal, some of them zero; every fourth is drawn to be hard (flat bodies, ties, e = 0 beside e > 0).
 Checked are energy, its ledger, friction's cones, no pull, no approach left, and that impulses and velocities
-belong together. What ends by a bound on events or steps tells so, and is counted.
+belong together. What is followed by steps, or not to its end, tells so, and is counted.
+
+Landings are rigid bodies on three to nine coplanar corners, symmetric and nearly so, flat and nearly flat:
+boxes, bricks, stools and quadrupeds with locked legs. Their velocities are also compared with the independent
+integration of `tests/landing_reference.py`, whose own estimate of its error is what may be added to 1e-6.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import time
 from collections import Counter
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from benchmarks.timing import keep
@@ -54,13 +62,95 @@ def draw(seed: int) -> tuple[Array, Array, Array, Array, Array]:
     return jacobian, mass, u, friction, restitution
 
 
+def draw_landing(seed: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Return J (3n, 6), M (6, 6), u (6,), and μ and e (n,)."""
+    rng = np.random.default_rng(seed)
+    kind = rng.integers(5)
+    height = rng.uniform(0.02, 0.2)
+    size = np.array([0.05, 0.05]) if kind == 0 else rng.uniform(0.02, 0.2, 2)
+    signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
+    if kind in (0, 1):  # a cube, a brick
+        flat = size * signs
+    elif kind == 2:  # a plate on nine points
+        flat = size * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)], dtype=float)
+    elif kind == 3:  # a stool
+        legs = int(rng.integers(3, 6))
+        angles = 2.0 * np.pi * np.arange(legs) / legs
+        flat = size[0] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    else:  # a quadruped with locked legs
+        flat = size * signs + np.array([rng.uniform(-0.02, 0.02), 0.0])
+    points = np.column_stack([flat, np.full(len(flat), -height)])
+    mass = np.diag([1.0, 1.0, 1.0, *_box_inertia(*size, height)])
+    u = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    if rng.random() < 0.8:
+        u[:2] = rng.uniform(-1.0, 1.0, 2) * (1.0 if rng.random() < 0.5 else (1.0, 0.0))
+    if rng.random() < 0.4:
+        u[5] = rng.uniform(-5.0, 5.0)
+    if rng.random() < 0.4:
+        u[3:5] = rng.uniform(-2.0, 2.0, 2)
+    off = 10.0 ** rng.uniform(-12, -2)  # nearly symmetric, nearly flat
+    if rng.random() < 0.4:
+        points += off * height * rng.normal(size=points.shape)
+    if rng.random() < 0.4:
+        u += off * rng.normal(size=6)
+    if kind == 4 or rng.random() < 0.2:
+        turn = rng.normal(size=(3, 3)) * off
+        mass[3:, 3:] = (np.eye(3) + turn) @ mass[3:, 3:] @ (np.eye(3) + turn).T
+    jacobian = np.concatenate([np.hstack([np.eye(3), -_cross(point)]) for point in points])
+    n = len(points)
+    friction = np.full(n, 0.0 if rng.random() < 0.15 else rng.uniform(0.05, 1.2))
+    return jacobian, mass, u, friction, np.full(n, 0.0 if rng.random() < 0.2 else rng.uniform(0.05, 0.95))
+
+
+def _box_inertia(a: float, b: float, c: float) -> tuple[float, float, float]:
+    """Return the moments of a box of mass 1 and these half sides."""
+    return (b * b + c * c) / 3.0, (a * a + c * c) / 3.0, (a * a + b * b) / 3.0
+
+
+def _landing_reference() -> Any:
+    path = Path(__file__).parents[1] / "tests" / "landing_reference.py"
+    spec = importlib.util.spec_from_file_location("landing_reference", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.landing
+
+
+REFERENCE_STEP = 5e-4
+"""Of the independent integration, in its clock; halved until it is sure to 1e-6."""
+
+LEAST_RESTITUTION = 1e-3
+"""Stands for e = 0 in the independent integration."""
+
+
+def _off_the_reference(landing: Any, w: Array, velocity: Array, mu: Array, e: Array, after: Array) -> float:
+    """Return what an answer is off, beyond the reference's own error, in parts of the largest velocity."""
+    n, size = len(mu), float(np.abs(velocity).max())
+    stiffness = np.full(n, 1.0 / np.diag(w)[2::3].max())
+    step = REFERENCE_STEP * min(1.0, 5.0 * max(float(e.min()), LEAST_RESTITUTION))
+    off = error = np.inf
+    for _ in range(3):
+        by_steps, error = landing(
+            w, velocity.ravel() / size, mu, np.maximum(e, LEAST_RESTITUTION), stiffness, step
+        )
+        off = float(np.abs(after.ravel() / size - by_steps).max())
+        if off <= 1e-6 or error <= 1e-7:
+            break
+        step *= 0.25
+    return max(off - error, 0.0)
+
+
 def _cross(r: Array) -> Array:
     return np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
 
 
-def check(seed: int) -> tuple[list[str], str, int, float]:
-    """Return what is violated in a problem, how it ended, its events per contact, and what it took [s]."""
-    jacobian, mass, u, friction, restitution = draw(seed)
+def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
+    """Return what is violated in a problem, how it ended, its events per contact, and what it took [s].
+
+    With a reference `landing` the problem is one of landings.
+    """
+    jacobian, mass, u, friction, restitution = draw(seed) if landing is None else draw_landing(seed)
     delassus = jacobian @ np.linalg.solve(mass, jacobian.T)
     velocity = (jacobian @ u).reshape(-1, 3)
     if not (velocity[:, 2] < 0).any():  # it would part
@@ -91,8 +181,13 @@ def check(seed: int) -> tuple[list[str], str, int, float]:
         "impulses do not give velocities": np.abs((jacobian @ after).reshape(-1, 3) - solution.velocity).max()
         > 10.0 * rounding,
     }
+    if landing is not None:
+        off = _off_the_reference(
+            landing, problem.delassus, velocity, friction, restitution, solution.velocity
+        )
+        checks[f"off the reference by {off:.1e}"] = off > 1e-6
     ended = "by itself" if not solution.notes else solution.notes[-1].split(" ")[0]
-    kinds = {"by itself": ended, "After": "at a bound, noted", "Events": "by short steps, noted"}
+    kinds = {"by itself": ended, "Events": "by steps, noted"}
     kind = kinds.get(ended, "all at once, noted")
     return [what for what, wrong in checks.items() if wrong], kind, solution.events // len(p), taken
 
@@ -103,23 +198,26 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--landings", action="store_true", help="flat and nearly flat landings")
     options = parser.parse_args()
     ends: Counter[str] = Counter()
     wrong, most, times = 0, (0, 0), []
-    check(0)  # compiles
+    landing = _landing_reference() if options.landings else None
+    check(0, landing)  # compiles
     for seed in range(1_000_000 * options.seed, 1_000_000 * options.seed + options.count):
-        violations, ended, events, taken = check(seed)
+        violations, ended, events, taken = check(seed, landing)
         ends[ended] += 1
         wrong += bool(violations)
         most = max(most, (events, seed))
         times.append(taken)
         if violations:
             print(f"{seed}: {', '.join(violations)}", flush=True)
-    lines = [f"{options.count} random problems, {wrong} with a violation", ""]
+    name = "landings" if options.landings else "problems"
+    lines = [f"{options.count} random {name}, {wrong} with a violation", ""]
     lines += [f"{number:8d} {what}" for what, number in ends.most_common()]
     lines += ["", f"most events per contact: {most[0]} (seed {most[1]})"]
     lines += [f"time: median {1e3 * np.median(times):.2g} ms, longest {max(times):.2g} s", ""]
-    keep("fuzz_many", "\n".join(lines), ends)
+    keep("fuzz_landings" if options.landings else "fuzz_many", "\n".join(lines), ends)
     raise SystemExit(bool(wrong))
 
 

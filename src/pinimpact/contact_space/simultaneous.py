@@ -22,7 +22,7 @@ from ..errors import (
 )
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
-from .many_solution import MODES, PHASES, ManyPath, ManySolution, ManyStory, Segments, segments_of
+from .many_solution import ManyPath, ManySolution, ManyStory, Segments, segments_of
 from .one_contact import solve_inputs
 from .problem import ZERO, ImpactProblem
 from .solution import Segment
@@ -175,7 +175,7 @@ MISSED = 1e-6
 """Part of velocities, impulses and works that may be missed or gained, before waves count as lost."""
 
 MOST_STEPS = 5000
-"""Steps after which what is left of an impact is resolved at once, and that is noted."""
+"""Steps from event to event, at most."""
 
 
 def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = 1e-16) -> ManySolution:
@@ -209,29 +209,9 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
             path = np.empty((4 * len(path), 6 * n + 1))
         else:
             break
-    lost = not (stopped and missed <= max(MISSED, 100.0 * rtol))
-    if lost or ended == 2:  # never a wrong answer without a word
-        stepped = _propagate_in_steps(inputs, exponent)
-        if stepped is not None:
-            return stepped
-    if lost:
-        plastic, off = _all_at_once(inputs._replace(restitution=np.zeros(n)))
-        if off > MISSED:  # an approach that only impulses beyond their cones stop
-            _refuse(inputs)
-        text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
-        return replace(
-            plastic,
-            simultaneous="propagate",
-            law="energetic",
-            notes=(*plastic.notes, text),
-            story=plastic.story._replace(bounded=True),
-        )
+    if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
+        return _propagate_in_steps(inputs, exponent) or _propagate_plastically(inputs)
     notes = _of_law(inputs)
-    if ended == 2:
-        notes += (
-            f"After {events} events in {steps} steps what was left was resolved at once, and nothing "
-            f"of it was restored. The last of them: {_last(rows[:used])}.",
-        )
     story = None
     if record:
         story = ManyPath(
@@ -241,32 +221,48 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
         )
     segments = partial(segments_of, rows[:used].copy(), n)
     names = "propagate", "energetic"
-    return _answer(
-        inputs, names, velocity, impulse, works, (steps, events), segments, notes, story, bounded=ended == 2
+    return _answer(inputs, names, velocity, impulse, works, (steps, events), segments, notes, story)
+
+
+def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
+    """Stop all approaches, and restore nothing."""
+    plastic, off = _all_at_once(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
+    if off > MISSED:  # an approach that only impulses beyond their cones stop
+        _refuse(inputs)
+    text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
+    return replace(
+        plastic,
+        simultaneous="propagate",
+        law="energetic",
+        notes=(*plastic.notes, text),
+        story=plastic.story._replace(bounded=True),
     )
 
 
-LONGEST_STEP, MOST_SHORT_STEPS = 8e-3, 1 << 17
-"""Of short steps, in units of the stiffest contact's clock, and how many a pass may take."""
+STEP_ACCURACY, FINEST = 1e-10, 1e-13
+"""Part of the largest velocity that a step may miss at first, and at least."""
+
+MOST_SHORT_STEPS = 20_000
+"""Steps that a pass may take."""
 
 AGREE, USEFUL = 1e-7, 1e-3
-"""Part of the largest velocity to which two extrapolations agree at the end; beyond it they say nothing."""
+"""Part of the largest velocity to which two passes agree at the end; beyond it they say nothing."""
 
 SMALLEST_RESTITUTION = 4e-3
-"""Stands for e = 0 in short steps, with half of it, from which the limit is extrapolated."""
+"""Stands for e = 0 in steps, with half of it, from which the limit is extrapolated."""
 
 
 def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | None:
-    """Follow waves by short steps of equal length, extrapolated; None where they do not come to an end."""
+    """Follow waves by adaptive steps; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    found = _extrapolated(inputs, exponent, np.where(plastic, SMALLEST_RESTITUTION, inputs.restitution))
+    found = _stepped(inputs, exponent, np.where(plastic, SMALLEST_RESTITUTION, inputs.restitution))
     if found is None:
         return None
     numbers, missed, steps = found
     if plastic.any():
         smaller = np.where(plastic, 0.5 * SMALLEST_RESTITUTION, inputs.restitution)
-        closer = _extrapolated(inputs, exponent, smaller)
+        closer = _stepped(inputs, exponent, smaller)
         if closer is None:
             return None
         missed = max(missed, closer[1], 0.1 * _differ(inputs, numbers, closer[0]))
@@ -279,7 +275,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | N
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
     works = numbers[3 * n :].reshape(n, 3)
     text = (
-        "Events crowd here: the impact was stepped through; two extrapolations of its velocities differ by "
+        "Events crowd here: the impact was stepped through; velocities at two accuracies differ by "
         f"{missed:.1e} of the largest."
     )
     notes = (*_of_law(inputs), text)
@@ -288,34 +284,34 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | N
     return _answer(inputs, names, velocity, impulse.ravel(), works, (steps, 0), notes=notes, bounded=bounded)
 
 
-def _extrapolated(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[Array, float, int] | None:
-    """Return impulses and works (6n,) for steps of no length, the velocities missed, and the steps."""
+def _stepped(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[Array, float, int] | None:
+    """Return impulses and works (6n,), the velocities missed, by a pass of less accuracy, and the steps."""
     from ._kernels.propagation_steps import step_through
 
     n = len(inputs.velocity)
     size = float(np.abs(inputs.velocity).max())
     scaled = inputs.stiffness / np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3])
-    velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
-    h, total, missed = LONGEST_STEP, 0, np.inf
-    last: Array | None = None
+    eigenvalues, vectors = np.linalg.eigh(inputs.delassus)
+    kept = eigenvalues > ZERO * n * eigenvalues[-1]
+    rows = np.ascontiguousarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
+    impulse, works = np.empty(3 * n), np.empty((n, 3))
+    accuracy, total, missed = STEP_ACCURACY, 0, np.inf
     best: Array | None = None
-    while True:
+    while accuracy >= FINEST:
         steps = step_through(
-            *(inputs.delassus, inputs.velocity.ravel() / size, inputs.friction, restitution, scaled),
-            *(float(exponent), h, MOST_SHORT_STEPS, velocity, impulse, works),
+            *(rows, inputs.velocity.ravel() / size, inputs.friction, restitution, scaled),
+            *(float(exponent), accuracy, MOST_SHORT_STEPS, impulse, works),
         )
         if steps == 0:
             break
         total += steps
         numbers = np.concatenate([impulse * size, works.ravel() * size * size])
-        if last is not None:
-            further = 2.0 * numbers - last
-            if best is not None:
-                missed = _differ(inputs, further, best)
-            best = further
-            if missed <= AGREE:
-                break
-        last, h = numbers, 0.5 * h
+        if best is not None:
+            missed = _differ(inputs, numbers, best)
+        best = numbers
+        if missed <= AGREE:
+            break
+        accuracy *= 0.1
     return None if best is None or not missed <= USEFUL else (best, missed, total)
 
 
@@ -327,14 +323,7 @@ def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:
 
 
 LAST = 5
-"""How many events are told where their number has come to its bound."""
-
-
-def _last(rows: Array) -> str:
-    """Return in words what the last rows of a path tell."""
-    return ", ".join(
-        f"contact {int(row[0])} {MODES[int(row[1])]} in {PHASES[int(row[2])]}" for row in rows[-LAST:]
-    )
+"""Impacts that are named where their number has come to its bound."""
 
 
 def _answer(

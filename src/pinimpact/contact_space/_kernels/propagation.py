@@ -28,7 +28,7 @@ from .codes import (
     STUCK,
 )
 from .first_fall import NEVER, first_fall, value_at
-from .plastic import TINY, come_to_rest, end_plastically
+from .plastic import TINY, come_to_rest
 from .propagation_friction import AT_BOUND, NEAR_BOUND, SLIP_SPEED, settle, unknown_after
 from .propagation_series import (
     TIED,
@@ -75,7 +75,7 @@ DRIFT = 1e-12
 """Part of the largest velocity by which one may differ from what the impulses make of it."""
 
 MOST_EVENTS = 200
-"""Events per contact after which the rest is a plastic impact."""
+"""Events per contact, at most."""
 
 NO_ROW = np.int64(-1)
 """Where a contact has no row yet."""
@@ -132,7 +132,7 @@ def propagate(
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
         counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, 1
-            since all was slow, 2 by a plastic impact since the count of steps or events was at its bound.
+            since all was slow, 2 not: modes are not known, or steps or events at their bound.
         rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
         path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
 
@@ -292,9 +292,6 @@ def _follow(
             break
         if steps >= most_steps or events >= MOST_EVENTS * n:
             counts[4] = 2
-            if not end_plastically(system, state, works):
-                return False
-            points = _record(path, points, clock, state)
             break
         if not presses:
             for j in range(n):
@@ -304,7 +301,10 @@ def _follow(
                         _close(system, state, j)
             clock += time
             events += 1
-        unknown, inverse, weight = settle(system, state, series)
+        unknown, inverse, weight, known = settle(system, state, series)
+        if not known:
+            counts[4] = 2
+            break
         turns = _presses_and_slips(state)
         while True:  # steps, up to the next event
             if turns:

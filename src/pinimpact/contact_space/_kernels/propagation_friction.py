@@ -64,6 +64,9 @@ SLIP_SPEED = 1e-13
 AT_BOUND = 3
 """`State.fresh` where friction has come to its bound."""
 
+FAR_FROM_BOUNDS = 1e-3
+"""Part of the bounds that friction of redundant contacts keeps from them; nearer its end is not followed."""
+
 NEAR_BOUND = 1e-6
 """Part of a bound within which friction that holds is taken as being there."""
 
@@ -85,14 +88,16 @@ def settle(system, state, series):
     """Bring the modes of contacts that do not slip, or are held, to what the forces ask for.
 
     Returns:
-        The places of the unknown forces, the matrix that solves for them, and their weights.
+        The places of the unknown forces, the matrix that solves for them, their weights, and whether modes
+        are known: not where contacts that can hold in several ways come to their bounds together.
     """
     n = len(system.friction)
     normal, tangent = state.normal, state.tangent
     none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
     stuck, held = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    asked = 0
+    asked, at_bound, restores = 0, False, True
     for j in range(n):
+        restores = restores and system.unloading[j] > 0.0
         if normal[j] == HELD:
             held[j] = 1
             state.pressed[j] = 0.0
@@ -102,9 +107,10 @@ def settle(system, state, series):
             tangent[j] = STUCK
             state.share[2 * j] = 0.0
             state.share[2 * j + 1] = 0.0
+            at_bound = at_bound or state.fresh[j] == AT_BOUND
             asked += 2
     if asked == 0:
-        return none, no_inverse, np.empty(0)
+        return none, no_inverse, np.empty(0), True
     # what the others do in the next moments, without these
     for j in range(n):
         if stuck[j] == 1:
@@ -149,24 +155,46 @@ def settle(system, state, series):
     scale = 0.0
     for i in range(3 * n):
         scale = max(scale, abs(forces[i]))
-    if not root and _begins(system, state, unit, weight, series):
-        return unknown_after(system, state, unit, weight)
-    if _fits(system, state, cap, unknown, forces, scale):
-        if _within_bounds(system, state, forces, ROOM):
-            return unknown, inverse, weight
-        _keep_from_bounds(system, state, forces)
-        return unknown_after(system, state, unit, weight)
+    fits = _fits(system, state, cap, unknown, forces, scale)
+    if fits and not at_bound and _within_bounds(system, state, forces, ROOM):
+        return unknown, inverse, weight, True
+    redundant = restores and _redundant(system, state, weight)
+    if not redundant and not root and _begins(system, state, unit, weight, series):
+        unknown, inverse, weight = unknown_after(system, state, unit, weight)
+        return unknown, inverse, weight, True
     for i in range(3 * n):
         first[i] = forces[i]
-    if not _admit(system, state, unit, cap, p, heaviest, not root, forces):
-        apart = 0.0
+    moves, apart = False, 0.0
+    if not fits:
+        moves = _admit(system, state, unit, cap, p, heaviest, not root, forces)
         for i in range(3 * n):
             apart = max(apart, abs(forces[i] - first[i]))
-        if apart > SAME * scale:
-            _keep_from_bounds(system, state, forces)
-    if not root:
+    known = not (redundant and moves)
+    if fits or (not moves and apart > SAME * scale):
+        known = _keep_from_bounds(system, state, forces) > FAR_FROM_BOUNDS or not redundant
+    if not fits and not root:
         _align(system, state, unit, weight, series)
-    return unknown_after(system, state, unit, weight)
+    unknown, inverse, weight = unknown_after(system, state, unit, weight)
+    return unknown, inverse, weight, known
+
+
+@inlined
+def _redundant(system, state, weight):
+    """Return whether contacts that hold can do so in several ways."""
+    n, heaviest, count = len(weight), 0.0, 0
+    for j in range(n):
+        heaviest = max(heaviest, weight[j])
+    at = np.empty(n, dtype=np.int64)
+    for j in range(n):
+        if state.tangent[j] == STUCK and system.friction[j] > 0.0 and weight[j] > WEAK * heaviest:
+            at[count] = j
+            count += 1
+    size = 2 * count
+    block, none, least = np.empty((size, size)), np.zeros(size), np.empty(size)
+    for a in range(size):
+        for b in range(size):
+            block[a, b] = system.w[3 * at[a // 2] + a % 2, 3 * at[b // 2] + b % 2]
+    return least_norm(block, none, REDUNDANT, least, np.empty((0, size))) < size
 
 
 @inlined
@@ -424,6 +452,8 @@ def _holding(system, state, forces):
 def _keep_from_bounds(system, state, forces):
     """Let the friction of contacts that hold the same keep as far from its bounds as it can. (14.4)
 
+    Returns how far that is, in parts of the bounds.
+
     Args:
         system, state: What collides. Its shares are set.
         forces: (3n,) with friction that lets nothing move.
@@ -456,6 +486,7 @@ def _keep_from_bounds(system, state, forces):
                 for b in range(free):
                     force += strongest * x[b] * null[b, 2 * c + a]
                 state.share[2 * at[c] + a] = force / forces[3 * at[c] + 2]
+    return x[free]
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""An impact at many contacts by short steps of equal length, where events cannot be followed one by one.
+"""An impact at many contacts by adaptive implicit steps, where events cannot be followed one by one.
 
 (theory.md, section 14)
 """
@@ -13,155 +13,390 @@ from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
 from .first_fall import NEVER
 
-SWEEPS, FORCES = 200, 1e-10
-"""Of Gauss and Seidel at most in a step, and the change of accelerations in one that ends them."""
+# C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
+IMPLICIT = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 4, 1 / 4, 0, 0, 0, 0],
+        [8611 / 62500, -1743 / 31250, 1 / 4, 0, 0, 0],
+        [5012029 / 34652500, -654441 / 2922500, 174375 / 388108, 1 / 4, 0, 0],
+        [
+            *(15267082809 / 155376265600, -71443401 / 120774400, 730878875 / 902184768),
+            *(2285395 / 8070912, 1 / 4, 0),
+        ],
+        [82889 / 524892, 0, 15625 / 83664, 69875 / 102672, -2260 / 8211, 1 / 4],
+    ]
+)
+EXPLICIT = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 2, 0, 0, 0, 0, 0],
+        [13861 / 62500, 6889 / 62500, 0, 0, 0, 0],
+        [
+            *(-116923316275 / 2393684061468, -2731218467317 / 15368042101831),
+            *(9408046702089 / 11113171139209, 0, 0, 0),
+        ],
+        [
+            *(-451086348788 / 2902428689909, -2682348792572 / 7519795681897),
+            *(12662868775082 / 11960479115383, 3355817975965 / 11060851509271, 0, 0),
+        ],
+        [
+            *(647845179188 / 3216320057751, 73281519250 / 8382639484533),
+            *(552539513391 / 3454668386233, 3354512671639 / 8306763924573, 4040 / 17871, 0),
+        ],
+    ]
+)
+WEIGHTS = IMPLICIT[5].copy()
+ERROR = WEIGHTS - np.array(
+    [
+        *(4586570599 / 29645900160, 0, 178811875 / 945068544),
+        *(814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920),
+    ]
+)
+"""Of an implicit and an explicit method that share their weights; those of third order subtracted."""
 
-STILL = 1e-13
-"""A change of velocities in unit time, with velocities, that is none: friction has locked what is left."""
+STAGES = 6
+
+FIRST_STEP, SHORTEST = 1e-3, 1e-12
+"""Of the clock."""
+
+GROWS, SHRINKS, SAFE = 5.0, 0.1, 0.9
+"""By what a step may differ from the one before."""
+
+CREEP = 10.0
+"""A speed of slip, in parts of the accuracy, up to which friction is proportional to it."""
+
+BALANCED, ROUNDING = 1e-9, 1e-14
+"""What Newton's method may be off in a stage: parts of the strongest friction, and of velocities."""
+
+TURNS, SEARCHES, SLOPE = 60, 60, 0.1
+"""Of Newton's method and of its line search at most; part of the slope that the search may leave."""
+
+STILL = 1e-12
+"""An acceleration that is none: friction has locked what is left."""
 
 SLOW = 1e-10
-"""Part of the largest velocity below which what approaches, or can come to, is at rest."""
+"""A speed of approach, now or to come, below which what is left is at rest."""
 
 
-@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int, FLOATS, FLOATS, FLOAT_ROWS)
+@declared(
+    *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int),
+    *(FLOATS, FLOAT_ROWS),
+)
 @jit
-def step_through(w, start, friction, restitution, stiffness, exponent, h, most, v, impulse, works):
-    """Resolve an impact at n contacts by semi-implicit steps: first-order in h. (14.1), (14.2)
+def step_through(rows, start, friction, restitution, stiffness, exponent, accuracy, most, impulse, works):
+    """Resolve an impact at n contacts by steps of fourth order. (14.9)
 
-    Indentations go half a step, forces follow from them, friction opposes the velocities at the end of the
-    step, and indentations go the other half.
+    The velocities are `start` + J y, dy/ds = Jᵀ p. Penetrations x, dx/ds = −v₃, go by the explicit method, so
+    normal forces are known at each stage, and y by the implicit one, whose stages are minima:
+
+        ½|y − c|² + h a Σ μ_j F_j H(|v_jt|),                                                       (14.10)
+
+    H(r) = r, but r²/2ε + ε/2 below ε. Where a step misses the accuracy, as at changes of contact, it is
+    taken again with a shorter length.
 
     Args:
-        w: (3n, 3n) W.
+        rows: (3n, r) J, W = J Jᵀ.
         start: (3n,) velocities before it, the largest of size one.
         friction: (n,) μ.
         restitution: (n,) e, of the energetic law, > 0.
         stiffness: (n,) κ, with κ W₃₃ ≤ 1.
         exponent: η, 1 or 3/2.
-        h: The length of a step.
+        accuracy: By how much a step may miss velocities and penetrations; ε is `CREEP` times as much.
         most: A bound on their number.
-        v: (3n,) takes the velocities after it.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
 
     Returns:
         The number of steps; 0: the bound has been reached.
     """
-    n = len(friction)
-    depth, deepest, force = np.zeros(n), np.zeros(n), np.zeros(3 * n)
-    softest, before = np.empty(n), np.empty(3 * n)
+    n, r = len(friction), rows.shape[1]
+    creep, mobility = CREEP * accuracy, np.zeros(n)
     for j in range(n):
-        x, y = 3 * j, 3 * j + 1
-        middle, half = 0.5 * (w[x, x] + w[y, y]), 0.5 * (w[x, x] - w[y, y])
-        softest[j] = middle + math.hypot(half, w[x, y])
+        for k in range(r):
+            mobility[j] += rows[3 * j + 2, k] ** 2
         works[j] = 0.0
     for i in range(3 * n):
-        v[i], impulse[i] = start[i], 0.0
+        impulse[i] = 0.0
+    y, x, largest, peak = np.zeros(r), np.zeros(n), np.zeros(n), np.zeros(n)
+    rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
+    target, at, bound, now = np.empty(r), np.empty(r), np.empty(n), np.empty(n)
+    h, known = FIRST_STEP, False
     for step in range(1, most + 1):
-        speed, time, pressed = _outlook(w, stiffness, exponent, v, depth)
+        _velocities(rows, start, y, v[0])
+        for j in range(n):
+            force[0, 3 * j + 2] = _force(x[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
+        speed, time, pressed = _outlook(
+            v[0], force[0], mobility, restitution, stiffness, exponent, x, largest
+        )
+        if speed <= SLOW or (not pressed and time == NEVER):
+            return step
         if not pressed:
-            if time == NEVER:
-                return step
             for j in range(n):
-                depth[j] -= time * v[3 * j + 2]
-        if speed <= SLOW:
-            return step
+                gap = largest[j] - x[j]
+                x[j] -= time * v[0, 3 * j + 2]
+                if v[0, 3 * j + 2] < 0.0 and gap <= -time * v[0, 3 * j + 2]:
+                    x[j] = largest[j]
+            known = False
+        if not known:
+            _oppose(rows, friction, creep, v[0], force[0], rate[0])
+        while True:
+            for k in range(r):
+                at[k] = y[k]
+            for i in range(1, STAGES):
+                for j in range(n):
+                    now[j] = x[j]
+                    for before in range(i):
+                        now[j] -= h * EXPLICIT[i, before] * v[before, 3 * j + 2]
+                    normal = _force(now[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
+                    force[i, 3 * j + 2] = normal
+                    bound[j] = h * IMPLICIT[i, i] * friction[j] * normal
+                for k in range(r):
+                    target[k] = y[k]
+                    for before in range(i):
+                        target[k] += h * IMPLICIT[i, before] * rate[before, k]
+                    for j in range(n):
+                        target[k] += h * IMPLICIT[i, i] * rows[3 * j + 2, k] * force[i, 3 * j + 2]
+                _velocities(rows, start, at, v[i])
+                _minimize(rows, bound, creep, target, at, v[i])
+                _oppose(rows, friction, creep, v[i], force[i], rate[i])
+            missed = _missed(rows, rate, v, h)
+            factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
+            if missed <= accuracy or h <= SHORTEST:
+                break
+            h *= min(factor, SAFE)
+        for k in range(r):
+            y[k] = at[k]
         for j in range(n):
-            _indent(depth, deepest, j, v[3 * j + 2], 0.5 * h, restitution[j])
-            force[3 * j + 2] = h * stiffness[j] * max(depth[j], 0.0) ** exponent
+            z, begin = 3 * j + 2, x[j]
+            for i in range(STAGES):
+                part = h * WEIGHTS[i]
+                x[j] -= part * v[i, z]
+                works[j, 0 if v[i, z] < 0.0 else 1] += part * force[i, z] * v[i, z]
+                for a in range(z - 2, z + 1):
+                    impulse[a] += part * force[i, a]
+                    if a < z:
+                        works[j, 2] += part * force[i, a] * v[i, a]
+            top, first, last = x[j], v[0, z], v[STAGES - 1, z]
+            if first < 0.0 < last:  # it has turned within the step
+                top = max(top, begin - 0.5 * h * first * first / (first - last))
+            if top > largest[j]:
+                peak[j] += top - largest[j]
+                largest[j] = top
+            dent = restitution[j] ** 2 * peak[j]
+            if x[j] <= largest[j] - dent:  # it has separated, and would load anew from there
+                largest[j] -= dent
+                peak[j] = 0.0
+        if pressed and _locked(rows, rate[STAGES - 1], v[STAGES - 1], force[STAGES - 1], creep):
+            return step
+        for k in range(r):
+            rate[0, k] = rate[STAGES - 1, k]
         for i in range(3 * n):
-            before[i] = v[i]
-            for k in range(3 * n):
-                v[i] += w[i, k] * force[k]
-        _rub(w, friction, softest, force, FORCES * h, v)
-        changed = 0.0
-        for j in range(n):
-            x, z = 3 * j, 3 * j + 2
-            work = 0.5 * (before[z] + v[z]) * force[z]
-            works[j, 0 if work < 0.0 else 1] += work
-            for i in range(x, z):
-                works[j, 2] += 0.5 * (before[i] + v[i]) * force[i]
-            for i in range(x, z + 1):
-                impulse[i] += force[i]
-                changed = max(changed, abs(v[i] - before[i]) + (abs(v[i]) if depth[j] > 0.0 else 0.0))
-            _indent(depth, deepest, j, v[z], 0.5 * h, restitution[j])
-        if pressed and changed <= STILL * h:  # locked by friction
-            return step
+            force[0, i] = force[STAGES - 1, i]
+        known = True
+        h *= factor
     return 0
 
 
 @inlined
-def _outlook(w, stiffness, exponent, v, depth):
+def _velocities(rows, start, y, v):
+    """Fill v (3n,) with those at the contacts."""
+    for i in range(len(v)):
+        v[i] = start[i]
+        for k in range(len(y)):
+            v[i] += rows[i, k] * y[k]
+
+
+@inlined
+def _force(x, largest, peak, e, stiffness, exponent):
+    """Return F of a contact at the penetration x, whose indentation has been `peak` at the largest one."""
+    depth = peak + (x - largest if x >= largest else (x - largest) / (e * e))
+    if depth <= 0.0:
+        return 0.0
+    return stiffness * (depth if exponent == 1.0 else depth**exponent)
+
+
+@inlined
+def _outlook(v, force, mobility, restitution, stiffness, exponent, x, largest):
     """Return the speed of approach, now or to come, the time to the next closing, and if any is pressed."""
     speed, time, pressed = 0.0, NEVER, False
-    for j in range(len(depth)):
-        z = 3 * j + 2
-        approach = -v[z]
-        if depth[j] > 0.0:
+    for j in range(len(x)):
+        normal, approach = force[3 * j + 2], -v[3 * j + 2]
+        if normal > 0.0:
             pressed = True
-            stored = stiffness[j] * depth[j] ** (exponent + 1.0)
-            approach = max(approach, math.sqrt(2.0 * stored / (exponent + 1.0) * w[z, z]))
+            depth = (normal / stiffness[j]) ** (1.0 / exponent)
+            stored = restitution[j] ** 2 * normal * depth / (exponent + 1.0)
+            approach = max(approach, math.sqrt(2.0 * stored * mobility[j]))
         elif approach > 0.0:
-            if depth[j] == 0.0:
-                pressed = True
-            time = min(time, -depth[j] / approach)
+            pressed = pressed or x[j] >= largest[j]
+            time = min(time, (largest[j] - x[j]) / approach)
         speed = max(speed, approach)
     return speed, time, pressed
 
 
 @inlined
-def _indent(depth, deepest, j, velocity, h, e):
-    """Let the indentation of a contact follow its velocity for a time h."""
-    way = -velocity * h
-    if way > 0.0:
-        if depth[j] < 0.0:  # through its gap
-            part = min(way, -depth[j])
-            depth[j] += part
-            way -= part
-        if way > 0.0 and depth[j] < deepest[j]:  # elastic reloading
-            part = min(way, (deepest[j] - depth[j]) * e * e)
-            depth[j] += part / (e * e)
-            way -= part
-            if way > 0.0:
-                depth[j] = deepest[j]
-        if way > 0.0:
-            depth[j] += way
-            deepest[j] = depth[j]
-    else:
-        way = -way
-        if depth[j] > 0.0:
-            part = min(way, depth[j] * e * e)
-            depth[j] -= part / (e * e)
-            way -= part
-            if way > 0.0:
-                depth[j] = 0.0
-        if way > 0.0:
-            depth[j] -= way
-            deepest[j] = 0.0
+def _oppose(rows, friction, creep, v, force, rate):
+    """Fill in the friction of forces (3n,), and dy/ds (r,)."""
+    for k in range(len(rate)):
+        rate[k] = 0.0
+    for j in range(len(friction)):
+        x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+        part = -friction[j] * force[z] / max(math.sqrt(v[x] * v[x] + v[y] * v[y]), creep)
+        force[x], force[y] = part * v[x], part * v[y]
+        if force[z] > 0.0:
+            for k in range(len(rate)):
+                rate[k] += rows[x, k] * force[x] + rows[y, k] * force[y] + rows[z, k] * force[z]
 
 
 @inlined
-def _rub(w, friction, softest, force, enough, v):
-    """Let friction at known normal forces oppose the velocities at the end of a step. (14.3)
+def _minimize(rows, bound, creep, target, y, v):
+    """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
 
-    Begins with the forces of the step before; v comes with these, and takes what new ones change.
+    Args:
+        rows: (3n, r) J.
+        bound: (n,) the factors of H.
+        creep: ε.
+        target: (r,) c.
+        y, v: Where to begin.
     """
-    n = len(friction)
-    for _ in range(SWEEPS):
-        change = 0.0
+    n, r = len(bound), len(y)
+    gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
+    strongest = 0.0
+    for j in range(n):
+        strongest = max(strongest, bound[j])
+    for _ in range(TURNS):
+        for k in range(r):
+            gradient[k] = y[k] - target[k]
         for j in range(n):
-            x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
-            bound = friction[j] * force[z]
-            if not softest[j] > 0.0 or (bound == 0.0 and force[x] == 0.0 and force[y] == 0.0):
-                continue
-            fx, fy = force[x] - v[x] / softest[j], force[y] - v[y] / softest[j]
-            length = math.hypot(fx, fy)
-            if length > bound:
-                fx, fy = fx * bound / length, fy * bound / length
-            dx, dy = fx - force[x], fy - force[y]
-            change = max(change, (abs(dx) + abs(dy)) * softest[j])
-            force[x], force[y] = fx, fy
-            for i in range(3 * n):
-                v[i] += w[i, x] * dx + w[i, y] * dy
-        if change <= enough:
+            if bound[j] > 0.0:
+                ax, ay = v[3 * j], v[3 * j + 1]
+                part = bound[j] / max(math.sqrt(ax * ax + ay * ay), creep)
+                for k in range(r):
+                    gradient[k] += part * (rows[3 * j, k] * ax + rows[3 * j + 1, k] * ay)
+        off = 0.0
+        for k in range(r):
+            off = max(off, abs(gradient[k]))
+        if off <= ROUNDING + BALANCED * strongest:
+            return
+        _curvature(rows, bound, creep, v, matrix)
+        _solve(matrix, gradient, way)
+        for i in range(3 * n):
+            change[i] = 0.0
+            for k in range(r):
+                change[i] += rows[i, k] * way[k]
+        part = _search(bound, creep, target, y, way, v, change)
+        for k in range(r):
+            y[k] += part * way[k]
+        for i in range(3 * n):
+            v[i] += part * change[i]
+
+
+@inlined
+def _curvature(rows, bound, creep, v, matrix):
+    """Fill the lower half of the second derivative (r, r) of (14.10)."""
+    r = len(matrix)
+    for k in range(r):
+        for m in range(k + 1):
+            matrix[k, m] = 1.0 if k == m else 0.0
+    for j in range(len(bound)):
+        if bound[j] > 0.0:
+            x, y = 3 * j, 3 * j + 1
+            speed = math.sqrt(v[x] * v[x] + v[y] * v[y])
+            xx = yy = bound[j] / max(speed, creep)
+            xy = 0.0
+            if speed > creep:
+                ux, uy = v[x] / speed, v[y] / speed
+                xx, yy, xy = xx * uy * uy, yy * ux * ux, -xx * ux * uy
+            for k in range(r):
+                px, py = xx * rows[x, k] + xy * rows[y, k], xy * rows[x, k] + yy * rows[y, k]
+                for m in range(k + 1):
+                    matrix[k, m] += px * rows[x, m] + py * rows[y, m]
+
+
+@inlined
+def _solve(matrix, right, x):
+    """Fill x (r,) with the solution of matrix x = −right by Cholesky's factors, which replace the matrix."""
+    r = len(x)
+    for k in range(r):
+        for m in range(k + 1):
+            total = matrix[k, m]
+            for i in range(m):
+                total -= matrix[k, i] * matrix[m, i]
+            matrix[k, m] = math.sqrt(total) if m == k else total / matrix[m, m]
+    for k in range(r):
+        total = -right[k]
+        for i in range(k):
+            total -= matrix[k, i] * x[i]
+        x[k] = total / matrix[k, k]
+    for k in range(r - 1, -1, -1):
+        total = x[k]
+        for i in range(k + 1, r):
+            total -= matrix[i, k] * x[i]
+        x[k] = total / matrix[k, k]
+
+
+@inlined
+def _search(bound, creep, target, y, way, v, change):
+    """Return how far (14.10) is followed in a direction in which it falls: 1, or to where it is flat."""
+    begin = length = 0.0
+    for k in range(len(y)):
+        begin += (y[k] - target[k]) * way[k]
+        length += way[k] * way[k]
+    least, most, part, first = 0.0, 0.0, 0.0, 0.0
+    for search in range(SEARCHES):
+        slope = begin + part * length
+        for j in range(len(bound)):
+            if bound[j] > 0.0:
+                dx, dy = change[3 * j], change[3 * j + 1]
+                ax, ay = v[3 * j] + part * dx, v[3 * j + 1] + part * dy
+                slope += bound[j] * (ax * dx + ay * dy) / max(math.sqrt(ax * ax + ay * ay), creep)
+        if search == 0:
+            first, part = abs(slope), 1.0
+            continue
+        if abs(slope) <= SLOPE * first or (part == 1.0 and slope < 0.0):
             break
+        if slope > 0.0:
+            most = part
+        else:
+            least = part
+        part = 0.5 * (least + most)
+    return part
+
+
+@inlined
+def _missed(rows, rate, v, h):
+    """Return by how much a step misses velocities and penetrations, by the method of third order."""
+    r, most = rows.shape[1], 0.0
+    off = np.empty(r)
+    for k in range(r):
+        off[k] = 0.0
+        for i in range(STAGES):
+            off[k] += h * ERROR[i] * rate[i, k]
+    for a in range(rows.shape[0]):
+        total = 0.0
+        for k in range(r):
+            total += rows[a, k] * off[k]
+        most = max(most, abs(total))
+        if a % 3 == 2:
+            total = 0.0
+            for i in range(STAGES):
+                total += h * ERROR[i] * v[i, a]
+            most = max(most, abs(total))
+    return most
+
+
+@inlined
+def _locked(rows, rate, v, force, creep):
+    """Return whether what is pressed neither moves nor accelerates, and nothing else approaches."""
+    some = False
+    for a in range(rows.shape[0]):
+        pressed = force[a - a % 3 + 2] > 0.0
+        some = some or pressed
+        if (pressed and abs(v[a]) > creep) or (a % 3 == 2 and v[a] < -SLOW):
+            return False
+        total = 0.0
+        for k in range(rows.shape[1]):
+            total += rows[a, k] * rate[k]
+        if abs(total) > STILL:
+            return False
+    return some
