@@ -149,7 +149,8 @@ def test_a_flat_block_lands():
     jacobian, inverse = planar_body(corners, 1.0, (1 + 0.25) / 12)
     start = turning_about(corners[0], -1.0)
     solution, after = collide(jacobian, inverse, start, friction=100.0, restitution=0.0)
-    assert after == pytest.approx(np.zeros(3), abs=1e-12)
+    # ever smaller compressions, down to 1e-10 of the largest velocity
+    assert after == pytest.approx(np.zeros(3), abs=1e-10)
     assert solution.impulse[:, 2] == pytest.approx((0.0833333, 0.4166667), abs=1e-7)
     _, bounced = collide(jacobian, inverse, start, friction=100.0, restitution=0.5)
     assert bounced[2] / -1.0 == pytest.approx(-0.298915, abs=1e-6)
@@ -381,7 +382,7 @@ def test_what_comes_to_rest_at_once_does_so_at_all_contacts():
     for seed in range(12):
         turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
         solution, after = collide(jacobian @ turn, np.eye(3), turn.T @ u, friction=mu)
-        assert solution.events < 10
+        assert solution.events < 15
         assert np.abs(solution.velocity).max() < 1e-12
         assert np.abs(after).max() < 1e-12
 
@@ -651,6 +652,27 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, exponent)
     mass = np.linalg.inv(inverse)
     gained = 0.5 * (by_steps @ mass @ by_steps - u @ mass @ u)
     assert solution.work.total.sum() == pytest.approx(gained, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("seed", "friction"), [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)]
+)
+def test_no_restitution_is_the_limit_of_little(seed, friction):
+    # bodies on corners where a force falls below half of its peak: if it were held, answers would be off by 1e-2
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(int(rng.integers(3, 6)), 3))
+    rows = []
+    for x, y, _ in corners:
+        rows += [[1, 0, 0, 0, -1, -y], [0, 1, 0, 1, 0, x], [0, 0, 1, y, -x, 0]]
+    jacobian, inverse = np.array(rows, dtype=float), np.diag(1.0 / rng.uniform(0.3, 2, 6))
+    u = rng.normal(size=6)
+    u *= np.sign(-(jacobian @ u)[2::3].min())
+    none, more, less = (
+        collide(jacobian, inverse, u, friction=friction, restitution=e, simultaneous="propagate")[1]
+        for e in (0.0, 2e-3, 1e-3)
+    )
+    # of the largest velocity; terms in e² are left
+    assert none == pytest.approx(2.0 * less - more, abs=1e-5 * np.abs(u).max())
 
 
 def test_a_cube_lands_flat_as_its_planar_twin_does():

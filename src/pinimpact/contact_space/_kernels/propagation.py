@@ -265,6 +265,8 @@ def _follow(
         np.zeros(n, dtype=np.int64),
         np.zeros(2 * n),
         np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
     )
     series = new_series(ORDER, n)
     roots, work = np.empty((n, 3)), np.empty((4, ORDER + 1))
@@ -305,6 +307,9 @@ def _follow(
         if not known:
             counts[4] = 2
             break
+        if _ring(system, state, unknown, inverse, series):
+            events += 1
+            continue
         turns = _presses_and_slips(state)
         while True:  # steps, up to the next event
             if turns:
@@ -368,6 +373,37 @@ def _begins_badly(state, series, h):
                 state.v[3 * j + 1] = SLIP_SPEED * state.direction[2 * j + 1]
                 found = True
     return found
+
+
+@inlined
+def _ring(system, state, unknown, inverse, series):
+    """Let held contacts oscillate about their new forces; return whether any of them separates. (14.12)"""
+    n = len(state.normal)
+    some = False
+    for j in range(n):
+        some = some or state.normal[j] == HELD
+    if not some:
+        return False
+    expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
+    least, strongest = 0.0, 0.0
+    for j in range(n):
+        if state.normal[j] == HELD:
+            mean = series.force[0, 3 * j + 2]
+            cap = system.stiffness[j] * state.deepest[j] ** system.exponent
+            strongest = max(strongest, cap)
+            excited = state.ringing[j] + abs(state.last[j] - mean) / system.exponent
+            state.ringing[j] = min(excited, max(cap - mean, 0.0) / system.exponent)
+            state.last[j] = mean
+            least = min(least, mean - state.ringing[j])
+    if not least < -TIE * strongest:
+        return False
+    for j in range(n):
+        if state.normal[j] == HELD and state.last[j] - state.ringing[j] <= least + TIE * strongest:
+            if state.last[j] <= TIE * strongest:
+                _open(state, j)
+            else:
+                _close(system, state, j)
+    return True
 
 
 @inlined
@@ -515,12 +551,21 @@ def _find_events(system, state, series, h, crowded, roots, guard, work):
             if mode == OPEN:
                 guard[k] = -series.indentation[k, j]
             elif mode == HELD:
-                guard[k] = series.force[k, z]
+                guard[k] = series.force[k, z] - (state.ringing[j] if k == 0 else 0.0)
             elif mode == RISING:
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
         roots[j, 0] = _fall(guard, h, TINY * strongest if mode == HELD else TINY, crowded, work)
+        if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
+            for k in range(ORDER):
+                guard[k] = (k + 1.0) * series.force[k + 1, z]
+            guard[ORDER] = 0.0
+            top = _fall(guard, h, TINY * strongest, crowded, work)
+            cap = system.stiffness[j] * state.deepest[j] ** system.exponent
+            highest = value_at(series.force, z, ORDER, top) if top < roots[j, 0] else 0.0
+            if highest + state.ringing[j] * system.exponent > cap * (1.0 + TIE):
+                roots[j, 0] = top
         if mode in (RISING, SINKING, HELD):
             for k in range(ORDER + 1):
                 if mode == RISING:
@@ -638,6 +683,10 @@ def _advance(system, state, series, h, degree, pace, root, works, rows, used, la
                 state.normal[j] = LOADING
             else:
                 _open(state, j)
+        if state.normal[j] == HELD:
+            state.last[j] = value_at(series.force, z, degree, h)
+            cap = system.stiffness[j] * state.deepest[j] ** system.exponent
+            state.ringing[j] = min(state.ringing[j], max(cap - state.last[j], 0.0) / system.exponent)
         state.indentation[j] = value_at(series.indentation, j, degree, h)
         if state.normal[j] == LOADING:
             state.deepest[j] = state.indentation[j]
@@ -682,6 +731,8 @@ def _apply(system, state, series, roots, first, tie):
                 _open(state, j)
             else:
                 state.normal[j] = HELD if system.unloading[j] == 0.0 else RISING
+                state.last[j] = system.stiffness[j] * state.indentation[j] ** system.exponent
+                state.ringing[j] = 0.0
         elif mode == SINKING:
             state.normal[j] = LOADING
             state.indentation[j] = state.deepest[j]
@@ -692,8 +743,10 @@ def _apply(system, state, series, roots, first, tie):
             state.normal[j] = SINKING
         elif held:
             state.normal[j] = LOADING
-        else:
+        elif state.ringing[j] <= TIE:
             _open(state, j)
+        elif state.last[j] <= state.ringing[j] + TIE:
+            _close(system, state, j)
 
 
 @inlined

@@ -59,6 +59,8 @@ class State(NamedTuple):
             3 where friction has come there, 4 for a slip that begins with an acceleration.
         share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
         pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
+        last: (n,) the force of a held contact as its modes were last chosen.
+        ringing: (n,) by how much the force of a held contact oscillates about its mean.
     """
 
     v: Array
@@ -71,6 +73,8 @@ class State(NamedTuple):
     fresh: Codes
     share: Array
     pressed: Array
+    last: Array
+    ringing: Array
 
 
 class Series(NamedTuple):
