@@ -658,7 +658,7 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, exponent)
     ("seed", "friction"), [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)]
 )
 def test_no_restitution_is_the_limit_of_little(seed, friction):
-    # bodies on corners where a force falls below half of its peak: if it were held, answers would be off by 1e-2
+    # bodies on corners where a force falls below half of its peak: were it held, answers would be off by 1e-2
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(int(rng.integers(3, 6)), 3))
     rows = []
