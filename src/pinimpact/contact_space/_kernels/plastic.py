@@ -10,6 +10,9 @@ from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import flags, repeated
 
+STOPPED = 1e-6
+"""Part of the largest velocity that an approach may keep by rounding."""
+
 TINY, SWEEPS = 1e-14, 100
 """Part of the largest velocity that is zero, and how often approaches at rest are taken away at most."""
 
@@ -117,3 +120,27 @@ def come_to_rest(system, state, works):
                 state.impulse[z] += push
         if not approaches:
             break
+
+
+@inlined
+def end_plastically(system, state, works):
+    """Bring an impact to its end by a plastic one; return whether that stops all approaches.
+
+    Where no impulses by Coulomb's law are found it loses as much energy as it can. (14.6)
+    """
+    w, v = system.w, state.v
+    n = len(system.friction)
+    impulse, zero, ones = np.empty(3 * n), np.zeros(n), np.ones(n)
+    impulses_together(w, v, system.friction, zero, ones, impulse)
+    stopped = True
+    for i in range(3 * n):
+        change = 0.0
+        for k in range(3 * n):
+            change += w[i, k] * impulse[k]
+        works[i // 3, 0 if i % 3 == 2 else 2] += (v[i] + 0.5 * change) * impulse[i]
+    for i in range(3 * n):
+        for k in range(3 * n):
+            v[i] += w[i, k] * impulse[k]
+        state.impulse[i] += impulse[i]
+        stopped = stopped and (i % 3 != 2 or v[i] > -STOPPED)
+    return stopped

@@ -28,7 +28,7 @@ from .codes import (
     STUCK,
 )
 from .first_fall import NEVER, first_fall, value_at
-from .plastic import TINY, come_to_rest
+from .plastic import TINY, come_to_rest, end_plastically
 from .propagation_friction import AT_BOUND, NEAR_BOUND, SLIP_SPEED, settle, unknown_after
 from .propagation_series import (
     TIED,
@@ -76,6 +76,9 @@ DRIFT = 1e-12
 
 MOST_EVENTS = 200
 """Events per contact, at most."""
+
+FEWEST, PLASTIC_EVENTS = 20, 4
+"""Events, and those per contact, after which an impact without restitution is ended by a plastic one."""
 
 NO_ROW = np.int64(-1)
 """Where a contact has no row yet."""
@@ -132,7 +135,7 @@ def propagate(
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
         counts: (5,) takes the numbers of steps, events, rows and points, and how it ended: 0 by itself, 1
-            since all was slow, 2 not: modes are not known, or steps or events at their bound.
+            since all was slow or plastic, 2 not: modes are not known, or steps or events at their bound.
         rows: (m, 5) takes contact, mode, phase, P₃ at start and end; (0, 5): not wanted.
         path: (m, 6n + 1) takes the clock, velocities and impulses; (0, …): not wanted.
 
@@ -249,9 +252,10 @@ def _follow(
         v: (3n,) velocities; takes those after the impact.
     """
     n = len(friction)
-    unloading = np.zeros(n)
+    unloading, plastic = np.zeros(n), True
     for j in range(n):
         if restitution[j] > 0.0:
+            plastic = False
             unloading[j] = 1.0 / (restitution[j] * restitution[j])
     system = System(w, friction, unloading, stiffness, exponent)
     state = State(
@@ -290,6 +294,12 @@ def _follow(
         if _rests(system, state):
             counts[4] = 1
             come_to_rest(system, state, works)
+            points = _record(path, points, clock, state)
+            break
+        if plastic and events >= FEWEST + PLASTIC_EVENTS * n:
+            counts[4] = 1
+            if not end_plastically(system, state, works):
+                return False
             points = _record(path, points, clock, state)
             break
         if steps >= most_steps or events >= MOST_EVENTS * n:

@@ -159,6 +159,8 @@ def settle(system, state, series):
     if fits and not at_bound and _within_bounds(system, state, forces, ROOM):
         return unknown, inverse, weight, True
     redundant = restores and _redundant(system, state, weight)
+    if redundant and at_bound:
+        return unknown, inverse, weight, False
     if not redundant and not root and _begins(system, state, unit, weight, series):
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
         return unknown, inverse, weight, True
