@@ -43,3 +43,22 @@ def test_flat_landings_against_short_steps(corners, friction, restitution, u):
     # in m/s: what extrapolation leaves at this step, by its own estimate
     assert error < 4e-7
     assert np.abs(after - by_steps).max() < 4e-7
+
+
+def test_the_recorded_path_of_a_flat_landing_obeys_the_laws():
+    w, jacobian = body(BOX, 0.05)
+    start, friction = jacobian @ np.array((0.5, 0.0, -1.0, 0.0, 0.0, 0.0)), 0.5
+    problem = ImpactProblem(w, start.reshape(-1, 3), friction, 0.5, "energetic")
+    solution = solve_impact(problem, record=True)
+    assert "stepped" in solution.notes[-1]
+    path = solution.path
+    assert len(path.clock) > 20
+    assert np.diff(path.clock).min() >= 0.0
+    assert path.velocity[0].ravel() == pytest.approx(start, abs=0.0)
+    assert path.velocity[-1] == pytest.approx(solution.velocity, abs=1e-14)
+    assert path.impulse[-1] == pytest.approx(solution.impulse, abs=0.0)
+    moved = start + path.impulse.reshape(len(path.clock), -1) @ w
+    assert path.velocity.reshape(moved.shape) == pytest.approx(moved, abs=1e-12)
+    steps = np.diff(path.impulse, axis=0)
+    assert steps[:, :, 2].min() >= -1e-12
+    assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12

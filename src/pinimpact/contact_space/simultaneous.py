@@ -210,7 +210,7 @@ def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: fl
         else:
             break
     if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
-        return _propagate_in_steps(inputs, exponent) or _propagate_plastically(inputs)
+        return _propagate_in_steps(inputs, exponent, record) or _propagate_plastically(inputs)
     notes = _of_law(inputs)
     story = None
     if record:
@@ -252,17 +252,18 @@ FIRST_RESTITUTION, MOST_RESTITUTIONS = 4e-3, 3
 """The first of those that are halved to extrapolate to e = 0 in steps, and their number at most."""
 
 
-def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | None:
+def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> ManySolution | None:
     """Follow waves by adaptive steps; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    missed, steps = np.inf, 0
+    missed, steps, accuracy = np.inf, 0, STEP_ACCURACY
     row: list[Array] = []
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
-        found = _stepped(inputs, exponent, np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution))
+        least = inputs._replace(restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution))
+        found = _passes(least, exponent)
         if found is None:
             break
-        last, row, steps = row, [found[0]], steps + found[2]
+        last, row, steps, accuracy = row, [found[0]], steps + found[2], found[3]
         for m, before in enumerate(last):  # without the term of order m + 1 in e
             row.append(row[m] + (row[m] - before) / (2.0 ** (m + 1) - 1.0))
         missed = max(found[1], _differ(inputs, row[-1], last[-1]) if last else 0.0)
@@ -282,14 +283,45 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float) -> ManySolution | N
         "Events crowd here: the impact was stepped through, with velocities to about "
         f"{missed:.1e} of the largest."
     )
-    notes = (*_of_law(inputs), text)
-    names = "propagate", "energetic"
-    bounded = missed > MISSED
-    return _answer(inputs, names, velocity, impulse.ravel(), works, (steps, 0), notes=notes, bounded=bounded)
+    story = None
+    if record:
+        path = np.empty((MOST_SHORT_STEPS + 1, 3 * n + 1))
+        points = _pass(least, exponent, accuracy, path)[0]
+        path[points] = np.concatenate([path[points - 1, :1], impulse.ravel()])
+        clock, impulses = path[: points + 1, 0].copy(), path[: points + 1, 1:]
+        velocities = inputs.velocity.ravel() + impulses @ inputs.delassus
+        story = ManyPath(clock, velocities.reshape(-1, n, 3), impulses.reshape(-1, n, 3))
+    return _answer(
+        *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
+        notes=(*_of_law(inputs), text),
+        path=story,
+        bounded=missed > MISSED,
+    )
 
 
-def _stepped(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[Array, float, int] | None:
-    """Return impulses and works (6n,), the velocities missed, by a pass of less accuracy, and the steps."""
+def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
+    """Step through an impact with more and more accuracy, until two passes agree.
+
+    Returns:
+        Impulses and works (6n,), by how much velocities differ from those of the pass before it, the number
+        of all steps, and the accuracy of the last pass; None where passes do not agree.
+    """
+    accuracy, total, missed = STEP_ACCURACY, 0, np.inf
+    best: Array | None = None
+    for finer in (STEP_ACCURACY * 0.1**k for k in range(round(np.log10(STEP_ACCURACY / FINEST)) + 1)):
+        steps, numbers = _pass(inputs, exponent, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
+        if steps == 0:
+            break
+        if best is not None:
+            missed = _differ(inputs, numbers, best)
+        best, total, accuracy = numbers, total + steps, finer
+        if missed <= AGREE:
+            break
+    return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
+
+
+def _pass(inputs: ManyInputs, exponent: float, accuracy: float, path: Array) -> tuple[int, Array]:
+    """Return the number of steps through an impact, 0 for too many, and its impulses and works (6n,)."""
     from ._kernels.propagation_steps import step_through
 
     n = len(inputs.velocity)
@@ -299,24 +331,12 @@ def _stepped(inputs: ManyInputs, exponent: float, restitution: Array) -> tuple[A
     kept = eigenvalues > ZERO * n * eigenvalues[-1]
     rows = np.ascontiguousarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
     impulse, works = np.empty(3 * n), np.empty((n, 3))
-    accuracy, total, missed = STEP_ACCURACY, 0, np.inf
-    best: Array | None = None
-    while accuracy >= FINEST:
-        steps = step_through(
-            *(rows, inputs.velocity.ravel() / size, inputs.friction, restitution, scaled),
-            *(float(exponent), accuracy, MOST_SHORT_STEPS, impulse, works),
-        )
-        if steps == 0:
-            break
-        total += steps
-        numbers = np.concatenate([impulse * size, works.ravel() * size * size])
-        if best is not None:
-            missed = _differ(inputs, numbers, best)
-        best = numbers
-        if missed <= AGREE:
-            break
-        accuracy *= 0.1
-    return None if best is None or not missed <= USEFUL else (best, missed, total)
+    steps = step_through(
+        *(rows, inputs.velocity.ravel() / size, inputs.friction, inputs.restitution, scaled),
+        *(float(exponent), accuracy, MOST_SHORT_STEPS, impulse, works, path),
+    )
+    path[:steps, 1:] *= size
+    return steps, np.concatenate([impulse * size, works.ravel() * size * size])
 
 
 def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:

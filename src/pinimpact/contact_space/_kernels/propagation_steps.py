@@ -81,10 +81,12 @@ SLOW = 1e-10
 
 @declared(
     *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int),
-    *(FLOATS, FLOAT_ROWS),
+    *(FLOATS, FLOAT_ROWS, FLOAT_ROWS),
 )
 @jit
-def step_through(rows, start, friction, restitution, stiffness, exponent, accuracy, most, impulse, works):
+def step_through(
+    rows, start, friction, restitution, stiffness, exponent, accuracy, most, impulse, works, path
+):
     """Resolve an impact at n contacts by steps of fourth order. (14.9)
 
     The velocities are `start` + J y, dy/ds = Jᵀ p. Penetrations x, dx/ds = −v₃, go by the explicit method, so
@@ -106,6 +108,7 @@ def step_through(rows, start, friction, restitution, stiffness, exponent, accura
         most: A bound on their number.
         impulse: (3n,) takes P.
         works: (n, 3) takes the works of compression, restitution and friction.
+        path: (m, 3n + 1) takes the clock and P before each of the first m steps.
 
     Returns:
         The number of steps; 0: the bound has been reached.
@@ -121,9 +124,13 @@ def step_through(rows, start, friction, restitution, stiffness, exponent, accura
     y, x, largest, peak = np.zeros(r), np.zeros(n), np.zeros(n), np.zeros(n)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
     target, at, bound, now = np.empty(r), np.empty(r), np.empty(n), np.empty(n)
-    h, known = FIRST_STEP, False
+    h, known, clock = FIRST_STEP, False, 0.0
     for step in range(1, most + 1):
         _velocities(rows, start, y, v[0])
+        if step <= len(path):
+            path[step - 1, 0] = clock
+            for i in range(3 * n):
+                path[step - 1, 1 + i] = impulse[i]
         for j in range(n):
             force[0, 3 * j + 2] = _force(x[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
         speed, time, pressed = _outlook(
@@ -184,7 +191,7 @@ def step_through(rows, start, friction, restitution, stiffness, exponent, accura
                 peak[j] += top - largest[j]
                 largest[j] = top
             dent = restitution[j] ** 2 * peak[j]
-            if x[j] <= largest[j] - dent:  # it has separated, and would load anew from there
+            if x[j] <= largest[j] - dent:  # it has separated, and would be loaded again from there
                 largest[j] -= dent
                 peak[j] = 0.0
         if pressed and _locked(rows, rate[STAGES - 1], v[STAGES - 1], force[STAGES - 1], creep):
@@ -194,6 +201,7 @@ def step_through(rows, start, friction, restitution, stiffness, exponent, accura
         for i in range(3 * n):
             force[0, i] = force[STAGES - 1, i]
         known = True
+        clock += h
         h *= factor
     return 0
 
