@@ -300,7 +300,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
 
 
 def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
-    """Step through an impact with more and more accuracy, until two passes agree.
+    """Step through an impact with more and more accuracy, until two passes agree or agree no better.
 
     Returns:
         Impulses and works (6n,), by how much velocities differ from those of the pass before it, the number
@@ -312,10 +312,11 @@ def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, flo
         steps, numbers = _pass(inputs, exponent, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
         if steps == 0:
             break
+        before = missed
         if best is not None:
             missed = _differ(inputs, numbers, best)
         best, total, accuracy = numbers, total + steps, finer
-        if missed <= AGREE:
+        if missed <= AGREE or missed > 0.5 * before:  # finer steps would not agree better
             break
     return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
 
