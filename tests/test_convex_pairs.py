@@ -12,7 +12,7 @@ import pytest
 
 from pinimpact.errors import InputError
 from pinimpact.geometry import touch_time as touch_time_module
-from pinimpact.geometry.convex_pair import Touch, gap, touches
+from pinimpact.geometry.convex_pair import Touch, follow, gap, touches
 from pinimpact.geometry.convex_shape import ConvexShape, box, capsule, hull, of_collision_geometry, sphere
 from pinimpact.geometry.touch_time import PairState, first_touch
 from pinimpact.scene.shape_watch import bend_of_heights
@@ -312,3 +312,14 @@ def test_a_mesh_that_is_not_convex_takes_its_hull_and_says_so() -> None:
     mesh.endModel()
     with pytest.warns(UserWarning, match=r"mesh of 'm' is not convex: its convex hull is taken.*0\.3 m"):
         assert len(of_collision_geometry(mesh, "m").vertices) == 8
+
+
+def test_edges_that_have_become_parallel_are_left():
+    cube = box((1.0, 1.0, 1.0))
+    a, b = cube.at(STRAIGHT, np.zeros(3)), cube.at(STRAIGHT, np.array([1.0, 2.0, 3.0]))
+    normal = np.array([0.0, 0.0, -1.0])
+    found = follow(Touch("edge-edge", np.zeros(3), np.zeros(3), (0, 0)), a, b, normal)
+    assert found.beyond > 0.0
+    assert np.array_equal(found.normal, normal)
+    start, end = a.vertices[cube.edges[0]]
+    assert (found.touch.other - found.touch.point) @ (end - start) == pytest.approx(0.0, abs=1e-15)

@@ -314,6 +314,11 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
         u, w = first[1] - first[0], second[1] - second[0]
         across = cross(u, w)
         squared = float(across @ across)
+        if squared == 0.0:  # parallel: they cross nowhere, and other features are nearest
+            middle = 0.5 * (first[0] + first[1])
+            foot, _ = _foot_on_line(middle, second)
+            length = float(np.linalg.norm(u) + np.linalg.norm(w))
+            return Followed(touch._replace(point=middle, other=foot), normal, length)
         s = float(cross(second[0] - first[0], w) @ across) / squared
         r = float(cross(second[0] - first[0], u) @ across) / squared
         beyond = max(_beyond(s, u), _beyond(r, w))
