@@ -11,7 +11,7 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale, solve_coulomb
+from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale, solve_compliant, solve_coulomb
 from ..._numeric.elimination import RANK, largest_of
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, flags, nonzero
@@ -193,13 +193,19 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
     force, strength, found, least = np.zeros((nc, 3)), np.zeros(ns), work.found_forces, np.zeros(nc)
-    iterations, jamming = forces_by_gauss_seidel(
-        delassus, free, slip, mu, held, lower, upper, force, strength
-    )
-    converged = iterations >= 0 and jamming < 0
-    both = np.empty(size)
-    for a in range(size):
-        both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
+    both, unique, jamming, converged = np.zeros(size), determines_forces(delassus), -1, False
+    if not unique:
+        converged = (
+            solve_compliant(delassus, free, slip, mu, least, held, lower, upper, both, np.ones(nc))
+            <= ACCURACY
+        )
+    if not converged:
+        iterations, jamming = forces_by_gauss_seidel(
+            delassus, free, slip, mu, held, lower, upper, force, strength
+        )
+        converged = iterations >= 0 and jamming < 0
+        for a in range(size):
+            both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
     if not converged:
         known = np.empty(size)
         forces_of_before(work, contacts, joints, known)
@@ -234,7 +240,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
         found[work.contacts + joints[m], 0] = strength[m]
     stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
     pace = np.empty(size)
-    unique = resulting_accelerations(delassus, free, force, strength, pace)
+    resulting_accelerations(delassus, free, force, strength, unique, pace)
     modes_of_contacts(
         work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
     )
@@ -472,19 +478,31 @@ def stop_rows(delassus, free, slip, mu, fixed, x):
                 x[rows[c] - 2 + e] = drag[c, e] * solution[c]
 
 
+@declared(FLOAT_ROWS)
+@external
+def determines_forces(delassus):
+    """Return whether no forces but one set have the same effects."""
+    size = len(delassus)
+    rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)))
+    stiffest = 0.0
+    for a in range(size):
+        stiffest = max(stiffest, delassus[a, a])
+    for a in range(size):
+        rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
+    return rank == size
+
+
 @inlined
-def resulting_accelerations(delassus, free, force, scalar_force, pace):
+def resulting_accelerations(delassus, free, force, scalar_force, unique, pace):
     """Add to the accelerations of the rows what the forces cause.
 
     Args:
-        delassus: (m, m) of the rows; it is not needed afterwards.
+        delassus: (m, m) of the rows.
         free: (m,) accelerations without forces, updated.
         force: (nc, 3) forces of the contacts.
         scalar_force: (ns,) those of the scalar rows.
+        unique: Whether no other forces have the same effects.
         pace: (m,) takes the accelerations that count as none. (11.10)
-
-    Returns:
-        Whether no other forces have the same effects.
     """
     size, closed = len(free), 3 * len(force)
     width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
@@ -495,20 +513,12 @@ def resulting_accelerations(delassus, free, force, scalar_force, pace):
             part = delassus[a, b] * (force[b // 3, b % 3] if b < closed else scalar_force[b - closed])
             free[a] += part
             pace[a] += abs(part)
-    rank = factor(delassus, np.empty(size, dtype=np.int64), np.zeros((size, size)))
-    stiffest = 0.0
-    for a in range(size):
-        stiffest = max(stiffest, delassus[a, a])
-    for a in range(size):
-        rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
-    unique = rank == size
     for a in range(size):
         if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
             pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
         pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
         if unit > 0.0:  # forces are no more accurate
             pace[a] += ACCURACY / scale_a[a]
-    return unique
 
 
 @inlined
