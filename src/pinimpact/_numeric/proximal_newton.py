@@ -30,7 +30,7 @@ SYSTEM = (
 """Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, r, accuracy, begin, w and
 the impulses."""
 
-PROXIMAL = 3e-4
+PROXIMAL = 3e-3
 """The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
 
 ITERATIONS = 40
@@ -55,6 +55,10 @@ INEXACT = 0.03
 
 FARTHEST = 5.0
 """Of changes of s an extrapolation goes at most."""
+
+DRIFT, WAITS = 0.03, 8
+"""Part of the largest impulse by which an s that is off may change it in an iteration, along those that obey
+the law; else f stays, and s is improved first, `WAITS` times at most."""
 
 SLOPE = 0.1
 """Part of the slope at the start of a line search that may be left at its end."""
@@ -384,7 +388,7 @@ def solve_velocities(
     rates(values, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
-    lowest, since, reached = math.inf, 0, 1.0
+    lowest, since, reached, waited = math.inf, 0, 1.0, 0
     for iteration in range(ITERATIONS):
         extrapolate(u, mu, iteration, shift, slipped, gain)
         before = math.inf
@@ -409,13 +413,20 @@ def solve_velocities(
                 w[a] += share * d[a]
         if iteration == 0:
             assign(begin, w)
-        change = swing = 0.0
+        change = swing = pushed = drift = 0.0
         for a in range(n):
-            change = max(change, r[a] * abs(f[a] - x[a]))
-            x[a] = f[a]
+            change, pushed = max(change, r[a] * abs(f[a] - x[a])), max(pushed, abs(f[a]))
         for i in range(nc):
-            swing = max(swing, abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i]))
+            lag = abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i])
+            swing = max(swing, lag)
+            if f[3 * i + 2] > 0.0:
+                drift = max(drift, lag / r[3 * i + 2])
         reached = max(change, swing) / size
+        if drift > DRIFT * pushed and waited < WAITS:
+            waited += 1
+            continue
+        waited = 0
+        assign(x, f)
         since = since + 1 if reached > 0.5 * lowest else 0
         lowest = min(lowest, reached)
         if reached <= accuracy or (since >= PATIENCE and reached <= STALLED):

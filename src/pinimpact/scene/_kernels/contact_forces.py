@@ -12,6 +12,7 @@ import numpy as np
 
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined
+from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
@@ -242,10 +243,10 @@ def may_grow(effective):
 @declared(SceneWorkspace)
 @external
 def solve_least_norm(work):
-    """Fill the solution of least norm, without contacts that pull where the others can do without them.
+    """Fill the limit of small compliances, without contacts that pull where the others can do without them.
 
-    Where forces within their bounds are known from before it is the solution nearest to them: the motion is
-    the same, and it shows that such forces still exist.
+    It is the solution of least norm where no contact rubs. Where forces within their bounds are known from
+    before it is the same for what differs from them, and it shows that such forces still exist.
 
     Returns:
         Whether there are no other solutions.
@@ -261,6 +262,9 @@ def solve_least_norm(work):
             right[a] -= system[a, b] * known[b]
     work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
+    shares = not unique and rubs(work)
+    if shares:
+        share_by_compliances(system, SINGULAR_STILL, solution)
     for a in range(size):
         solution[a] += known[a]
     off = missed_by(work, solution)
@@ -293,10 +297,39 @@ def solve_least_norm(work):
                 columns[a, b] = system[a, b] if pushes[b] else 0.0
                 right[a] -= columns[a, b] * known[b]
         least_norm(columns, right, work.rank_tolerance, part, no_basis)
+        if shares:
+            for a in range(size):
+                for b in range(size):
+                    columns[a, b] *= pushes[a]
+            share_by_compliances(columns, work.rank_tolerance, part)
         for a in range(size):
             trial[a] = part[a] + known[a] if pushes[a] else 0.0
         if not missed_by(work, trial) <= MISSING:
             return unique
+
+
+@external
+def share_by_compliances(system, rank_tolerance, x):
+    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε 1) x = b, ε → 0. (11.12)
+
+    With Lᵀ A = 0 and A N = 0 it is the one with Lᵀ x = 0; x stays as it is where Lᵀ N is singular.
+    """
+    size = len(x)
+    nothing, found = np.empty((0, size)), np.empty((0, size))
+    right_null, left_null = np.empty((size, size)), np.empty((size, size))
+    free = size - least_norms(system, nothing, rank_tolerance, found, right_null)
+    if free != size - least_norms(system.T.copy(), nothing, rank_tolerance, found, left_null):
+        return
+    overlap, off, part = np.empty((free, free)), np.empty(free), np.empty(free)
+    for a in range(free):
+        off[a] = -dot(left_null[a], x)
+        for b in range(free):
+            overlap[a, b] = dot(left_null[a], right_null[b])
+    if solve(overlap, off, part, RANK) == 0:
+        return
+    for a in range(free):
+        for b in range(size):
+            x[b] += part[a] * right_null[a, b]
 
 
 @inlined
