@@ -50,6 +50,9 @@ STALLED = 1e-5
 
 PATIENCE = 3
 
+FINER = 0.1
+"""Part of r that is used from there on, once: loads are shared by then."""
+
 INEXACT = 0.03
 """Part of what the iteration before has changed that Newton's method may be off."""
 
@@ -388,7 +391,7 @@ def solve_velocities(
     rates(values, columns, counts, w, u)
     for a in range(n):
         u[a] += free[a]
-    lowest, since, reached, waited = math.inf, 0, 1.0, 0
+    lowest, since, reached, waited, finer = math.inf, 0, 1.0, 0, False
     for iteration in range(ITERATIONS):
         extrapolate(u, mu, iteration, shift, slipped, gain)
         before = math.inf
@@ -429,8 +432,14 @@ def solve_velocities(
         assign(x, f)
         since = since + 1 if reached > 0.5 * lowest else 0
         lowest = min(lowest, reached)
-        if reached <= accuracy or (since >= PATIENCE and reached <= STALLED):
+        if reached <= accuracy:
             break
+        if since >= PATIENCE and reached <= STALLED:
+            if finer:
+                break
+            finer, lowest, since = True, math.inf, 0
+            for a in range(n):
+                r[a] *= FINER
     for a in range(m):
         momentum[a] = 0.0
     add_transposed(values, columns, counts, x, momentum)

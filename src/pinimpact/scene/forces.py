@@ -35,7 +35,7 @@ class ClosedSet(NamedTuple):
         direction_speed: Slip below it has the direction last known [m/s].
         slips: Whether anything slips.
         unique: Whether the motion determined the forces.
-        known: Forces that the motion was begun with, of which the nearest act; empty for those of least norm.
+        known: Forces that the motion was begun with, of which the nearest act; empty for none.
         joints: (k, 2) of the contacts that are closed: of the tip, of the surface.
         swapped: The contacts whose tip is on what the robot's shape meets, so that their force is on that.
     """
@@ -93,7 +93,7 @@ class Forces(NamedTuple):
         points: (n, 3) where they act [m].
         normals: (n, 3) of the surfaces there, in world axes.
         joints: (nv,) of joint stops and dry friction [N, N m].
-        unique: Whether the motion determines them, else they are those of least norm.
+        unique: Whether the motion determines them, else they are those of equally stiff contacts.
     """
 
     world: Array

@@ -401,7 +401,7 @@ class Integrator:
         work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
-            state.note("The forces of the closed contacts are not unique; those of least norm are taken.")
+            state.note("The forces of the closed contacts are not unique; all count as equally stiff.")
         self.forces_were_unique = unique
         self._closed = ClosedSet.of(work, state.shapes.swapped())
 

@@ -189,7 +189,7 @@ class Trajectory:
         return self._of_times(t, side, lambda forces: np.zeros(nv) if forces is None else forces.joints)
 
     def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
-        """Return whether the motion determines the forces, () or (m,); else they are those of least norm."""
+        """Return whether the motion determines the forces, () or (m,); else as equally stiff contacts."""
         found = self._of_times(t, side, lambda forces: np.array(forces is None or forces.unique))
         return found.astype(bool)
 

@@ -262,9 +262,9 @@ def solve_least_norm(work):
             right[a] -= system[a, b] * known[b]
     work.rank_tolerance = SINGULAR_STILL
     unique = least_norm(system, right, SINGULAR_STILL, solution, no_basis) == size
-    shares = not unique and rubs(work)
+    shares, touching = not unique and rubs(work), size - len(work.scalar_velocity)
     if shares:
-        share_by_compliances(system, SINGULAR_STILL, solution)
+        share_by_compliances(system, SINGULAR_STILL, touching, solution)
     for a in range(size):
         solution[a] += known[a]
     off = missed_by(work, solution)
@@ -301,7 +301,7 @@ def solve_least_norm(work):
             for a in range(size):
                 for b in range(size):
                     columns[a, b] *= pushes[a]
-            share_by_compliances(columns, work.rank_tolerance, part)
+            share_by_compliances(columns, work.rank_tolerance, touching, part)
         for a in range(size):
             trial[a] = part[a] + known[a] if pushes[a] else 0.0
         if not missed_by(work, trial) <= MISSING:
@@ -309,10 +309,11 @@ def solve_least_norm(work):
 
 
 @external
-def share_by_compliances(system, rank_tolerance, x):
-    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε 1) x = b, ε → 0. (11.12)
+def share_by_compliances(system, rank_tolerance, touching, x):
+    """Take a solution x (n,) of A x = b, A singular, to the limit of (A + ε C) x = b, ε → 0. (11.12)
 
-    With Lᵀ A = 0 and A N = 0 it is the one with Lᵀ x = 0; x stays as it is where Lᵀ N is singular.
+    C is 1 for the rows of contacts, the first ones, `touching` in number, and 0 for stops and joints. With
+    Lᵀ A = 0 and A N = 0 it is the one with Lᵀ C x = 0; x stays as it is where Lᵀ C N is singular.
     """
     size = len(x)
     nothing, found = np.empty((0, size)), np.empty((0, size))
@@ -322,9 +323,9 @@ def share_by_compliances(system, rank_tolerance, x):
         return
     overlap, off, part = np.empty((free, free)), np.empty(free), np.empty(free)
     for a in range(free):
-        off[a] = -dot(left_null[a], x)
+        off[a] = -dot(left_null[a, :touching], x[:touching])
         for b in range(free):
-            overlap[a, b] = dot(left_null[a], right_null[b])
+            overlap[a, b] = dot(left_null[a, :touching], right_null[b, :touching])
     if solve(overlap, off, part, RANK) == 0:
         return
     for a in range(free):
