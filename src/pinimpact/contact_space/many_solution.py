@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +10,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from ..checks import finite_array
 from ..display import html_lines, html_table, in_a_line
+from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
@@ -19,6 +22,9 @@ Segments = tuple[tuple[Segment, ...], ...]
 MODES: tuple[Literal["slip", "stick"], ...] = ("slip", "stick")
 PHASES: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
 """By the codes that the rows of a path have for them."""
+
+MOST_CORNERS = 6
+"""Contacts up to which `ManySolution.range` takes each combination of extreme stiffnesses, 64 of them."""
 
 RESTS = 1e-9
 """Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
@@ -44,6 +50,17 @@ class ManyPath:
         return self.impulse[:, :, 2]
 
 
+class VelocityRange(NamedTuple):
+    """Between which post-impact contact velocities answers lie.
+
+    Attributes:
+        low, high: (n, 3) of each component [m/s].
+    """
+
+    low: Array
+    high: Array
+
+
 class ManyStory(NamedTuple):
     """What makes up those parts of a `ManySolution` that few ask for.
 
@@ -53,6 +70,7 @@ class ManyStory(NamedTuple):
         surface_velocity: (n, 3) of the surfaces [m/s].
         singular: Whether W is.
         bounded: Whether a bound on steps or events was reached.
+        again: Returns velocities (n, 3) with stiffnesses multiplied by factors (n,).
     """
 
     segments: Callable[[], Segments]
@@ -60,6 +78,7 @@ class ManyStory(NamedTuple):
     surface_velocity: Array
     singular: bool
     bounded: bool = False
+    again: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,6 +155,36 @@ class ManySolution:
         """How the impact ended: the least of `statuses`, so separated if any contact has."""
         return min(self.statuses, default=Status.NO_IMPACT)
 
+    def range(self, stiffness: tuple[float, float], draws: int = 64, seed: int = 0) -> VelocityRange:
+        """Return how far the answer depends on relative stiffnesses, which are seldom known.
+
+        The impact is solved again with the stiffness of each contact multiplied by a factor: for up to six
+        contacts by each combination of the least and the largest one, and by random ones, distributed
+        uniformly in their logarithm. The answers lie within what is returned; others may lie outside.
+
+        Args:
+            stiffness: The least and the largest factor.
+            draws: Number of random combinations.
+            seed: Of their generator.
+
+        Returns:
+            The least and the largest of each velocity component, (n, 3) each.
+
+        Raises:
+            InputError: Factors that are not two positive numbers in ascending order, or a number of draws
+                below zero.
+            PinimpactError: What `solve_impact` raises for one of these problems.
+        """
+        low, high = factors_of(stiffness)
+        if not isinstance(draws, int) or draws < 0:
+            raise InputError(f"draws: {draws!r} given, an integer ≥ 0 expected", field="draws", value=draws)
+        assert self.story.again is not None  # every answer of `solve_impact` has it
+        n = len(self.velocity)
+        corners = itertools.product((low, high), repeat=n) if n <= MOST_CORNERS else ()
+        random = np.exp(np.random.default_rng(seed).uniform(np.log(low), np.log(high), (draws, n)))
+        found = [self.velocity, *(self.story.again(np.array(one)) for one in (*corners, *random))]
+        return VelocityRange(np.min(found, axis=0), np.max(found, axis=0))
+
     def part(self, j: int) -> Solution:
         """Return what contact j has come to, by the names that the `Solution` of one contact has."""
         return PartSolution(self, j)
@@ -176,6 +225,19 @@ class ManySolution:
             f"ManySolution({self.simultaneous}: velocity={in_a_line(self.velocity)}, "
             f"impulse={in_a_line(self.impulse)}, status={self.status.name}, events={self.events})"
         )
+
+
+def factors_of(stiffness: tuple[float, float]) -> tuple[float, float]:
+    """Return the least and the largest factor of stiffnesses, or raise `InputError`."""
+    given = finite_array("stiffness", stiffness, (2,))
+    low, high = given.tolist()
+    if not 0.0 < low <= high:
+        raise InputError(
+            f"stiffness: {stiffness!r} given, the least and the largest factor expected, such as (0.1, 10)",
+            field="stiffness",
+            value=stiffness,
+        )
+    return low, high
 
 
 class PartSolution(Solution):

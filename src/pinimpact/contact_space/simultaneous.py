@@ -165,7 +165,14 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
     found = policy.run(inputs, record, **options)
     if found.story.bounded:
         warnings.warn(" ".join(found.notes), BoundReachedWarning, stacklevel=3)
-    return found
+    again = partial(_resolved, simultaneous, inputs, options)
+    return replace(found, story=found.story._replace(again=again))
+
+
+def _resolved(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], factors: Array) -> Array:
+    """Return velocities (n, 3) after the impact with stiffnesses multiplied by factors (n,)."""
+    scaled = inputs._replace(stiffness=factors * inputs.stiffness)
+    return find_policy(simultaneous).run(scaled, False, **options).velocity
 
 
 # ---- propagate
