@@ -107,7 +107,7 @@ def public_docstrings() -> Iterator[tuple[str, str]]:
 SOURCES = sorted(path for path in (ROOT / "src").rglob("*.py") if "_kernels" not in path.parts)
 """Modules that have messages: kernels have none."""
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGES = [*pages.pages(), ROOT / "CONTRIBUTING.md"]
+PAGES = [*pages.pages(), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
 MODULE_NAMES = re.compile(r"benchmarks\.sweeps|test_sweeps\w+")
 
 
