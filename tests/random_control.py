@@ -136,7 +136,7 @@ def wrong_in(trajectory: Trajectory, rtol: float) -> str:
         if gained > 10.0 * rtol:
             return f"the {name} gain {gained:.2g} of the energy by friction"
     for note in trajectory.notes:
-        if note.text.startswith("Friction gives"):
+        if note.text.startswith("Friction has a positive power"):
             return note.text
     missing = unaccounted(trajectory)
     return f"{missing:.2g} of the energy unaccounted for" if missing > 1e4 * rtol else ""

@@ -222,7 +222,7 @@ def test_one_table_in_place_of_a_list_is_told(tmp_path):
     [
         (["robots", "zzz"], "no robot has 'zzz'"),
         (["cost", "--method", "eulr"], "did you mean 'euler'"),
-        (["demo", "rod", "--direction", "0", "0", "1"], "does not lead down to the table"),
+        (["demo", "rod", "--direction", "0", "0", "1"], "does not point down to the table"),
     ],
 )
 def test_the_command_line_refuses_names_and_directions_at_once(words, says, tmp_path, monkeypatch):

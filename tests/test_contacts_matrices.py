@@ -303,7 +303,7 @@ def chain(*kinds, parents=(0, 1)):
                 pin.JointModelRevoluteUnaligned(np.array([0, 0.6, 0.8])),
                 parents=(0, 0),
             ),
-            "joints hang together otherwise",
+            "kinematic tree is another",
         ),
     ],
 )

@@ -192,11 +192,11 @@ def test_nothing_is_in_the_table(name: str) -> None:
 def test_what_cannot_strike_says_why(tmp_path: Path) -> None:
     result = call("demo", written(tmp_path, FIXED), "-o", str(tmp_path / "out"))
     assert result.exit_code == 1
-    assert "own.urdf has no joint that moves, so it cannot strike\n" in result.output
+    assert "own.urdf has no movable joint, so it cannot strike\n" in result.output
     assert call("info", written(tmp_path, FIXED)).exit_code == 0
     for options, said in (
         (("two_link_arm", "--normal", "0", "1", "0"), "cannot move towards such a table"),
-        (("panda", "--normal", "0", "0", "1", "--direction", "0", "0", "1"), "leads away from a table"),
+        (("panda", "--normal", "0", "0", "1", "--direction", "0", "0", "1"), "points away from the table"),
         (("panda", "--frame", "panda_hand_tpc"), "did you mean"),
         (("panda", "--frame", "panda_link0"), "no joint moves frame 'panda_link0'"),
         (("panda", "--law", "newtonian"), "newton"),

@@ -56,7 +56,9 @@ def test_what_cannot_be_mended_is_told():
     integrator._settle()
     integrator._begin_motion()
     integrator.advance(0.2)
-    (note,) = [note.text for note in integrator.state.notes if note.text.startswith("Friction gives")]
+    (note,) = [
+        note.text for note in integrator.state.notes if note.text.startswith("Friction has a positive power")
+    ]
     assert float(note.split()[2]) == pytest.approx(0.3 * G, rel=0.3)
 
 
@@ -82,4 +84,4 @@ def test_forces_beyond_their_bounds_are_told_once_and_what_a_step_leaves_unknown
     integrator._note_beyond(0.1)
     integrator._note_beyond(0.2)
     (note,) = integrator.state.notes
-    assert "leave by 0.1 N" in note.text
+    assert "exceed the bounds of the contact modes by 0.1 N" in note.text

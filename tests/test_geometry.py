@@ -371,13 +371,13 @@ def test_bad_input_is_refused():
         Contact("thing", FLOOR, geometry="thing_0")
     with pytest.raises(InputError, match="plane: None"):
         Contact("thing")
-    with pytest.raises(InputError, match="offset, radius and rim belong to a frame"):
+    with pytest.raises(InputError, match="offset, radius and rim apply to a frame"):
         Contact(geometry="thing_0", plane=FLOOR, radius=0.1)
     with pytest.raises(InputError, match="rim_points: 2 given"):
         Contact(geometry="thing_0", plane=FLOOR, rim_points=2)
-    with pytest.raises(InputError, match="rim_points belongs"):
+    with pytest.raises(InputError, match="rim_points applies"):
         Contact("thing", FLOOR, rim_points=8)
-    with pytest.raises(InputError, match="a rim meets planes alone"):
+    with pytest.raises(InputError, match="a rim can make contact with planes only"):
         Contact("thing", Sphere(radius=1.0), rim=0.1)
     with pytest.raises(
         UnknownNameError, match="no collision shape is called 'thing_1'; did you mean 'thing_0'"
@@ -397,11 +397,13 @@ def test_bad_input_is_refused():
         UnknownNameError, match="links: no link 'thong' has a collision shape; did you mean 'thing'"
     ):
         Scene(robot).contacts_from_geometry(FLOOR, links=["thong"])
-    with pytest.raises(InputError, match="geometry: 'thing_0' is no pinocchio GeometryModel"):
+    with pytest.raises(InputError, match="geometry: 'thing_0' is not a pinocchio GeometryModel"):
         Scene(robot.model, geometry="thing_0")
-    with pytest.raises(InputError, match="is a box, which can meet planes alone, not a sphere"):
+    with pytest.raises(
+        InputError, match="is a box, which can make contact with planes only, not with a sphere"
+    ):
         Contact(geometry="thing_0", plane=Sphere(radius=1.0)).tips(robot)
-    with pytest.raises(InputError, match="is a collision shape, which here has no single point"):
+    with pytest.raises(InputError, match="is a contact of a collision shape, which has no single point"):
         pinimpact.contact_matrices(
             robot, robot.data, pin.neutral(robot.model), Contact(geometry="thing_0", plane=FLOOR)
         )
@@ -428,7 +430,7 @@ def test_a_shape_without_a_link_hangs_on_a_frame_of_its_joint():
     shapes.addGeometryObject(pin.GeometryObject("crate", 1, pin.SE3.Identity(), coal.Box(*SIDES)))
     contact = Contact(geometry="crate", plane=FLOOR)
     with pytest.raises(
-        ModelError, match=r"'crate' hangs on joint 1, which has no frame; add one: model.addJoint"
+        ModelError, match=r"'crate' is attached to joint 1, which has no frame; add one: model.addJoint"
     ):
         contact.tips(pin.RobotWrapper(model, shapes))
     model.addJointFrame(1)

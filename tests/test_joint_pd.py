@@ -237,9 +237,9 @@ def test_what_it_cannot_drive_and_bad_numbers_are_refused_by_name():
     spinning = pin.Model()
     joint = spinning.addJoint(0, pin.JointModelRUBY(), pin.SE3.Identity(), "spinner")
     spinning.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
-    with pytest.raises(InputError, match="'spinner' has not one plain coordinate"):
+    with pytest.raises(InputError, match="'spinner' does not have exactly one coordinate"):
         Scene(spinning, control=JointPD(1.0, 1.0, pin.neutral(spinning)))
-    with pytest.raises(InputError, match="'body' has not one plain coordinate"):
+    with pytest.raises(InputError, match="'body' does not have exactly one coordinate"):
         Scene(ball(), control=JointPD(np.ones(6), 0.0, [0, 0, 0, *UP]))
     for field, wrong in (
         ("kp", JointPD(-1.0, 0.0, np.zeros(3))),

@@ -614,7 +614,7 @@ def both(x):
 
 def test_inner_kernels_made_by_one_function_are_told_apart() -> None:
     assert both(1.0) == 302.0
-    with pytest.raises(ValueError, match="made by a function"):
+    with pytest.raises(ValueError, match="defined inside a function"):
         jit(twice.py_func)
 
 

@@ -363,16 +363,14 @@ def test_the_order_of_joints_is_named_where_it_makes_the_mass_matrix_indefinite(
     q = pin.neutral(model)
     mass = pin.crba(model, model.createData(), q)
     assert np.linalg.eigvalsh(mass, "U")[0] < 0.0  # of bodies that all have inertia
-    with pytest.raises(
-        pinimpact.ModelError, match="'joint3' apart from the other joints that hang on 'joint0'"
-    ):
+    with pytest.raises(pinimpact.ModelError, match="'joint3' apart from the other joints below 'joint0'"):
         simulate(Scene(model), q, np.zeros(model.nv), 1.0)
 
 
 def test_joints_that_are_not_depth_first_are_refused_since_crba_would_be_wrong():
     wrong, right = two_arms(("a", "al", "ar", "all", "arr")), two_arms(("a", "al", "all", "ar", "arr"))
     q, v = np.array([0.3, -0.5, 0.2, 0.4, -0.1]), np.array([-1.0, 0.5, 0.2, -0.7, 0.3])
-    told = "'all' apart from the other joints that hang on 'al'"
+    told = "'all' apart from the other joints below 'al'"
     contact = Contact("tip", FLOOR, friction=0.5, restitution=0.5)
     for ask in (
         lambda: pinimpact.impact(wrong, wrong.createData(), q, v, contact),

@@ -78,7 +78,7 @@ def test_what_cannot_be_reached_is_told_with_the_distance_left(height, left):
     normal, left = ((0, 0, 1), left) if left else ((0, 1, 0), height)
     plane = pinimpact.Plane(point=height * np.array(normal), normal=normal)
     with pytest.raises(
-        pinimpact.InputError, match=rf"'tip on plane' cannot .*: {left:g} m are left"
+        pinimpact.InputError, match=rf"'tip on plane' cannot .*: a gap of {left:g} m remains"
     ) as caught:
         pinimpact.place_in_contact(robot, robot.data, robot.q0, pinimpact.Contact("tip", plane))
     assert caught.value.field == "contacts"
@@ -89,7 +89,7 @@ def test_two_that_exclude_each_other_are_told():
     robot = pinimpact.load_robot("two_link_arm")
     low = pinimpact.Contact("tip", pinimpact.Plane(), name="low")
     high = pinimpact.Contact("tip", pinimpact.Plane(point=(0, 0, 0.5)), name="high")
-    with pytest.raises(pinimpact.InputError, match=r"2 contacts .* 0\.25 m are left at '(low|high)'"):
+    with pytest.raises(pinimpact.InputError, match=r"2 contacts .* a gap of 0\.25 m remains at '(low|high)'"):
         pinimpact.place_in_contact(robot, robot.data, robot.q0, [low, high])
     with pytest.raises(pinimpact.InputError, match="none given"):
         pinimpact.place_in_contact(robot, robot.data, robot.q0, [])

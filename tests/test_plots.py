@@ -252,12 +252,12 @@ def test_many_contacts_are_refused_where_a_plot_makes_no_sense() -> None:
     solution = pinimpact.solve_impact(many, simultaneous="any", seed=3)
     hit = plots.one_impact.Solved(many, solution)
     for call, said in (
-        (lambda: plots.hodograph(many), "at 2 contacts: say which one is drawn, 0 to 1"),
+        (lambda: plots.hodograph(many), "has 2 contacts: give the number of one, 0 to 1"),
         (lambda: plots.velocities(many, contact=2), "contact: 2 given"),
         (lambda: plots.hodograph(ROD, contact=1), "is at one contact"),
-        (lambda: plots.hodograph(hit, contact=0), "'any' has left no path"),
-        (lambda: plots.impulse_space(many), "impulse_space is of one contact alone"),
-        (lambda: plots.regime_map(hit), "regime_map is of one contact alone"),
+        (lambda: plots.hodograph(hit, contact=0), "'any' has no path"),
+        (lambda: plots.impulse_space(many), "impulse_space needs a single contact"),
+        (lambda: plots.regime_map(hit), "regime_map needs a single contact"),
     ):
         with pytest.raises(pinimpact.InputError, match=said):
             call()

@@ -152,12 +152,12 @@ def test_notes_that_say_the_same_are_one_line(toss):
     assert len(notes) >= 1
     assert sum("resting" in line for line in str(trajectory).splitlines()) == 1
     some = [
-        Note(0.1, "a on floor is taken as resting: it would bounce slower than 0.0003 m/s."),
-        Note(0.2, "b on floor is taken as resting: it would bounce slower than 0.0003 m/s."),
-        Note(0.3, "a on floor is taken as resting: it would bounce slower than 0.0004 m/s."),
-        Note(0.4, "held: 'a 1' would have to pull with 0.3 N s to hold; leave it out"),
-        Note(0.5, "held: 'a 2' would have to pull with 0.3 N s to hold; leave it out"),
-        Note(0.6, "held: 'a 2' would have to pull with 1.5e-05 N s to hold; leave it out"),
+        Note(0.1, "a on floor comes to rest: it would bounce slower than 0.0003 m/s."),
+        Note(0.2, "b on floor comes to rest: it would bounce slower than 0.0003 m/s."),
+        Note(0.3, "a on floor comes to rest: it would bounce slower than 0.0004 m/s."),
+        Note(0.4, "held: 'a 1' pulls on its surface with 0.3 N s; leave it out"),
+        Note(0.5, "held: 'a 2' pulls on its surface with 0.3 N s; leave it out"),
+        Note(0.6, "held: 'a 2' pulls on its surface with 1.5e-05 N s; leave it out"),
     ]
     groups = group_notes(some)
     assert [group.times for group in groups] == [(0.1, 0.3), (0.2,), (0.4,), (0.5, 0.6)]

@@ -102,8 +102,8 @@ def test_shapes_and_links_are_what_the_file_says(tmp_path: Path) -> None:
     for what, message in (
         ('links = "all"\nframe = "can"', r"contact\[0\]: frame and links given; give one of frame, geometry"),
         ("", r"contact\[0\]: none given"),
-        ('links = "all"\nradius = 0.1', r"contact\[0\].radius: goes with a frame"),
-        ('geometry = "can_0"\nheld = true', r"contact\[0\].held: goes with a frame"),
+        ('links = "all"\nradius = 0.1', r"contact\[0\].radius: applies to a frame"),
+        ('geometry = "can_0"\nheld = true', r"contact\[0\].held: applies to a frame"),
         ('links = "all"\nrim_points = 2', r"contact\[0\]: rim_points: 2 given"),
     ):
         with pytest.raises(pinimpact.InputError, match=message):

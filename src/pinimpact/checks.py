@@ -91,7 +91,7 @@ def output_file(field: str, path: str | Path) -> Path:
         raise InputError(f"{field}: {path} is a folder; add the name of a file", field=field, value=str(path))
     if not path.absolute().parent.is_dir():
         raise InputError(
-            f"{field}: there is no folder {path.absolute().parent}; make it first, or give another path",
+            f"{field}: there is no folder {path.absolute().parent}; create it first, or give another path",
             field=field,
             value=str(path),
         )
@@ -117,7 +117,7 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArra
     squares = np.vdot(array, array)  # quickly finite, unless it is too large
     if not math.isfinite(squares) and not np.isfinite(array).all():
         raise InputError(
-            f"{field}: {array.tolist()} holds numbers that are not finite", field=field, value=value
+            f"{field}: {array.tolist()} contains numbers that are not finite", field=field, value=value
         )
     return array
 

@@ -6,12 +6,12 @@ from typing import Any
 
 
 class PinimpactError(Exception):
-    """Root of every error raised on purpose.
+    """Base class of all errors of pinimpact.
 
     Args:
-        message: What is wrong, with the offending value, and what would be right.
-        field: Name of the offending argument or file key, where there is one.
-        value: The offending value, as given.
+        message: What is wrong, with the value, and what is expected.
+        field: Name of the argument or file key, if there is one.
+        value: The value, as given.
     """
 
     def __init__(self, message: str, *, field: str | None = None, value: Any = None) -> None:
@@ -25,27 +25,27 @@ class PinimpactError(Exception):
 
 
 class JointLimitWarning(UserWarning):
-    """A configuration lies beyond the limits of a joint, as one in degrees does."""
+    """A configuration is outside the joint limits, perhaps because it is in degrees."""
 
 
 class BoundReachedWarning(UserWarning):
-    """An impact at many contacts reached a bound on steps or events, and its answer is approximate."""
+    """An impact at many contacts reached a bound on steps or events; its result is approximate."""
 
 
 class SteppedWarning(UserWarning):
-    """A part of a motion was crossed by time stepping, since its events could not be located one by one."""
+    """An interval was crossed by time steps, because its events could not be located one by one."""
 
 
 class InputError(PinimpactError, ValueError):
-    """A value that cannot be used: wrong shape, not finite, out of range."""
+    """An invalid value: wrong shape, not finite, out of range."""
 
 
 class UnknownNameError(PinimpactError, KeyError):
-    """A name that nothing bears (or several things do): frame, joint, robot, law, method, key."""
+    """A name that does not exist, or is not unique: frame, joint, robot, law, method, key."""
 
 
 class ModelError(PinimpactError, ValueError):
-    """A robot description that cannot be used: missing, broken, without inertia."""
+    """A robot description that cannot be used: missing, invalid, without inertia."""
 
 
 class UnstoppableApproachError(PinimpactError, ValueError):
@@ -53,15 +53,15 @@ class UnstoppableApproachError(PinimpactError, ValueError):
 
 
 class LawError(PinimpactError, ValueError):
-    """The restitution law's end cannot be reached by this mechanism."""
+    """The mechanism cannot satisfy the restitution law."""
 
 
 class SimulationError(PinimpactError, RuntimeError):
-    """A simulation that cannot continue; ``partial`` holds the trajectory computed until then.
+    """A simulation that cannot continue; ``partial`` is the trajectory up to then.
 
     Args:
-        message: Why it stopped and what would help.
-        partial: The consistent trajectory up to the stop, or None where nothing was computed.
+        message: Why it stopped, and what may help.
+        partial: The trajectory up to the stop, or None if there is none.
         field: As in `PinimpactError`.
         value: As in `PinimpactError`.
     """
@@ -78,7 +78,7 @@ class IrregularMotionError(SimulationError):
 
 
 class LockedPostureError(SimulationError):
-    """Friction locks a contact in a direction in which nothing moves it, though it is carried on.
+    """Friction locks a contact in a direction in which no joint can move it, while other joints still move.
 
-    Rigid bodies have neither forces nor impulses there. (theory.md, 13)
+    The rigid-body equations have neither forces nor impulses there. (theory.md, 13)
     """

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Status(enum.IntEnum):
-    """Why the impact ended. ``str(status)`` is a sentence; arrays hold the integer values."""
+    """The reason why an impact ended. ``str(status)`` is a sentence; arrays have the integer values."""
 
     SEPARATED = 0
     ENDED_AT_REST = 1
@@ -26,26 +26,26 @@ class Status(enum.IntEnum):
 
     @property
     def ok(self) -> bool:
-        """Whether there is an answer (False: the row is NaN and `solve_impact` raises)."""
+        """Whether there is a solution. If not, rows of batches are NaN and `solve_impact` raises an error."""
         return self <= Status.LOCKED
 
 
 _SENTENCES = {
     Status.SEPARATED: "Solved: the restitution law is met and the contact separates.",
-    Status.ENDED_AT_REST: "Solved: the normal velocity is brought to zero and nothing is restored.",
+    Status.ENDED_AT_REST: "Solved: the normal velocity is zero at the end, without restitution.",
     Status.NO_IMPACT: "The contact does not approach, so there is no impact.",
     Status.LOCKED: "Friction locks the mechanism, so the normal velocity cannot rise.",
     Status.INVALID_NUMBERS: "A number of the problem is not finite or out of its range.",
     Status.INDEFINITE_DELASSUS: "The Delassus matrix is not symmetric positive semidefinite.",
     Status.UNSTOPPABLE: "The contact approaches and no normal impulse can stop it.",
-    Status.LAW_UNREACHABLE: "The restitution law asks for what this mechanism cannot reach.",
-    Status.OUT_OF_RANGE: "The answer lies beyond what double precision holds.",
-    Status.NOT_CONVERGED: "The solver ran out of steps.",
+    Status.LAW_UNREACHABLE: "The mechanism cannot satisfy the restitution law.",
+    Status.OUT_OF_RANGE: "The result is outside the range of double precision.",
+    Status.NOT_CONVERGED: "The solver reached its largest number of steps.",
 }
 
 
 class Flag(enum.IntFlag):
-    """What was special about an impact; ``str(flags)`` puts it in sentences, ``describe()`` one by one."""
+    """Special events of an impact; ``str(flags)`` and ``describe()`` return sentences."""
 
     NONE = 0
     JAM = 1
@@ -73,7 +73,7 @@ class Flag(enum.IntFlag):
         return format(str(self), format_spec)
 
     def names(self) -> str:
-        """Return the names of the flags that are set, "STICK|JAM"; nothing where none is."""
+        """Return the names of the flags that are set, "STICK|JAM"; empty if none is."""
         return "|".join(flag.name or "" for flag in Flag if flag & self)
 
     def describe(self) -> tuple[str, ...]:

@@ -118,7 +118,7 @@ def _called(function: F, **options: Any) -> F:
 def _cached(function: F, pipeline: Any, **options: Any) -> F:
     if function.__closure__:
         raise ValueError(
-            f"{function.__qualname__}: made by a function, so its symbol is not its own; see inner"
+            f"{function.__qualname__}: defined inside a function, so its symbol is not unique; see inner"
         )
     compiled: Any = numba.njit(pipeline_class=pipeline, no_cfunc_wrapper=True, **_OPTIONS, **options)(
         function

@@ -55,7 +55,7 @@ def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
     often = (
         "once per machine (`pinimpact warmup` compiles all)"
         if kept
-        else "in every process, for no folder is writable (see NUMBA_CACHE_DIR)"
+        else "in every process, because no cache folder is writable (see NUMBA_CACHE_DIR)"
     )
     LOG.warning(
         "%s: compiling kernels for %s, %s: up to about %.0f s",

@@ -348,7 +348,7 @@ def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], handed: tup
         raise ValueError(f"sizes: {sorted(values)} given, {sorted(declared)} expected")
     unknown = [name for name in handed if not isinstance(fields.get(name), _Array)]
     if unknown:
-        raise ValueError(f"arrays: {unknown} given, which the declaration does not know")
+        raise ValueError(f"arrays: {unknown} given, which are not declared")
     given, places, room = [], {}, 0  # what is made stands one after the other
     for field, dims in kind._declared:
         shape = tuple(values[dim] if isinstance(dim, str) else dim for dim in dims)

@@ -167,7 +167,7 @@ def main() -> None:
 )
 @click.option("--normal", type=VECTOR, help="Normal of the table, x y z in the world.  [default: 0 0 1]")
 @click.option("--friction", type=float, help="Coulomb coefficient.  [default: 0.3]")
-@click.option("--restitution", type=float, help="Coefficient of the law, 0 to 1.  [default: 0.5]")
+@click.option("--restitution", type=float, help="Coefficient of restitution, 0 to 1.  [default: 0.5]")
 @click.option(
     "--law", default="poisson", show_default=True, help="Restitution law: poisson, energetic or newton."
 )

@@ -188,7 +188,7 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
     model = robot.model
     if model.nv == 0:
         raise ModelError(
-            f"robot: {name} has no joint that moves, so it cannot strike", field="robot", value=name
+            f"robot: {name} has no movable joint, so it cannot strike", field="robot", value=name
         )
     idle = sorted(_idle_joints(model, robot.q0))
     if not idle:
@@ -252,15 +252,15 @@ def _touch(
     along = None if direction is None else np.array(unit_vector("direction", direction))
     if axes is not None and along is not None and float(axes[2] @ along) >= 0.0:
         raise InputError(
-            f"direction: {tuple(direction or ())} leads away from a table whose normal is "
-            f"{tuple(normal or ())}; a point strikes against the normal",
+            f"direction: {tuple(direction or ())} points away from the table with the normal "
+            f"{tuple(normal or ())}; give a direction against the normal",
             field="direction",
             value=direction,
         )
     if axes is None and along is not None and float(along[2]) >= 0.0:
         raise InputError(
-            f"direction: {tuple(direction or ())} does not lead down to the table; give a direction with a "
-            "negative z, or the table's normal too (normal=, --normal)",
+            f"direction: {tuple(direction or ())} does not point down to the table; give a "
+            "direction with a negative z, or the table's normal too (normal=, --normal)",
             field="direction",
             value=direction,
         )
@@ -294,8 +294,9 @@ def _touch(
         )
     x, y, z = (round(float(component), 3) + 0.0 for component in moves)
     raise InputError(
-        f"normal: {what} of {name} cannot move towards such a table from where it is; it moves along "
-        f"({x:g}, {y:g}, {z:g}): give a normal against that, another direction, or another frame",
+        f"normal: {what} of {name} cannot move towards such a table in this posture; it moves "
+        f"along ({x:g}, {y:g}, {z:g}): give a normal opposite to that, another direction, or "
+        "another frame",
         field="normal",
         value=normal,
     )

@@ -32,7 +32,7 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
             out = next(folder for folder in numbered if not _taken(folder, names))
     elif not force and (taken := _taken(out, names)):
         raise InputError(
-            f"out: {out} has {_listed(taken)} already; give --force to write over "
+            f"out: {out} already contains {_listed(taken)}; use --force to overwrite "
             f"{'it' if len(taken) == 1 else 'them'}, or another folder with -o",
             field="out",
             value=str(out),
@@ -44,7 +44,7 @@ def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> 
         probe.unlink()
     except OSError as error:
         raise InputError(
-            f"out: nothing can be written to the folder {out}: {_reason(out, error)}; give another with -o",
+            f"out: cannot write to the folder {out}: {_reason(out, error)}; choose another with -o",
             field="out",
             value=str(out),
         ) from error
@@ -62,8 +62,8 @@ def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "i
     taken = [path.name for path in (output, impacts) if path.exists()]
     if taken and not force:
         raise InputError(
-            f"output: {_listed(taken)} {'exists' if len(taken) == 1 else 'exist'} already; give --force to "
-            "write over, or another name",
+            f"output: {_listed(taken)} already {'exists' if len(taken) == 1 else 'exist'}; use "
+            "--force to overwrite, or another name",
             field="output",
             value=str(output),
         )

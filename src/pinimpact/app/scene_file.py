@@ -291,7 +291,7 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
             value=str(path),
         ) from error
     except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error.strerror
+        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror
         raise InputError(f"scene: cannot read {path}: {reason}", field="scene", value=str(path)) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"scene: {path} is not TOML: {error}", field="scene", value=str(path)) from error
@@ -299,7 +299,7 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
         if not isinstance(tables.get("control"), dict):
             key = next(iter(control))
             raise InputError(
-                f"control.{key}: {control[key]!r} given, but {path} has no table [control] to go by",
+                f"control.{key}: {control[key]!r} given, but {path} has no table [control]",
                 field=f"control.{key}",
                 value=control[key],
             )
@@ -340,7 +340,7 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
         )
     if complaint["type"] == "list_type" and isinstance(complaint["input"], dict):
         return InputError(
-            f"{key}: [{key}] in {path.name} stands for one table of a list; write [[{key}]]",
+            f"{key}: [{key}] in {path.name} must be a list of tables; write [[{key}]]",
             field=key,
             value=complaint["input"],
         )

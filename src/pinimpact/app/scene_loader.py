@@ -109,7 +109,7 @@ class LoadedScene:
             impacts = [impact for impact in trajectory.impacts if impact.source in contacts]
             if impacts:
                 strongest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))
-                title = f"{strongest.source}, t = {strongest.time:.4f} s: the strongest impact"
+                title = f"{strongest.source}, t = {strongest.time:.4f} s: the largest impulse"
                 figure = impact_figure(strongest.problem, strongest.solution, title)
                 yield "Strongest impact", save_figure(figure, folder / "impact.png")
         if output.replay:
@@ -163,7 +163,7 @@ def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict
         return {}
     if table.delay > 0.0 and table.period is None:
         raise InputError(
-            "control.delay: a control is late where it is sampled; set control.period too, or leave this out",
+            "control.delay: only a sampled control has a delay; set control.period too, or remove the delay",
             field="control.delay",
             value=table.delay,
         )
@@ -175,7 +175,7 @@ def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | Joint
     limited = table.largest_effort is not None
     if limited and table.cancel_gravity:
         raise InputError(
-            "control.largest_effort: efforts that cancel gravity have no limit; leave out one of the two",
+            "control.largest_effort: not possible with cancel_gravity; remove one of the two",
             field="control.largest_effort",
             value=table.largest_effort,
         )
@@ -207,7 +207,8 @@ def _robots(file: SceneFile, folder: Path) -> tuple[pin.RobotWrapper, Array]:
             pose = pin.SE3.Identity()
         elif any((*table.velocity, *table.angular_velocity)):
             raise InputError(
-                f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or leave it out",
+                f"{key}.velocity: the base of {source} is fixed; set free_flyer = true, or remove "
+                "the velocity",
                 field=f"{key}.velocity",
                 value=table.velocity,
             )
@@ -278,7 +279,7 @@ def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked
     for index, table in enumerate(tables):
         if table in tables[:index]:
             raise InputError(
-                f"contact[{index}]: the same as contact[{tables.index(table)}]; leave one out",
+                f"contact[{index}]: the same as contact[{tables.index(table)}]; remove one",
                 field=f"contact[{index}]",
                 value=table.frame,
             )
@@ -313,7 +314,7 @@ def _check_shape_table(key: str, table: ContactTable) -> None:
     for name in ("held", "offset", "radius", *(("name",) if table.links is not None else ())):
         if name in table.model_fields_set:
             raise InputError(
-                f"{key}.{name}: goes with a frame, not with a geometry or links; leave it out",
+                f"{key}.{name}: applies to a frame, not to a geometry or links; remove it",
                 field=f"{key}.{name}",
                 value=getattr(table, name),
             )

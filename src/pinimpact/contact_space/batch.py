@@ -17,15 +17,15 @@ from .solution import Work
 
 
 class BatchSolution:
-    """The answers to N impact problems, row by row, in contact axes.
+    """The results of N impact problems, row by row, in contact axes.
 
     Attributes:
         velocity: (N, 3) post-impact contact velocities [m/s].
         impulse: (N, 3) impulses on the robot [N s].
         compression_impulse: (N,) normal impulses of compression [N s].
-        status: (N,) integer values of `Status`; a row without answer holds NaN.
+        status: (N,) integer values of `Status`; rows without a solution are NaN.
         flags: (N,) integer values of `Flag`.
-        iterations: (N,) steps taken.
+        iterations: (N,) numbers of steps.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class BatchSolution:
 
     @cached_property
     def work(self) -> Work:
-        """The `Work` ledgers, arrays (N,) [J]; computed on first access if not before. Surfaces at rest."""
+        """The `Work` of the rows, arrays (N,) [J], for surfaces at rest; computed on first access."""
         works = self._solve(True)[2] if self._works is None else self._works
         return Work(works[:, 0], works[:, 1], works[:, 2], np.zeros(len(works)))
 
@@ -92,26 +92,25 @@ def solve_impacts(
     threads: int = 1,
     work: bool = False,
 ) -> BatchSolution:
-    """Resolve N frictional impacts with the method "exact".
+    """Solve N frictional impacts with the method "exact".
 
     Args:
-        delassus: (N, 3, 3) inverse inertias W [1/kg], formed in double precision, or (3, 3) one for all rows.
-        velocity: (N, 3) pre-impact contact velocities [m/s], or (3,) one for all rows.
+        delassus: (N, 3, 3) inverse inertias W [1/kg], computed in double precision, or (3, 3) for all rows.
+        velocity: (N, 3) pre-impact contact velocities [m/s], or (3,) for all rows.
         friction: Coefficient μ, a number or (N,).
         restitution: Coefficient e, a number or (N,).
-        law: The restitution law of all of them.
-        velocity_scale: Sizes of the numbers that the velocities were formed from, a number or (N,); see
+        law: The restitution law of all rows.
+        velocity_scale: Sizes of the terms that the velocities are the sum of, a number or (N,); see
             `ImpactProblem`.
-        threads: How many threads share the rows. The answers are the same to the bit, whatever their number.
-        work: Whether to compute the work with the solution; else it is computed by solving again when it is
-            read.
+        threads: Number of threads. The results do not depend on it.
+        work: Whether to compute the work at once; otherwise it is computed on first access, by solving again.
 
     Returns:
-        A `BatchSolution`. A row whose numbers are unusable gets its status and NaN, and spoils no other.
+        A `BatchSolution`. A row with invalid numbers has its status and NaN, and does not affect other rows.
 
     Raises:
-        InputError: Shapes that do not fit, or a number of threads that is none.
-        UnknownNameError: No such law.
+        InputError: Shapes that do not match, or an invalid number of threads.
+        UnknownNameError: Unknown law.
     """
     matrices = np.ascontiguousarray(real_numbers("delassus", delassus))
     velocities = np.ascontiguousarray(real_numbers("velocity", velocity))

@@ -47,21 +47,22 @@ _LAWS = (
         "poisson",
         "impulse",
         "P_r = e P_c (2.4)",
-        "the restitution impulse is e times that of compression; creates energy only with friction, "
-        "and spends its impulse also on a locked mechanism",
+        "the impulse of restitution is e times that of compression; with friction it can create "
+        "energy; a locked mechanism receives the impulse, too",
         always_met=True,
     ),
     Law(
         "energetic",
         "work",
         "W_r = −e² W_c (2.5)",
-        "Stronge's: the normal work given back is e² of that taken; never creates energy",
+        "Stronge's law: the normal work of restitution is e² times that of compression; never creates energy",
     ),
     Law(
         "newton",
         "velocity",
         "v₃ = −e v₃° (2.6)",
-        "the normal velocity is turned round by e; can create energy, which is computed as asked and flagged",
+        "the normal velocity is −e times its initial value; with friction it can create energy, "
+        "which is flagged",
     ),
 )
 

@@ -35,9 +35,9 @@ class ManyPath:
     """The recorded path of an impact at n contacts.
 
     Attributes:
-        clock: (m,) the clock that all contacts share; only its order means anything.
+        clock: (m,) the common internal clock; only its order has a meaning.
         velocity: (m, n, 3) contact velocities [m/s].
-        impulse: (m, n, 3) impulses so far [N s].
+        impulse: (m, n, 3) contact impulses [N s].
     """
 
     clock: Array
@@ -46,7 +46,7 @@ class ManyPath:
 
     @property
     def normal_impulse(self) -> Array:
-        """(m, n) P₃ of each contact, never falling [N s]."""
+        """(m, n) P₃ of each contact, not decreasing [N s]."""
         return self.impulse[:, :, 2]
 
 
@@ -83,17 +83,17 @@ class ManyStory(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ManySolution:
-    """What an impact at n contacts came to, in the contact axes (t₁, t₂, n) of each.
+    """The result of an impact at n contacts, in the contact axes (t₁, t₂, n) of each.
 
     Attributes:
         velocity: (n, 3) post-impact contact velocities [m/s].
         impulse: (n, 3) impulses on the robot [N s].
-        iterations: Steps that were taken.
-        events: How often contacts changed their modes, or single impacts, or phases.
+        iterations: Number of steps.
+        events: Number of changes of contact modes, single impacts, or phases.
         simultaneous: The policy.
         law: The restitution law that was used.
-        story: What `work`, `segments` and `flags` are made from.
-        notes: What a reader should know of the answer.
+        story: Data from which `work`, `segments` and `flags` are computed.
+        notes: Sentences about limitations of the result.
         path: The recorded `ManyPath`, or None.
     """
 
@@ -109,26 +109,26 @@ class ManySolution:
 
     @cached_property
     def work(self) -> Work:
-        """The `Work` ledger of each contact, arrays (n,) [J]."""
+        """The `Work` of each contact, arrays (n,) [J]."""
         works = self.story.works
         surface = np.sum(self.impulse * self.story.surface_velocity, axis=1)
         return Work(works[:, 0], works[:, 1], works[:, 2], surface)
 
     @cached_property
     def segments(self) -> Segments:
-        """Of each contact, its `Segment`s in order, in terms of its own P₃; empty where there is no path."""
+        """The `Segment`s of each contact in order, over its own P₃; empty if the policy has no path."""
         return self.story.segments()
 
     @cached_property
     def flags(self) -> Flag:
-        """What was special about it."""
+        """Special events of the impact."""
         works = self.story.works
         flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
         return flags | Flag.BOUND_REACHED if self.story.bounded else flags
 
     @property
     def compression_impulse(self) -> Array:
-        """(n,) normal impulses of compression [N s]; NaN where the policy has no path."""
+        """(n,) normal impulses of compression [N s]; NaN if the policy has no path."""
         return np.array(
             [
                 sum(s.end - s.start for s in segments if s.phase == "compression")
@@ -140,7 +140,7 @@ class ManySolution:
 
     @property
     def statuses(self) -> tuple[Status, ...]:
-        """How each contact ended."""
+        """The status of each contact."""
         rest = RESTS * float(np.abs(self.velocity).max(initial=0.0))
 
         def status(velocity: Array, impulse: Array) -> Status:
@@ -152,28 +152,28 @@ class ManySolution:
 
     @property
     def status(self) -> Status:
-        """How the impact ended: the least of `statuses`, so separated if any contact has."""
+        """The status of the impact, the smallest of `statuses`: separated if any contact has separated."""
         return min(self.statuses, default=Status.NO_IMPACT)
 
     def range(self, stiffness: tuple[float, float], draws: int = 64, seed: int = 0) -> VelocityRange:
-        """Return how far the answer depends on relative stiffnesses, which are seldom known.
+        """Return how much the result depends on the relative stiffnesses, which are seldom known.
 
         The impact is solved again with the stiffness of each contact multiplied by a factor: for up to six
-        contacts by each combination of the least and the largest one, and by random ones, distributed
-        uniformly in their logarithm. The answers lie within what is returned; others may lie outside.
+        contacts by each combination of the smallest and the largest factor, and by random ones, distributed
+        uniformly in their logarithm. The range covers these results; other factors may lead outside.
 
         Args:
-            stiffness: The least and the largest factor.
+            stiffness: The smallest and the largest factor.
             draws: Number of random combinations.
-            seed: Of their generator.
+            seed: Seed of the random numbers.
 
         Returns:
-            The least and the largest of each velocity component, (n, 3) each.
+            The smallest and the largest value of each velocity component, (n, 3) each.
 
         Raises:
-            InputError: Factors that are not two positive numbers in ascending order, or a number of draws
-                below zero.
-            PinimpactError: What `solve_impact` raises for one of these problems.
+            InputError: The factors are not two positive numbers in ascending order, or the number of draws is
+                negative.
+            PinimpactError: An error of `solve_impact` for one of these problems.
         """
         low, high = factors_of(stiffness)
         if not isinstance(draws, int) or draws < 0:
@@ -186,11 +186,11 @@ class ManySolution:
         return VelocityRange(np.min(found, axis=0), np.max(found, axis=0))
 
     def part(self, j: int) -> Solution:
-        """Return what contact j has come to, by the names that the `Solution` of one contact has."""
+        """Return the result of contact j, with the attributes of the `Solution` of one contact."""
         return PartSolution(self, j)
 
     def as_html(self, names: Sequence[str]) -> str:
-        """Return tables for a notebook, with a name for each contact."""
+        """Return HTML tables for a notebook, with a name for each contact."""
         axes = ("", "t₁", "t₂", "n")
 
         def rows(of: Array) -> list[tuple[Any, ...]]:

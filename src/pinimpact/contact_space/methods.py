@@ -27,8 +27,8 @@ class Method:
     """A method of `solve_impact`.
 
     Attributes:
-        load: Returns the function that runs it; called on first use, so that importing costs nothing.
-        summary: One line on what it is.
+        load: Returns the function of the method; called on first use.
+        summary: One line of description.
         options: Names of its keyword options and their defaults.
     """
 
@@ -48,24 +48,23 @@ def register_method(name: str, method: Method, *, replace: bool = False) -> None
     """Make `method` available to `solve_impact` under `name`.
 
     Args:
-        name: What ``method=`` of `solve_impact` is to be.
+        name: The name for ``method=`` of `solve_impact`.
         method: The method.
-        replace: Whether a method registered under that name before may be replaced. ``"exact"`` never can
-            be: impacts of robots, batches and scenes run its kernel without asking for a name.
+        replace: Whether to replace a registered method of that name. ``"exact"`` cannot be replaced: impacts
+            of robots, batches and scenes run its kernel.
 
     Raises:
-        InputError: The name is taken, and not to be replaced.
+        InputError: The name exists already, and `replace` is False.
     """
     if name == "exact" and name in _methods:
         raise InputError(
-            'name: "exact" is what impacts of robots and scenes are solved by and cannot be replaced; '
-            "choose another name",
+            'name: "exact" cannot be replaced, because robots and scenes use it; choose another name',
             field="name",
             value=name,
         )
     if name in _methods and not replace:
         raise InputError(
-            f"name: a method {name!r} is registered already; choose another name, or say replace=True",
+            f"name: a method {name!r} is registered already; choose another name, or set replace=True",
             field="name",
             value=name,
         )
@@ -111,8 +110,8 @@ def _step(inputs: Inputs, table: Tableau, steps: int, rtol: float, trace: Array,
     if result[0] == Status.NOT_CONVERGED:
         name, value = ("rtol", rtol) if rtol > 0.0 else ("steps", steps)
         raise PinimpactError(
-            f"{name}: with {value:g} the impact takes too many steps; it slips for far longer than |v₃|/c "
-            f'(v₃ = {inputs[8]:.6g} m/s, c = {inputs[5]:.6g}) or comes to creep; use "exact"',
+            f"{name}: with {value:g} the impact takes too many steps; slip lasts far longer than "
+            f'|v₃|/c (v₃ = {inputs[8]:.6g} m/s, c = {inputs[5]:.6g}) or creeps; use "exact"',
             field=name,
             value=value,
         )

@@ -29,7 +29,7 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
         for name, values in (("delassus", inputs[:6]), ("velocity", inputs[6:9])):
             if not np.isfinite(values).all():
                 raise InputError(
-                    f"{name}: {values} holds numbers that are not finite", field=name, value=values
+                    f"{name}: {values} contains numbers that are not finite", field=name, value=values
                 )
         if not (0.0 <= mu < float("inf")):
             raise InputError(
@@ -58,8 +58,8 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
     if status == Status.UNSTOPPABLE:
         raise UnstoppableApproachError(
             f"velocity: the contact approaches at {v3:.6g} m/s and no normal impulse can stop it: "
-            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). The mechanism cannot yield along "
-            "the normal; choose another contact frame, free a joint, or a velocity that it can produce",
+            f"v₃ stays at {figure:.6g} m/s (c = hᵀM⁻¹h = {inputs[5]:.6g}). The mechanism cannot "
+            "move along the normal; choose another contact frame, unlock a joint, or correct v",
             field="velocity",
             value=v3,
         )
@@ -67,14 +67,14 @@ def raise_for_status(status: Status, figure: float, inputs: Inputs) -> None:
         law = law_of_code(inputs[11]).name
         others = " or ".join(map(repr, laws_always_met()))
         raise LawError(
-            f"law: {law!r} with e = {e:.6g} cannot be met: v₃ tends to a limit short of it "
+            f"law: {law!r} with e = {e:.6g} cannot be met: v₃ converges to a limit below it "
             f"({figure:.6g} missing); use {others}, or a smaller restitution",
             field="law",
             value=law,
         )
     if status == Status.OUT_OF_RANGE:
         raise InputError(
-            "delassus, velocity: the answer lies beyond what double precision holds; choose other units",
+            "delassus, velocity: the result is outside the range of double precision; choose other units",
             field="delassus",
             value=inputs[:9],
         )

@@ -24,30 +24,27 @@ FITTING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ImpactProblem:
-    """One frictional impact in contact axes (t₁, t₂, n); knows nothing of robots.
+    """A frictional impact in contact axes (t₁, t₂, n), without a robot.
 
-    Shapes are those of one contact, or of n contacts at one instant: a velocity (n, 3) with a W of
-    (3n, 3n), numbers or (n,) for the coefficients. Inputs are checked where they are used, in
-    `solve_impact`.
+    For one contact the shapes are those below. For n contacts at one instant the velocity is (n, 3) and W is
+    (3n, 3n); coefficients are numbers or arrays (n,). `solve_impact` checks the values.
 
     Attributes:
-        delassus: (3, 3) inverse inertia W felt at the contact [1/kg], symmetric positive semidefinite, in
+        delassus: (3, 3) inverse inertia W at the contact [1/kg], symmetric positive semidefinite, computed in
             double precision.
         velocity: (3,) pre-impact contact velocity v relative to the surface [m/s].
         friction: Coulomb coefficient μ ≥ 0.
-        restitution: Coefficient 0 ≤ e ≤ 1 of the law.
+        restitution: Coefficient of restitution, 0 ≤ e ≤ 1.
         law: One of `pinimpact.LAWS`.
         surface_velocity: (3,) velocity of the surface at the contact point [m/s]; only the work
             ``solution.work.surface`` depends on it.
-        velocity_scale: Size of the numbers that v was formed from [m/s], for a robot Σ|J||q̇| + |v_surface|. A
-            v small by cancellation is known to rounding of that size only, and parts of it that W cannot have
-            made are zero within 32 ε of it. None: not known; then |v₁| + |v₂| + |v₃| is taken.
-        factor: (3, m) X with W = XXᵀ, for a robot J L⁻¹ with M = LᵀL. It has the small eigenvalues and the
-            null space of W to twice as many digits; where W is nearly singular all that is small is taken
-            from it. None: from W.
-        factor_scale: Size of the numbers that the factor was formed from; parts within 4 ε of it are zero.
-            None: not known; then eight times that of the factor.
-        stiffness: Of n contacts, (n,) or a number > 0; only ratios count. None: all the same.
+        velocity_scale: Size of the terms that v is the sum of [m/s]; for a robot Σ|J||q̇| + |v_surface|.
+            Components of v that W cannot produce are zero within 32 ε of it. None: |v₁| + |v₂| + |v₃|.
+        factor: (3, m) X with W = XXᵀ; for a robot J L⁻¹ with M = LᵀL. It has the small eigenvalues and the
+            null space of W to twice as many digits, and is used if W is nearly singular. None: not known.
+        factor_scale: Size of the terms that the factor is the sum of; entries within 4 ε of it are taken as
+            zero. None: eight times the size of the factor.
+        stiffness: For n contacts, (n,) or a number > 0; only ratios matter. None: equal.
     """
 
     delassus: ArrayLike
@@ -127,5 +124,5 @@ def single_precision_hint(delassus: Any) -> str:
     """Return what to say of a W that is refused and holds numbers of less than double precision, or ""."""
     kind = getattr(delassus, "dtype", None)
     if kind in (np.float32, np.float16):
-        return f"; it holds {kind} numbers, whose rounding is that large: form W in double precision"
+        return f"; its entries are {kind}, with rounding errors of this size: compute W in double precision"
     return ""

@@ -236,7 +236,7 @@ def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
     plastic, off = _all_at_once(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
     if off > MISSED:  # an approach that only impulses beyond their cones stop
         _refuse(inputs)
-    text = "Waves could not be followed to the usual accuracy here; nothing of the impact was restored."
+    text = "The propagation was not resolved to the usual accuracy; the impact is taken as plastic."
     return replace(
         plastic,
         simultaneous="propagate",
@@ -287,8 +287,8 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
     works = numbers[3 * n :].reshape(n, 3)
     text = (
-        "Events crowd here: the impact was stepped through, with velocities to about "
-        f"{missed:.1e} of the largest."
+        "The impact has many events in short succession and was integrated by adaptive steps, "
+        f"with velocities to about {missed:.1e} of the largest."
     )
     story = None
     if record:
@@ -395,14 +395,20 @@ def _of_law(inputs: ManyInputs) -> tuple[str, ...]:
     """Tell where another law than the one asked for is used."""
     if inputs.law == "energetic" or not inputs.restitution.any():
         return ()
-    return (f"At many contacts restitution is energetic; {inputs.law!r} says nothing of waves between them.",)
+    return (
+        (
+            f"The energetic law is used: {inputs.law!r} does not define how impulses propagate between "
+            "contacts."
+        ),
+    )
 
 
 def _refuse(inputs: ManyInputs) -> None:
     j = int(np.argmin(inputs.velocity[:, 2]))
     raise UnstoppableApproachError(
-        f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at the "
-        f"{len(inputs.velocity)} contacts can stop all of them; the mechanism cannot yield along the normals",
+        f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at "
+        f"the {len(inputs.velocity)} contacts can stop all of them; the mechanism cannot move "
+        "along the normals",
         field="velocity",
         value=inputs.velocity,
     )
@@ -477,8 +483,8 @@ def _one_by_one(inputs: ManyInputs, name: str, choose: Callable[[Array], int]) -
 def without_end(count: int, last: Sequence[str]) -> str:
     """Tell of single impacts whose limit has been taken, the last few of them named. (14.8)"""
     return (
-        f"After {count} impacts one after another contacts still approached, and their limit was taken, a "
-        f"plastic impact of all. The last of them: {', '.join(last[-LAST:])}."
+        f"After {count} single impacts contacts still approached, and their limit was used, a "
+        f"plastic impact of all contacts. The last impacts: {', '.join(last[-LAST:])}."
     )
 
 
@@ -495,7 +501,7 @@ def _all_at_once(inputs: ManyInputs) -> tuple[ManySolution, float]:
 
     if inputs.law != "poisson" and inputs.restitution.any():
         raise LawError(
-            f'law: {inputs.law!r} is not what "together" can take; it has Poisson\'s law (or e = 0)',
+            f'law: {inputs.law!r} given, but "together" has only Poisson\'s law (or e = 0)',
             field="law",
             value=inputs.law,
         )
@@ -519,7 +525,7 @@ def _all_at_once(inputs: ManyInputs) -> tuple[ManySolution, float]:
         works[:, 0 if impulse is compression else 1] += powers[:, 2]
         works[:, 2] += powers[:, 0] + powers[:, 1]
     total = compression + restitution
-    notes = () if missed <= 1e-9 else (f"Coulomb's law is met to {missed:.1e} of the velocities only.",)
+    notes = () if missed <= 1e-9 else (f"Coulomb's law is met only to {missed:.1e} of the velocities.",)
     names, bounded = ("together", "poisson"), bool(notes)
     found = _answer(inputs, names, after, total, works, (2, 2), notes=notes, bounded=bounded)
     return found, missed
@@ -530,7 +536,7 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
 
     if inputs.friction.any():
         raise InputError(
-            'friction: "reflect" knows none; all coefficients must be 0',
+            'friction: "reflect" is frictionless; all coefficients must be 0',
             field="friction",
             value=inputs.friction,
         )
@@ -552,8 +558,7 @@ def _reflect(inputs: ManyInputs, record: bool) -> ManySolution:
         if count >= MOST_IMPACTS * n:
             named = ", ".join(map(str, np.flatnonzero(velocity[2::3] < -rest).tolist()))
             raise PinimpactError(
-                f"simultaneous: {count} reflections do not end, contacts {named} still approach; "
-                '"propagate" ends',
+                f'simultaneous: after {count} reflections contacts {named} still approach; use "propagate"',
                 field="simultaneous",
                 value="reflect",
             )
@@ -594,28 +599,29 @@ POLICIES: Mapping[str, Policy] = MappingProxyType(
         "propagate": Policy(
             _propagate,
             _kernels_of_waves,
-            "waves through stiff contacts that share a clock, with the energetic law: unique, symmetric, and "
-            "creates no energy; depends on ratios of stiffness",
+            "the LZB model: impulses propagate through stiff contacts on an internal clock, with "
+            "the energetic law; unique, symmetric, creates no energy; depends on ratios of "
+            "stiffness",
             {"exponent": 1.0, "rtol": 1e-16},
         ),
         "sequence": Policy(
-            _sequence, tuple, "one contact after another, the fastest first: the answer depends on the order"
+            _sequence, tuple, "single impacts, the fastest contact first; depends on the order"
         ),
         "together": Policy(
             _together,
             _kernels_at_once,
-            "Poisson's law in two phases, a complementarity problem: no waves, and with friction neither "
-            "unique nor sure to create no energy",
+            "all contacts at once by Poisson's law, a complementarity problem in two phases; no "
+            "propagation; with friction not unique, and can create energy",
         ),
         "reflect": Policy(
             _reflect,
             _kernels_at_once,
-            "generalized reflections, mixed with a plastic impact by e: no friction, no waves",
+            "generalized reflections, mixed with a plastic impact by e; frictionless, no propagation",
         ),
         "any": Policy(
             _any,
             tuple,
-            "one after another in an order drawn by seed: how much does the order matter?",
+            "single impacts in an order drawn with seed=, to see how much the order matters",
             {"seed": 0},
         ),
     }

@@ -18,13 +18,13 @@ from .methods import load_method
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A part of the impact with one mode of contact in one phase; slip that resumes is a new one.
+    """A part of an impact with one contact mode in one phase; resumed slip is a separate segment.
 
     Attributes:
-        mode: Whether the contact slips or sticks.
-        phase: Whether v₃ < 0 has to be stopped, or it has been.
-        start: Normal impulse P₃ at which the segment begins [N s].
-        end: Normal impulse at which it ends [N s].
+        mode: "slip" or "stick".
+        phase: "compression" (v₃ < 0) or "restitution".
+        start: Normal impulse P₃ at the start of the segment [N s].
+        end: Normal impulse at its end [N s].
     """
 
     mode: Literal["slip", "stick"]
@@ -39,13 +39,13 @@ CAUSES = ("compression", "restitution", "friction", "surface")
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Where the energy went [J]; floats, or arrays (N,) in a batch.
+    """The work of an impact by cause [J]; floats, or arrays (N,) in a batch.
 
     Attributes:
         compression: Work of the normal impulse during compression, ≤ 0.
         restitution: Work of the normal impulse during restitution, ≥ 0.
-        friction: Work of the tangential impulse in the velocity of slip, ≤ 0.
-        surface: P · v_surface, what a moving surface puts in.
+        friction: Work of the tangential impulse on the slip velocity, ≤ 0.
+        surface: P · v_surface, the work of a moving surface.
     """
 
     compression: Any
@@ -61,12 +61,12 @@ class Work:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Path:
-    """The recorded path, from the first touch to the end.
+    """The recorded path of an impact.
 
     Attributes:
-        normal_impulse: (m,) P₃, never falling [N s].
+        normal_impulse: (m,) P₃, not decreasing [N s].
         velocity: (m, 3) contact velocity [m/s].
-        impulse: (m, 3) contact impulse so far [N s].
+        impulse: (m, 3) contact impulse [N s].
     """
 
     normal_impulse: Array
@@ -79,10 +79,10 @@ class Path:
 
 
 class Solution:
-    """What an impact came to, in contact axes (t₁, t₂, n).
+    """The result of an impact, in contact axes (t₁, t₂, n).
 
-    It holds numbers only and can be pickled and copied. What happened along the way (`segments`, `work`) is
-    found on first access, by the method that solved the impact, which must then be registered.
+    It can be pickled and copied. `segments` and `work` are computed on first access, by the method that
+    solved the impact; that method must then be registered.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Solution:
 
     @property
     def compression_impulse(self) -> float:
-        """Normal impulse of all compression phases together [N s]."""
+        """Normal impulse of all phases of compression [N s]."""
         return float(self._result[9])
 
     @property
@@ -126,12 +126,12 @@ class Solution:
 
     @property
     def flags(self) -> Flag:
-        """What was special about it."""
+        """Special events of the impact."""
         return Flag(self._result[1])
 
     @property
     def iterations(self) -> int:
-        """Steps that the method took."""
+        """Number of steps of the method."""
         return int(self._result[2])
 
     @cached_property
@@ -144,7 +144,7 @@ class Solution:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """The `Segment`s of the impact in order; empty where there was no impact."""
+        """The `Segment`s of the impact in order; empty if there was no impact."""
         modes: tuple[Literal["slip", "stick"], ...] = ("slip", "stick", "slip")  # the last: resumed
         phases: tuple[Literal["compression", "restitution"], ...] = ("compression", "restitution")
         return tuple(
@@ -154,7 +154,7 @@ class Solution:
 
     @cached_property
     def work(self) -> Work:
-        """The `Work` ledger [J]."""
+        """The `Work` of the impact [J]."""
         rows = self._rows
         restoring = rows[:, 1] == 1.0
         return Work(
@@ -166,7 +166,7 @@ class Solution:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects that were computed, of the vocabulary `pinimpact.EFFECTS`."""
+        """The effects that occurred, with names of `pinimpact.EFFECTS`."""
         flags = self.flags
         _, _, w13, _, w23, _, _, _, _, mu, e, _, _, _ = self._inputs
         impact = self.status != Status.NO_IMPACT

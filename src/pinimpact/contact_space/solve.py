@@ -34,23 +34,23 @@ def solve_impact(
     simultaneous: str | None = None,
     **options: Any,
 ) -> Solution | ManySolution:
-    """Resolve a frictional impact along its path.
+    """Solve a frictional impact.
 
     Args:
         problem: W, v, μ, e and the restitution law, of one contact or of n.
-        method: Name of a registered method for one contact; ``"exact"`` reaches rounding error.
+        method: Name of a registered method for one contact; ``"exact"`` is accurate to rounding.
         record: Whether to record the path.
-        simultaneous: Name of a policy for n contacts, ``"propagate"`` if none is given; see `POLICIES`.
-        **options: The method's or the policy's own keywords, such as ``steps=`` of ``"euler"``.
+        simultaneous: Policy for n contacts, by default ``"propagate"``; see `POLICIES`.
+        **options: Options of the method or policy, such as ``steps=`` of ``"euler"``.
 
     Returns:
-        The `Solution` in contact axes, of n contacts a `ManySolution`.
+        The `Solution` in contact axes; for n contacts a `ManySolution`.
 
     Raises:
-        InputError: A number of the problem is unusable; the message names it.
-        UnknownNameError: No such law, method, policy or option.
-        UnstoppableApproachError: The contact approaches and cannot be stopped.
-        LawError: The mechanism cannot reach what the law asks for.
+        InputError: A value of the problem is invalid.
+        UnknownNameError: Unknown law, method, policy or option.
+        UnstoppableApproachError: The contact approaches and no impulse can stop it.
+        LawError: The mechanism cannot satisfy the restitution law.
     """
     if not isinstance(problem, ImpactProblem):
         raise InputError(

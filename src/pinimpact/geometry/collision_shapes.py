@@ -86,7 +86,7 @@ def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
         if other.parentJoint == joint:
             return number
     raise ModelError(
-        f"geometry: {shape.name!r} hangs on joint {joint}, which has no frame; add one: "
+        f"geometry: {shape.name!r} is attached to joint {joint}, which has no frame; add one: "
         f"model.addJointFrame({joint})",
         field="geometry",
         value=shape.name,

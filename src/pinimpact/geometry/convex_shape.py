@@ -176,8 +176,8 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
-            f"geometry: the {len(points)} points of {name!r} have no convex hull with a volume ({reason}); "
-            "only shapes with a volume can meet another shape",
+            f"geometry: the {len(points)} points of {name!r} have no convex hull with a volume "
+            f"({reason}); only shapes with a volume can make contact with another shape",
             field="geometry",
             value=points,
         ) from None
@@ -227,15 +227,15 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
         depth = _deepest(found, points)
         if depth > NOT_CONVEX * found.reach:
             warnings.warn(
-                f"geometry: the mesh of {name!r} is not convex: its convex hull is taken, whose surface is "
-                f"up to {depth:.3g} m from a vertex of the mesh",
+                f"geometry: the mesh of {name!r} is not convex: its convex hull is used, whose "
+                f"surface is up to {depth:.3g} m from a vertex of the mesh",
                 UserWarning,
                 stacklevel=4,
             )
         return found
     raise InputError(
-        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, cylinders, cones, convex hulls and "
-        "meshes (their hulls) can meet another shape",
+        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, cylinders, cones, convex "
+        "hulls and meshes (their hulls) can make contact with another shape",
         field="geometry",
         value=name,
     )

@@ -15,21 +15,21 @@ from .surfaces import Surface, Vector, contact_axes, unit_vector, vector
 
 @dataclass(frozen=True, repr=False)
 class Plane(Surface):
-    """A plane fixed in the world, moving at a given rate, or carried by a body.
+    """A plane, fixed in the world or attached to a body; its surface can move within itself.
 
-    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in that frame's
-    axes, `point` is from its origin, and the plane moves with the frame; `velocity` and
-    `angular_velocity` are then what the surface does beyond that (a belt, a turntable on the body).
+    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in the frame's
+    axes, `point` is relative to its origin, and the plane moves with the frame; `velocity` and
+    `angular_velocity` are then relative to the body (a belt or a turntable on the body).
 
     Attributes:
         point: A point of the plane [m].
-        normal: Points from the surface into free space; any length but zero. Kept as a unit vector.
+        normal: Normal from the surface into free space, of any nonzero length. Stored as a unit vector.
         velocity: Velocity of the surface's material at `point` [m/s].
         angular_velocity: Angular velocity of the surface's material about `point` [rad/s].
-        body: Frame that carries the plane, by name or id; None for the world.
-        name: How reports call it, as in "hand on table"; None for what it is, or for what carries it.
+        body: Frame to which the plane is attached, by name or id; None for the world.
+        name: Name in reports, as in "hand on table"; None for "plane" or the name of the body.
 
-    The velocities are rates of this instant: they do not move `point` or turn `normal`.
+    The velocities do not move `point` or rotate `normal`.
 
     Raises:
         InputError: A vector that is not three finite numbers, or a normal of zero length.
@@ -66,7 +66,7 @@ class Plane(Surface):
         return float(np.dot(self.normal, np.subtract(point, self.point)))
 
     def departure(self) -> str | None:
-        """Return how the material rises or tilts, None for a belt or a turntable."""
+        """Return how the material rises or tilts; None if it moves within the plane."""
         rise = float(np.dot(self.normal, self.velocity))
         tilt = float(np.linalg.norm(np.cross(self.normal, self.angular_velocity)))
         speed, spin = np.linalg.norm(self.velocity), np.linalg.norm(self.angular_velocity)

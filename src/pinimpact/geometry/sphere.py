@@ -16,24 +16,24 @@ from .surfaces import Surface, Vector, vector
 
 @dataclass(frozen=True, repr=False)
 class Sphere(Surface):
-    """A sphere fixed in the world, moving at a given rate, or carried by a body; n points out of it.
+    """A sphere, fixed in the world or attached to a body; the normal points outwards.
 
-    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in that frame's
-    axes, `center` is from its origin, and the sphere moves with the frame; `velocity` and
-    `angular_velocity` are then what the surface does beyond that.
+    With ``body=None`` all vectors are in world axes. With a frame as `body` they are in the frame's
+    axes, `center` is relative to its origin, and the sphere moves with the frame; `velocity` and
+    `angular_velocity` are then relative to the body.
 
-    The gap of a contact whose tip has the radius r and its centre at c is |c − center| − `radius` − r. With c
-    at `center` no direction is nearest, and n is taken as z.
+    The gap of a contact with a tip of radius r and centre c is |c − center| − `radius` − r. If c is at
+    `center`, the normal is not unique, and z is used.
 
     Attributes:
         center: Its centre [m].
-        radius: > 0 [m]; it must be given.
+        radius: > 0 [m]; required.
         velocity: Velocity of the surface's material at `center` [m/s].
         angular_velocity: Angular velocity of the surface's material about `center` [rad/s].
-        body: Frame that carries the sphere, by name or id; None for the world.
-        name: How reports call it, as in "hand on table"; None for what it is, or for what carries it.
+        body: Frame to which the sphere is attached, by name or id; None for the world.
+        name: Name in reports, as in "hand on table"; None for "sphere" or the name of the body.
 
-    The velocities are rates of this instant: they do not move `center`.
+    The velocities do not move `center`.
 
     Raises:
         InputError: A vector that is not three finite numbers, or a radius that is not positive.
@@ -75,7 +75,7 @@ class Sphere(Surface):
         return float(np.linalg.norm(np.subtract(point, self.center))) - self.radius
 
     def departure(self) -> str | None:
-        """Return how the material leaves the place, None for a spin about the centre."""
+        """Return how the material leaves its place; None for a spin about the centre."""
         if not any(self.velocity):
             return None
         return f"moves at {float(np.linalg.norm(self.velocity)):.6g} m/s"

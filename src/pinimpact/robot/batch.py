@@ -58,10 +58,10 @@ class _Rows:
 
 
 class Hits:
-    """Many impacts of one robot, row by row; ``hits[i]`` is the `Hit` of a row.
+    """The impacts of one robot, row by row; ``hits[i]`` is the `Hit` of a row.
 
     Attributes:
-        v: (N, nv) post-impact velocities; NaN where the status is an error's.
+        v: (N, nv) post-impact velocities; NaN in rows without a solution.
         impulse_world: (N, 3) impulses on the robot in world axes [N s]; NaN likewise.
         status: (N,) integer values of `Status`.
         flags: (N,) integer values of `Flag`.
@@ -106,12 +106,12 @@ class Hits:
 
     @cached_property
     def impulse(self) -> Array:
-        """(N, 3) impulses on the robot in contact axes [N s], NaN likewise; made on first access."""
+        """(N, 3) impulses on the robot in contact axes [N s], NaN likewise; computed on first access."""
         return self._contact_space[0].impulse
 
     @cached_property
     def work(self) -> Work:
-        """The `Work` ledgers, arrays (N,) [J], NaN where the status is an error's; made on first access."""
+        """The `Work` of the rows, arrays (N,) [J], NaN in rows without solution; computed on first access."""
         batch, surfaces = self._contact_space
         work = batch.work
         return replace(work, surface=np.einsum("ij,ij->i", batch.impulse, surfaces))
@@ -126,8 +126,8 @@ class Hits:
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the results as arrays (N,), by name.
 
-        They are the friction and restitution used, v after the impact by coordinate, the impulse in contact
-        axes t₁, t₂, n [N s], the work [J], and the names of status and flags.
+        The columns are the friction and restitution used, v after the impact by coordinate, the impulse in
+        contact axes t₁, t₂, n [N s], the work [J], and the names of status and flags.
         """
         work, asked = self.work, self._rows
         names = {
@@ -144,7 +144,7 @@ class Hits:
         }
 
     def to_dataframe(self) -> Any:
-        """Return `columns` as a pandas DataFrame; raise `InputError` where pandas is not installed."""
+        """Return `columns` as a pandas DataFrame; raise `InputError` if pandas is not installed."""
         return data_frame(self.columns())
 
     def __getstate__(self) -> dict[str, Any]:
@@ -167,27 +167,25 @@ def impacts(
     threads: int = 1,
     law: Literal["newton", "poisson", "energetic"] | None = None,
 ) -> Hits:
-    """Resolve one contact's impact from many states, and with many coefficients.
+    """Compute the impact of one contact for many states and coefficients.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; `contact_matrices` lists the fields that change.
-        q: (N, nq) configurations, or (nq,) one for all rows.
-        v: (N, nv) pre-impact velocities, or (nv,) one for all rows.
+        q: (N, nq) configurations, or (nq,) for all rows.
+        v: (N, nv) pre-impact velocities, or (nv,) for all rows.
         contact: The contact that collides.
-        friction: Scalar or (N,) to take instead of the contact's.
-        restitution: Scalar or (N,) to take instead of the contact's.
-        held: Contacts that hold during the impact, as in `impact`. A row in which one moves has bad numbers.
+        friction: Number or (N,); None: that of the contact.
+        restitution: Number or (N,); None: that of the contact.
+        held: Bilateral contacts, as in `impact`. A row in which one moves has the status INVALID_NUMBERS.
         locked: Joints, by name or id, whose velocity the impact does not change.
-        threads: How many threads share the rows; one does all where something is held or locked, and with
-            joints of kinds that only Pinocchio knows, such as mimic joints. The answers are the same to the
-            bit, whatever their number.
-        law: Of restitution, to take instead of the contact's.
+        threads: Number of threads; held contacts, locked joints, and joints that only Pinocchio can evaluate,
+            such as mimic joints, use one. The results do not depend on it.
+        law: Restitution law; None: that of the contact.
 
     Returns:
-        Row by row the answers, one row if all is given once; a row with bad numbers gets its status and NaN
-        and spoils no other. Where held contacts would have to pull, a `HeldContactWarning` says in how many
-        rows.
+        The results row by row. A row with invalid numbers has its status and NaN, and does not affect other
+        rows. If held contacts pull on their surfaces, a `HeldContactWarning` has the number of rows.
 
     Raises:
         InputError: Wrong shapes, or an unknown law.
@@ -343,8 +341,8 @@ def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]
     for label, count in counts.items():
         if count:
             warnings.warn(
-                f"held: {label!r} would have to pull to hold in {counted(count, 'row')} of {len(rows.q)}; if "
-                "it can lift off, leave it out of held",
+                f"held: {label!r} pulls on its surface in {counted(count, 'row')} of "
+                f"{len(rows.q)}; if it can lift off, remove it from held",
                 HeldContactWarning,
                 stacklevel=4,
             )

@@ -42,40 +42,38 @@ WORLD = np.eye(4)
 
 @dataclass(frozen=True, repr=False)
 class Contact:
-    """A point or a collision shape of a robot that may meet a surface, with its friction and restitution.
+    """A contact point or collision shape of a robot, and a surface, with friction and restitution.
 
-    The contact point is the frame's origin + `offset` (in the frame's axes) − `radius`·n, so a sphere of
-    that radius about the offset touches the surface where the gap is zero. With a `rim` it is the lowest
-    point of a circle about the offset: of a wheel or a coin, that rolls on it.
+    The contact point is the frame's origin + `offset` (in the frame's axes) − `radius`·n: a sphere of
+    that radius about the offset touches the surface if the gap is zero. With `rim` it is the lowest
+    point of a circle about the offset, such as a wheel or a coin, which rolls.
 
-    With `geometry` in place of `frame` it is a collision shape: the contact stands for the points, spheres
-    and rims of the shape that can touch the surface, see `tips`. (geometry.md)
+    With `geometry` instead of `frame` it is a collision shape: the contact is expanded into the points,
+    spheres and rims of the shape that can touch the surface, see `tips`. (geometry.md)
 
     Attributes:
-        frame: Frame that carries the point, by name or id; empty with `geometry`.
-        plane: The surface it meets: a `Plane` or a `Sphere`, with `geometry` also a `Box` or a `Shape`; it
-            must be given.
-        friction: Coulomb coefficient μ ≥ 0, of impacts and, without `sliding_friction`, of all.
+        frame: Frame of the point, by name or id; empty with `geometry`.
+        plane: The surface, required: a `Plane` or a `Sphere`, with `geometry` also a `Box` or a `Shape`.
+        friction: Coulomb coefficient μ ≥ 0 of impacts, and of sustained contact without `sliding_friction`.
         restitution: Coefficient 0 ≤ e ≤ 1, or a function that returns it for an approach speed [m/s].
         law: ``"poisson"``, ``"energetic"`` or ``"newton"``.
-        offset: From the frame's origin, in the frame's axes [m].
-        radius: Of a spherical tip [m], 0 for a point.
-        name: How reports call the contact; None for "frame on surface", with the surface's own name, or that
-            of the body that carries it, or "plane" or "sphere".
-        sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact, slip and stick between impacts; None
-            for `friction`.
-        stiffness: Relative normal stiffness > 0, which counts where several contacts collide at one instant.
-        geometry: Name of a collision shape of the robot, in place of a frame.
-        rim_points: Points that stand for each rim of a cylinder or cone, ≥ 3, so that it can stand on its
-            face, and meet what is no plane; None for smooth rims, on which it rolls. With `geometry` alone.
-        rim: Radius of the circle about the offset that meets a plane [m], 0 for none.
-        axis: Axis of that circle, in the frame's axes; any length but zero. Kept as a unit vector.
-        shape: Name of the collision shape that the point is of; `tips` sets it.
-        pair: The contact of two shapes that the point is of; a scene sets it.
+        offset: Position relative to the frame's origin, in the frame's axes [m].
+        radius: Radius of a spherical tip [m], 0 for a point.
+        name: Name in reports; None for "frame on surface", with the name of the surface, of the body to
+            which it is attached, or "plane" or "sphere".
+        sliding_friction: Coulomb coefficient μ ≥ 0 of sustained contact; None for `friction`.
+        stiffness: Relative normal stiffness > 0, for several contacts that collide at one instant.
+        geometry: Name of a collision shape of the robot, instead of a frame.
+        rim_points: Number of points, ≥ 3, that replace each rim of a cylinder or cone, so that it can stand
+            on its face and touch other surfaces than planes; None for smooth rims, which roll.
+        rim: Radius of a circle about the offset that touches a plane [m], 0 for none.
+        axis: Axis of that circle, in the frame's axes, of any nonzero length. Stored as a unit vector.
+        shape: Name of the collision shape of the point; set by `tips`.
+        pair: The contact of two shapes to which the point belongs; set by a scene.
 
     Raises:
-        InputError: A number out of its range or not finite, a frame and a geometry or neither, a rim that
-            meets a sphere.
+        InputError: A number out of its range or not finite, a frame and a geometry or neither, a rim and a
+            sphere.
         UnknownNameError: An unknown law.
     """
 
@@ -116,7 +114,8 @@ class Contact:
         keep(self, "axis", unit_vector("axis", self.axis, "the axis of the rim"))
         if self.rim > 0.0 and not isinstance(self.plane, Plane):
             raise InputError(
-                f"rim: {self.rim:g} m given, but a rim meets planes alone, not a {self.plane.kind}",
+                f"rim: {self.rim:g} m given, but a rim can make contact with planes only, not "
+                f"with a {self.plane.kind}",
                 field="rim",
                 value=self.rim,
             )
@@ -141,21 +140,21 @@ class Contact:
             )
         if self.geometry is None and self.plane.code == SOLID:
             raise InputError(
-                f"plane: only a collision shape meets a {self.plane.kind}; give geometry=, the name of one, "
-                "in place of a frame",
+                f"plane: only a collision shape can make contact with a {self.plane.kind}; give "
+                "geometry= instead of a frame",
                 field="plane",
                 value=self.plane,
             )
         if self.geometry is None:
             what = "neither a frame nor a geometry given" if self.frame == "" else ""
             if self.rim_points is not None:
-                what = "rim_points belongs to a geometry"
+                what = "rim_points applies to a geometry only"
         elif self.frame != "":
             what = f"the frame {self.frame!r} and the geometry {self.geometry!r} given"
         elif self.radius or self.rim or np.any(self.offset):
-            what = "offset, radius and rim belong to a frame; the geometry has its own"
+            what = "offset, radius and rim apply to a frame only"
         else:
-            what = "" if isinstance(self.geometry, str) else f"{self.geometry!r} is no name of a shape"
+            what = "" if isinstance(self.geometry, str) else (f"{self.geometry!r} is not the name of a shape")
             check_rim_points(self.rim_points)
         if what:
             raise InputError(
@@ -165,18 +164,17 @@ class Contact:
             )
 
     def tips(self, robot: Any) -> tuple[Contact, ...]:
-        """Return the contacts of points, spheres and rims that this one stands for; itself with a frame.
+        """Return the contacts of points, spheres and rims of this one; itself with a frame.
 
-        They are at the shape's link, with offsets in its axes, and bear the name of this one, or of the
-        shape, with that of the part: "box_0 corner 3 on floor".
+        They belong to the link of the shape, with offsets in its axes, and are named after this contact or
+        the shape, and the part: "box_0 corner 3 on floor".
 
         Args:
             robot: The RobotWrapper with the collision shapes; any robot for a frame.
 
         Raises:
-            InputError: A robot without collision shapes, a shape that is not supported, or that cannot meet
-                the surface.
-            UnknownNameError: No shape bears the name; near matches are offered.
+            InputError: A robot without collision shapes, or a shape that is not supported with this surface.
+            UnknownNameError: There is no shape of that name; the message suggests similar names.
             ModelError: A mesh without vertices.
         """
         if self.geometry is None:
@@ -185,7 +183,7 @@ class Contact:
 
     @property
     def label(self) -> str:
-        """The name, or what stands in for it."""
+        """The name, or the default name."""
         if self.name is not None:
             return self.name
         return f"{self.frame if self.geometry is None else self.geometry} on {self.plane.label}"
@@ -199,7 +197,7 @@ class Contact:
         """Return e for an approach speed [m/s].
 
         Raises:
-            InputError: The contact's function returns no number between 0 and 1.
+            InputError: The function of the contact does not return a number from 0 to 1.
         """
         if callable(self.restitution):
             return coefficient(f"restitution({speed:.6g} m/s)", self.restitution(speed))
@@ -208,8 +206,8 @@ class Contact:
     def gap(self, model: pin.Model, data: pin.Data, q: ArrayLike) -> float:
         """Return the signed distance of the contact point from the surface [m], negative inside.
 
-        Of a collision shape it is the least of its tips'; then `model` has to be the RobotWrapper. Changes
-        ``data.oMi``, ``data.liMi`` and the two frames' ``data.oMf``.
+        For a collision shape it is the smallest gap of its tips; `model` must then be the RobotWrapper.
+        Changes ``data.oMi``, ``data.liMi`` and ``data.oMf`` of the two frames.
 
         Raises:
             InputError: A q of the wrong length or not finite.
@@ -250,8 +248,8 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
     found = shape_tips(shapes, shape, contact.rim_points)
     if not isinstance(contact.plane, Plane) and found.kind != "sphere":
         raise InputError(
-            f"geometry: {shape.name!r} is a {found.kind}, which can meet planes alone, not a "
-            f"{contact.plane.kind}",
+            f"geometry: {shape.name!r} is a {found.kind}, which can make contact with planes "
+            f"only, not with a {contact.plane.kind}",
             field="geometry",
             value=shape.name,
         )
@@ -288,8 +286,8 @@ def check_contact(field: str, value: Any) -> None:
         raise InputError(f"{field}: {value!r} is not a Contact", field=field, value=value)
     if value.geometry is not None:
         raise InputError(
-            f"{field}: {value.label!r} is a collision shape, which here has no single point; give one of its "
-            "contact.tips(robot)",
+            f"{field}: {value.label!r} is a contact of a collision shape, which has no single "
+            "point here; give one of its contact.tips(robot)",
             field=field,
             value=value,
         )

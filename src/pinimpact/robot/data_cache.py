@@ -202,7 +202,7 @@ def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
     if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
         raise outdated(model, data)
     if data.parents_fromRow.tolist() != tree.parents:
-        raise _foreign(data, "whose joints hang together otherwise")
+        raise _foreign(data, "whose kinematic tree is another")
     if any(not np.array_equal(data.joints[k].S, axis) for k, axis in tree.axes):
         raise _foreign(data, _joint_that_differs(model, data) or "")
 

@@ -22,7 +22,7 @@ PULL = 1e-12
 
 
 class HeldContactWarning(UserWarning):
-    """A held contact would have to pull on its surface during an impact."""
+    """A held contact pulls on its surface during an impact."""
 
 
 def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
@@ -33,8 +33,9 @@ def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact]
         scale += float(np.linalg.norm(geometry.surface_velocity))
         if speed > HELD_TOLERANCE * scale:
             raise InputError(
-                f"held: {anchor.label!r} moves at {speed:.3g} m/s against its surface before the impact; a "
-                "held contact must be at rest there: correct v, or leave it out of held",
+                f"held: {anchor.label!r} moves at {speed:.3g} m/s relative to its surface before "
+                "the impact; a held contact must be at rest there: correct v, or remove it from "
+                "held",
                 field="held",
                 value=anchor,
             )
@@ -60,8 +61,8 @@ def warn_of_pulls(
         pull = -float(geometry.axes[2] @ push)
         if pull > PULL * float(np.linalg.norm(impulse)):
             warnings.warn(
-                f"held: {anchor.label!r} would have to pull with {pull:.3g} N s to hold; if it can lift off, "
-                "leave it out of held",
+                f"held: {anchor.label!r} pulls on its surface with {pull:.3g} N s; if it can lift "
+                "off, remove it from held",
                 HeldContactWarning,
                 stacklevel=stacklevel + 1,
             )

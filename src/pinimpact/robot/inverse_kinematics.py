@@ -43,18 +43,17 @@ class _Found(NamedTuple):
 def place_in_contact(
     model: pin.Model, data: pin.Data, q: ArrayLike, contacts: Contact | Sequence[Contact]
 ) -> Array:
-    """Return the configuration near q at which all contacts touch their surfaces.
+    """Return a configuration near q in which all contacts touch their surfaces.
 
-    Of the configurations whose gaps are zero and whose joints keep to their limits it is one from which the
-    displacement to q (that of `pinocchio.difference`, in metres and radians) is the shortest nearby: Gauss
-    and Newton's steps towards the displacement of least norm, cut short where the gaps do not get smaller.
+    Among the configurations with zero gaps and joints within their limits, it is a local minimum of the
+    distance from q (`pinocchio.difference`, in metres and radians), found by Gauss–Newton steps.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; `contact_matrices` lists the fields that change.
-        q: (nq,) configuration to keep close to. A joint beyond its limits is brought within them.
-        contacts: One or several; what they touch may be carried by bodies. Feet of a free base can be
-            brought to the ground together.
+        q: (nq,) configuration to stay close to. A joint outside its limits is moved within them.
+        contacts: One or several; their surfaces can be attached to bodies. Feet of a free base can be
+            placed on the ground together.
 
     Returns:
         (nq,) with gaps of rounding size.
@@ -94,8 +93,9 @@ def place_in_contact(
         if len(wanted) > 1:
             what = f"the {len(wanted)} contacts cannot be brought onto their surfaces together"
         raise InputError(
-            f"contacts: {what} from this q within the joint limits: {best.gap:.3g} m are left"
-            f"{f' at {best.contact.label!r}' if len(wanted) > 1 else ''}; begin closer, or move the surface",
+            f"contacts: {what} from this q within the joint limits: a gap of {best.gap:.3g} m "
+            f"remains{f' at {best.contact.label!r}' if len(wanted) > 1 else ''}; start closer, or "
+            "move the surface",
             field="contacts",
             value=best.gap,
         )

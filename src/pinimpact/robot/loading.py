@@ -42,25 +42,23 @@ def load_robot(
     """Load a robot.
 
     Args:
-        robot: Name of a model that comes with pinimpact (see `bundled_models`), a name of
-            example-robot-data, or the path of a file: URDF, MuJoCo's MJCF (with its gravity, and its key
-            "home" as ``q0``), or SDF where Pinocchio is built with SDFormat, which pip's is not.
-        free_flyer: Whether the base flies freely; None: as the named robot comes, and fixed for a file.
-        mimic: Whether joints with a ``<mimic>`` tag follow the joint that it names, with no coordinate of
-            their own: impacts take account of them, scenes refuse them, since Pinocchio has no forward
-            dynamics for them. False: each moves on its own. None: as False, and a file that has such joints
-            gives a warning.
-        package_dirs: Folders in which the packages of a URDF file's meshes are looked for, before the file's
-            own folder and those above it, and those of the environment variable ROS_PACKAGE_PATH.
+        robot: Name of a model of pinimpact (see `bundled_models`) or of example-robot-data, or the path of a
+            file: URDF, MuJoCo's MJCF (with its gravity, and its key "home" as ``q0``), or SDF if Pinocchio
+            is built with SDFormat, which the pip package is not.
+        free_flyer: Whether the base is free. None: as in the named robot, and fixed for a file.
+        mimic: Whether joints with a ``<mimic>`` tag follow the joint that it names, without a coordinate of
+            their own: impacts support them, scenes do not, since Pinocchio has no forward dynamics for them.
+            False: each is an independent joint. None: as False, with a warning for a file with such joints.
+        package_dirs: Folders in which the packages of a URDF file's meshes are searched, before the file's
+            folder, its parents, and those of the environment variable ROS_PACKAGE_PATH.
 
     Returns:
-        Pinocchio's RobotWrapper; ``q0`` is the configuration that a named robot or the key "home" of an MJCF
-        file comes with, and else `pin.neutral`. A warning names meshes that are not found; the robot lacks
-        their shapes.
+        Pinocchio's RobotWrapper; ``q0`` is the configuration of a named robot or the key "home" of an MJCF
+        file, else `pin.neutral`. A warning names meshes that are not found; their shapes are left out.
 
     Raises:
-        UnknownNameError: No robot bears the name; near matches are offered.
-        ModelError: The file is missing or broken, a mass is negative, or the robot has no inertia.
+        UnknownNameError: There is no robot of that name; the message suggests similar names.
+        ModelError: The file is missing or invalid, a mass is negative, or the robot has no inertia.
     """
     if not isinstance(robot, (str, Path)):
         raise InputError(
@@ -106,8 +104,8 @@ def load_robot(
         return _couple(wrapper, coupled, name)
     if coupled:
         warnings.warn(
-            f"the joints {', '.join(coupled)} of {name} mimic others in its URDF, and here move on their "
-            "own; mimic=True lets them follow (for impacts only), mimic=False leaves this warning out",
+            f"the mimic joints {', '.join(coupled)} of {name} are loaded as independent joints; "
+            "mimic=True couples them (for impacts only), mimic=False suppresses this warning",
             stacklevel=2,
         )
     return wrapper
@@ -143,8 +141,8 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
         return pin.RobotWrapper.BuildFromSDF(str(path), [str(folder) for folder in package_dirs], *root_joint)
     if path.suffix == ".xacro":
         raise ModelError(
-            f"robot: {path} is a xacro file, which is a recipe for a URDF file; make that first: "
-            f"xacro {path.name} > {path.with_suffix('.urdf').name}",
+            f"robot: {path} is a xacro file; convert it to a URDF file first: xacro {path.name} > "
+            f"{path.with_suffix('.urdf').name}",
             field="robot",
             value=str(path),
         )
@@ -166,9 +164,8 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
     ]
     if missing:
         warnings.warn(
-            f"the robot of {path} lacks the shapes of meshes that are not found or cannot be read: "
-            f"{', '.join(missing)}; set package_dirs "
-            "or the environment variable ROS_PACKAGE_PATH",
+            f"meshes that are not found or cannot be read are left out of the robot of {path}: "
+            f"{', '.join(missing)}; set package_dirs or the environment variable ROS_PACKAGE_PATH",
             stacklevel=3,
         )
     return pin.RobotWrapper(model, *shapes)
@@ -187,8 +184,8 @@ def _kind_of(path: Path) -> str:
 
 def _no_sdf(what: str | Path) -> ModelError:
     return ModelError(
-        f"robot: {what} is an SDF file, and this Pinocchio is built without SDFormat (pip's is); take a URDF "
-        "or MJCF file of the robot",
+        f"robot: {what} is an SDF file, and this Pinocchio is built without SDFormat (as the pip "
+        "package is); use a URDF or MJCF file of the robot",
         field="robot",
         value=str(what),
     )
@@ -291,8 +288,9 @@ def _couple(robot: pin.RobotWrapper, coupled: dict[str, _Mimic], name: str) -> p
             left.append(joint)
     if left:
         warnings.warn(
-            f"Pinocchio cannot couple the joints {', '.join(left)} of {name} to those that they mimic (it "
-            "couples a joint to one of its own kind, before it in the tree); they move on their own",
+            f"Pinocchio cannot couple the joints {', '.join(left)} of {name} to those that they "
+            "mimic (it couples a joint only to one of the same type, before it in the tree); "
+            "they are independent",
             stacklevel=3,
         )
     whole = pin.RobotWrapper(model, robot.collision_model, robot.visual_model)

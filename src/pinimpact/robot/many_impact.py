@@ -30,13 +30,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ManyHit:
-    """What an impact at n contacts does to a robot.
+    """The result of an impact of a robot at n contacts.
 
     Attributes:
         v: (nv,) post-impact generalized velocity.
         impulses_world: (n, 3) impulses on the robot at the contacts, in world axes [N s].
         contacts: The n contacts.
-        points: (n, 3) where they are, in world axes [m].
+        points: (n, 3) contact points, in world axes [m].
         axes: (n, 3, 3) contact axes t₁, t₂, n as rows, in world axes.
         problem: The contact-space problem that was solved.
         solution: Its solution, in contact axes.

@@ -67,16 +67,16 @@ class ContactGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ContactMatrices(ContactGeometry):
-    """What the robot is, seen from one contact; M Δq̇ = [K h] P for an impulse P in contact axes.
+    """The matrices of a robot at one contact; M Δq̇ = [K h] P for an impulse P in contact axes.
 
-    Attributes, beyond those of `ContactGeometry`:
+    Attributes, in addition to those of `ContactGeometry`:
         mass: (nv, nv) M, with rotor inertia.
-        delassus: (3, 3) W, with what is held and locked taken into account [1/kg].
-        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with what is held and locked.
+        delassus: (3, 3) W, with held contacts and locked joints [1/kg].
+        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with held contacts and locked joints.
         held: Geometry of each held contact.
         held_response: (k, 3, 3) impulse on each held contact (world axes) per impulse in contact axes.
-        factor: (3, 3) lower triangular C with W = CCᵀ, see `ImpactProblem`; None where contacts are held.
-        factor_scale: Size of the numbers that it was formed from.
+        factor: (3, 3) lower triangular C with W = CCᵀ, see `ImpactProblem`; None with held contacts.
+        factor_scale: Size of the terms that the factor is the sum of.
     """
 
     mass: Array
@@ -118,14 +118,15 @@ def contact_matrices(
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
-        data: Its data. Changes ``data.M``, ``data.J``, ``data.oMi`` and what else ``pin.crba`` and
-            ``pin.computeJointJacobians`` write; ``data.oMf`` is brought to q only for the frames in question.
+        data: Its data. Changes ``data.M``, ``data.J``, ``data.oMi`` and the other fields that
+            ``pin.crba`` and ``pin.computeJointJacobians`` write; ``data.oMf`` is updated only for the
+            frames of the contacts.
         q: (nq,) configuration.
-        contact: The contact that the impulse acts at.
+        contact: The contact at which the impulse acts.
         held: Contacts whose points cannot move relative to their surfaces: three bilateral rows each,
             projected out of M⁻¹. One holds a standing point foot; with ``Plane(body=…)`` it closes a loop;
-            three that are not in line make a grasp. Rows that repeat others are allowed: of the impulses
-            that do the same, the least (in norm) are given.
+            three that are not in line make a grasp. Rows may be redundant: the impulses of least norm are
+            returned.
         locked: Joints, by name or id, whose velocity cannot change.
 
     Raises:

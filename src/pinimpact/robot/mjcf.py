@@ -42,15 +42,15 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
     left_out = [constraint.tag for constraint in root.findall("equality/*")]
     if left_out:
         warnings.warn(
-            f"the equality constraints of {path} ({', '.join(left_out)}) are left out; loops are closed by "
-            "held contacts",
+            f"the equality constraints of {path} ({', '.join(left_out)}) are ignored; close loops "
+            "by held contacts",
             stacklevel=4,
         )
     shapes = [_shapes(model, path, kind) for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)]
     missing = dict.fromkeys(name for _, names in shapes for name in names)
     if missing:
         warnings.warn(
-            f"the robot of {path} lacks the shapes of meshes that are not found or cannot be read: "
+            f"meshes that are not found or cannot be read are left out of the robot of {path}: "
             f"{', '.join(missing)}",
             stacklevel=4,
         )

@@ -41,7 +41,7 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
             for i in ids
         )
         raise UnknownNameError(
-            f"{field}: {len(ids)} frames are called {key!r}; give the id of the one that is meant: {bearers}",
+            f"{field}: {len(ids)} frames are called {key!r}; give the id of one of them: {bearers}",
             field=field,
             value=key,
         )

@@ -63,7 +63,7 @@ CLEARLY_POSITIVE = 1e-10
 
 
 class PinocchioLayoutWarning(UserWarning):
-    """This Pinocchio leaves its results elsewhere than where they are read in place; they are copied."""
+    """The memory layout of this version of Pinocchio is unknown; results are copied, which is slower."""
 
 
 class Call(NamedTuple):
@@ -649,7 +649,7 @@ def _flaw(model: pin.Model) -> str | None:
     """Return what keeps Pinocchio's algorithms from a right answer for a model, or None."""
     if model.nv == 0:
         return (
-            "has no joints, so nothing can move; a body that flies freely has a free-flyer joint "
+            "has no joints, so nothing can move; a free body has a free-flyer joint "
             "(load_robot(…, free_flyer=True))"
         )
     branch = [0]
@@ -658,9 +658,9 @@ def _flaw(model: pin.Model) -> str | None:
             branch.pop()
         if not branch:
             return (
-                f"has joint {model.names[j]!r} apart from the other joints that hang on "
-                f"{model.names[parent]!r}: joints have to be added depth first, each branch whole "
-                "before the next, or Pinocchio's crba returns a wrong mass matrix"
+                f"has joint {model.names[j]!r} apart from the other joints below "
+                f"{model.names[parent]!r}: joints must be added depth first, each branch "
+                "completely before the next, or Pinocchio's crba returns a wrong mass matrix"
             )
         branch.append(j)
     return None
@@ -677,9 +677,9 @@ def _check_joints(model: pin.Model) -> None:
     mimics = [model.names[j] for j in range(1, model.njoints) if "Mimic" in model.joints[j].shortname()]
     if mimics:
         raise ModelError(
-            f"model: Pinocchio has no forward dynamics of mimic joints ({', '.join(mimics)}), so they cannot "
-            "move in a scene; load the robot without them (load_robot(…, mimic=False)), or use impact() "
-            "in place of a scene",
+            f"model: Pinocchio has no forward dynamics of mimic joints ({', '.join(mimics)}), so "
+            "a scene cannot have them; load the robot without them (load_robot(…, mimic=False)), "
+            "or use impact() instead of a scene",
             field="model",
             value=mimics,
         )
@@ -704,8 +704,8 @@ def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) 
     if found is not None and not _warned:
         _warned = True
         warnings.warn(
-            f"Pinocchio {pin.__version__} differs from what is known of it in {found}; its results are "
-            "copied, which gives the same answers in more time",
+            f"Pinocchio {pin.__version__} differs from the known memory layout in {found}; "
+            "results are copied instead, which is slower but gives the same values",
             PinocchioLayoutWarning,
             stacklevel=2,
         )

@@ -52,7 +52,7 @@ def _factor(numbers: Array) -> tuple[Array | None, float | None]:
 
 
 class Hit:
-    """What an impact does to a robot.
+    """The result of an impact of a robot.
 
     Attributes:
         held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
@@ -196,29 +196,30 @@ def impact(
     simultaneous: str = "propagate",
     **options: Any,
 ) -> Hit | ManyHit:
-    """Resolve the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
+    """Compute the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
 
-    The contacts are taken as closed, whatever their gaps. A contact that does not approach changes nothing;
-    ``hit.solution.status`` says so. Of several some may rest: give them all, for they take part.
+    The contacts are taken as closed, whatever their gaps. If a contact does not approach, the velocity does
+    not change and ``hit.solution.status`` is NO_IMPACT. A list includes closed contacts at rest, because they
+    take part in the impact.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
         data: Its data; `contact_matrices` lists the fields that change.
         q: (nq,) configuration.
         v: (nv,) pre-impact velocity.
-        contact: The contact that collides, or a list of those that are closed at this instant. Of a collision
-            shape the tips that touch take part, those of the least gap, of two shapes the points in which
-            they are nearest; then `model` is the RobotWrapper.
-        held: Contacts that hold during the impact; see `contact_matrices`. Each must be at rest on its
-            surface. One that would have to pull gives a `HeldContactWarning`.
+        contact: The contact that collides, or a list of those that are closed at this instant. For a
+            collision shape the tips with the smallest gap take part, for two shapes their closest points;
+            then `model` is the RobotWrapper.
+        held: Contacts that are bilateral constraints during the impact; see `contact_matrices`. Each must be
+            at rest on its surface. One that pulls gives a `HeldContactWarning`.
         locked: Joints, by name or id, whose velocity the impact does not change.
         method: Method of `solve_impact`, for one contact.
-        record: Whether ``hit.solution.path`` is wanted.
+        record: Whether to record ``hit.solution.path``.
         simultaneous: Policy of `solve_impact`, for a list of contacts.
-        **options: The method's or the policy's own keywords.
+        **options: Options of the method or policy.
 
     Returns:
-        A `Hit`; for a list of contacts, also of one, and where several tips of a shape touch, a `ManyHit`.
+        A `Hit`; a `ManyHit` for a list of contacts, also of one, and if several tips of a shape touch.
 
     Raises:
         InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves; a
@@ -226,7 +227,7 @@ def impact(
         UnknownNameError: A frame or joint that the model does not have; an unknown method.
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
-        LawError: The restitution law cannot be met.
+        LawError: The mechanism cannot satisfy the restitution law.
 
     Warns:
         JointLimitWarning: The q is outside the joint limits, perhaps in degrees; given once for each Data.

@@ -139,7 +139,8 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
     b = solid_sphere(robot, surface) if isinstance(surface, Sphere) else surface.carried_by(robot)  # type: ignore[attr-defined]
     if not motion_signs(model_of(robot), a.joint, b.joint).any():
         raise InputError(
-            f"contacts: {a.name!r} and {b.name!r} cannot move against each other: one body carries both",
+            f"contacts: {a.name!r} and {b.name!r} cannot move relative to each other: they belong "
+            "to the same body",
             field="contacts",
             value=contact,
         )

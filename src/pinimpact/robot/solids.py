@@ -85,16 +85,17 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
     swept = swept_radius(solid)
     if swept > 0.0:
         raise InputError(
-            f"geometry: {name!r} has a sphere of {swept:g} m swept around it, which meets planes alone; "
-            "set its swept-sphere radius to 0",
+            f"geometry: {name!r} has a swept-sphere radius of {swept:g} m, which is possible with "
+            "planes only; set it to 0",
             field="geometry",
             value=name,
         )
     if type(solid).__name__ in ("Cylinder", "Cone"):
         if rim_points is None:
             raise InputError(
-                f"rim_points: {name!r} is a {type(solid).__name__.lower()}, whose smooth rims meet planes "
-                "alone; give rim_points=, how many points stand for each rim (24, say)",
+                f"rim_points: {name!r} is a {type(solid).__name__.lower()}, whose smooth rims can "
+                "make contact with planes only; give rim_points=, the number of points of each "
+                "rim (for instance 24)",
                 field="rim_points",
                 value=None,
             )
@@ -157,14 +158,14 @@ class Solid(Surface):
 
 @dataclass(frozen=True, repr=False)
 class Box(Solid):
-    """A box fixed in the world or carried by a body, for collision shapes to meet.
+    """A box, fixed in the world or attached to a body, for contact with collision shapes.
 
     Attributes:
         size: Lengths of its sides [m].
-        center: Its centre [m], in the axes of what carries it.
+        center: Its centre [m], in world axes or those of `body`.
         rpy: Roll, pitch and yaw of its sides about the fixed axes x, y, z, as in a URDF [rad].
-        body: Frame that carries it, by name or id; None for the world.
-        name: How reports call it; None for "box", or for what carries it.
+        body: Frame to which it is attached, by name or id; None for the world.
+        name: Name in reports; None for "box" or the name of the body.
 
     Raises:
         InputError: A vector that is not three finite numbers, or a side that is not positive.
@@ -196,15 +197,15 @@ class Box(Solid):
 
 @dataclass(frozen=True, repr=False)
 class Shape(Solid):
-    """A collision shape of the robot, for another one of its shapes to meet.
+    """A collision shape of the robot, for contact with another of its shapes.
 
     Attributes:
         geometry: Name of the collision shape.
-        name: How reports call it; None for the same.
-        rim_points: Points that stand for each rim of a cylinder or cone, ≥ 3; it must be given for these.
+        name: Name in reports; None for the same.
+        rim_points: Number of points, ≥ 3, of each rim of a cylinder or cone; required for these.
 
     Raises:
-        InputError: A name that is none, a number of points below 3.
+        InputError: An invalid name, or fewer than 3 points.
     """
 
     geometry: str = ""
@@ -218,7 +219,7 @@ class Shape(Solid):
     def __post_init__(self) -> None:
         if not isinstance(self.geometry, str) or not self.geometry:
             raise InputError(
-                f"geometry: {self.geometry!r} is no name of a collision shape",
+                f"geometry: {self.geometry!r} is not the name of a collision shape",
                 field="geometry",
                 value=self.geometry,
             )
@@ -226,7 +227,7 @@ class Shape(Solid):
 
     @property
     def label(self) -> str:
-        """The name, or that of the shape."""
+        """The name, or the name of the shape."""
         return self.name or self.geometry
 
     def carried_by(self, robot: Any) -> CarriedShape:
@@ -242,8 +243,8 @@ def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
     """
     if any(surface.velocity) or any(surface.angular_velocity):
         raise InputError(
-            f"plane: {surface.label!r} moves by itself, which a shape that is no sphere cannot meet; let a "
-            "body carry it instead",
+            f"plane: {surface.label!r} has a surface velocity, which is possible with points and "
+            "spheres only; attach the surface to a moving body instead",
             field="plane",
             value=surface,
         )

@@ -75,7 +75,7 @@ def flat_rim(contact: Contact) -> str:
     """Return what is wrong with a rim that lies flat."""
     return (
         f"{contact.label!r} lies flat on its surface: a smooth rim then has no unique contact "
-        "point; give points that it stands on, rim_points= of a collision shape or contacts of their own"
+        "point; set rim_points= of the collision shape, or give contacts at single points"
     )
 
 

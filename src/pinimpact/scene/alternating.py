@@ -221,8 +221,8 @@ class Alternating(TimeStepping):
         if not self._prepared:
             self._prepared = True
             warnings.warn(
-                f"t = {state.t:.6g} s: time steps cross what cannot be located: {refusal} "
-                "The intervals are in trajectory.stepped; further ones are only listed there.",
+                f"t = {state.t:.6g} s: events cannot be located here, and time steps are taken: "
+                f"{refusal} trajectory.stepped lists all such intervals.",
                 SteppedWarning,
                 stacklevel=2,
             )

@@ -58,10 +58,10 @@ def check_chatter(control: Control, model: pin.Model, steps: Sequence[DenseStep]
     joint = joint_of_velocity(model, i)
     low, high = sorted((float(before[i]), float(after[i])))
     raise IrregularMotionError(
-        f"control: it chatters at t = {t:.6g} s: at the joint {joint!r} it jumps between {low:.6g} and "
-        f"{high:.6g} again and again, in steps of {h:.2g} s, and no step is short enough; give dry friction "
-        "as the model's friction, which also holds joints at rest, and sample a control that switches, with "
-        "period=",
+        f"control: it chatters at t = {t:.6g} s: at the joint {joint!r} it switches between "
+        f"{low:.6g} and {high:.6g} repeatedly, in steps of {h:.2g} s; model dry friction by the "
+        "model's friction, which also holds joints at rest, and sample a control that switches "
+        "(period=)",
         field="control",
         value=(before, after),
     )

@@ -41,13 +41,13 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
         ) from error
     if tau.shape != (nv,):
         raise SimulationError(
-            f"control: an array of shape {tau.shape} came back at t = {t:.6g} s; ({nv},) expected",
+            f"control: an array of shape {tau.shape} returned at t = {t:.6g} s; ({nv},) expected",
             field="control",
             value=tau,
         )
     if not math.isfinite(tau.dot(tau)):
         raise SimulationError(
-            f"control: {tau.tolist()} came back at t = {t:.6g} s; numbers in it are not finite",
+            f"control: {tau.tolist()} returned at t = {t:.6g} s; numbers in it are not finite",
             field="control",
             value=tau,
         )
@@ -56,17 +56,17 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointPD:
-    """A control that draws joints to a configuration: τ = kp (q_ref − q) − kd v, within ±limits.
+    """Joint PD control: τ = kp (q_ref − q) − kd v, limited to ±limits.
 
-    It is a part of the compiled dynamics, and effort that reaches a limit or leaves it is an event, at its
-    exact time. It acts on joints of one coordinate, whatever turns without bounds; a free base is not driven.
+    It is part of the compiled dynamics. Reaching or leaving a limit is an event, at its exact time. It acts
+    on joints with one coordinate, including unbounded revolute joints; a free base has no actuator.
 
     Attributes:
-        kp: Stiffness ≥ 0 [N m/rad or N/m]: a number for all joints, or (nv,), zero where nothing drives.
+        kp: Stiffness ≥ 0 [N m/rad or N/m]: a number for all joints, or (nv,), with zeros for no control.
         kd: Damping ≥ 0 [N m s/rad or N s/m], likewise.
-        q_ref: (nq,) the configuration to which the joints are drawn.
-        limits: The effort > 0 that each joint can exert [N m or N]: a number, or (nv,), infinite where there
-            is no limit; None for no limits.
+        q_ref: (nq,) reference configuration.
+        limits: Effort limit > 0 of each joint [N m or N]: a number, or (nv,), infinite for no limit; None for
+            no limits.
     """
 
     kp: ArrayLike
@@ -81,8 +81,7 @@ class JointPD:
         """Return the drives of a robot.
 
         Raises:
-            InputError: Numbers of the wrong shape or range; a joint with several coordinates that is to be
-                driven.
+            InputError: Numbers of the wrong shape or range; gains for a joint with several coordinates.
         """
         nv = model.nv
         single, coordinate = np.zeros(nv, dtype=np.bool_), np.zeros(nv, dtype=np.int64)
@@ -98,8 +97,8 @@ class JointPD:
         for j in velocity[~single[velocity]].tolist():
             joint = joint_of_velocity(model, j)
             raise InputError(
-                f"control: the joint {joint!r} has not one plain coordinate, so a JointPD cannot drive it; "
-                "give kp and kd as (nv,) with zeros there, or a control of your own",
+                f"control: the joint {joint!r} does not have exactly one coordinate, so a JointPD "
+                "cannot drive it; give kp and kd as (nv,) with zeros there, or a function",
                 field="control",
                 value=joint,
             )

@@ -45,10 +45,10 @@ class Effect:
     """One line of a plan.
 
     Attributes:
-        name: Of the documented vocabulary, `SWITCHABLE` and `DERIVED`.
+        name: Name, one of `SWITCHABLE` and `DERIVED`.
         on: Whether it is computed.
-        reason: Why it is, or why not.
-        changes_answer: Whether it was switched off although the scene calls for it.
+        reason: Why it is computed, or why not.
+        changes_answer: Whether it was switched off although it applies.
     """
 
     name: str
@@ -62,11 +62,11 @@ class Plan:
     """The effects of a scene, each with its reason; ``str(plan)`` is a table, ``plan["gravity"]`` one line.
 
     Attributes:
-        effects: In the order of the vocabulary.
-        resting_speed: Bounce speed below which a contact is taken as resting [m/s].
-        unreachable: Names of the contacts that can never reach their surface, and are not watched.
-        scheme: Of `simulate`, what the scene calls for: "auto" where faces of bodies can be aligned or crowds
-            of points closed, so that events may not be located one by one, else "event-driven".
+        effects: The effects, in the order of the vocabulary.
+        resting_speed: Bounce speed below which a contact stays closed [m/s].
+        unreachable: Names of the contacts that cannot reach their surfaces, and are not watched.
+        scheme: Scheme that `simulate` needs: "auto" if faces of bodies can be aligned or many points can be
+            closed, so that events may not be located one by one, else "event-driven".
     """
 
     effects: tuple[Effect, ...]
@@ -85,7 +85,7 @@ class Plan:
 
     @property
     def switched_off(self) -> tuple[str, ...]:
-        """Effects switched off although the scene calls for them, so that the answer changes."""
+        """Effects switched off although they apply, so that the result changes."""
         return tuple(effect.name for effect in self.effects if effect.changes_answer)
 
     def __repr__(self) -> str:
@@ -117,7 +117,7 @@ def check_names(without: Sequence[str]) -> tuple[str, ...]:
     for name in without:
         if name in DERIVED:
             raise InputError(
-                f"without: {name!r} is decided by each impact from its numbers and cannot be switched off",
+                f"without: {name!r} depends on each impact and cannot be switched off",
                 field="without",
                 value=name,
             )
@@ -215,7 +215,7 @@ def make_plan(
         "sustained contact": (
             watched > 0 or limits > 0,
             f"a bounce slower than {resting_speed:.3g} m/s is taken as rest",
-            "nothing can touch",
+            "no contact can close",
         ),
         "moving surfaces": (
             bool(moving),
@@ -246,7 +246,7 @@ def make_plan(
             effects.append(Effect(name, False, absence))
         elif name in without:
             effects.append(
-                Effect(name, False, f"switched off against the plan: {reason}", name != "recorded path")
+                Effect(name, False, f"switched off, although it applies: {reason}", name != "recorded path")
             )
         else:
             effects.append(Effect(name, True, reason))
@@ -275,7 +275,10 @@ def make_plan(
         Effect(
             "simultaneous impacts",
             several,
-            f"what collides or rests at one instant and feels each other is resolved by {simultaneous!r}"
+            (
+                "coupled contacts and joint limits that collide or rest at one instant are resolved "
+                f"by {simultaneous!r}"
+            )
             if several
             else "no two contacts or joint limits can touch at one instant",
         )

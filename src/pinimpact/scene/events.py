@@ -28,20 +28,19 @@ Callback = Callable[[float, Array, Array], ArrayLike | None]
 class Event:
     """A user event: it occurs when a function of time and state changes sign.
 
-    The guard is evaluated where steps begin and end, in their middle, and as often in between that a quarter
-    of `Scene.time_scale` does not go by; its change of sign is then located on the motion within the step to
-    rounding. One that changes its sign twice in between can be missed: `max_step=` makes steps shorter, and
-    so the time between. A guard that an impact takes to the other sign makes the event happen there, after
-    the impact. A zero is no sign: a guard that is zero at the start, or comes to zero and turns back, makes
-    nothing happen.
+    The guard is evaluated at the start, middle and end of each step, and at least once per quarter of
+    `Scene.time_scale`; the change of sign is then located within the step to rounding. Two changes of sign
+    between evaluations can be missed; `max_step=` shortens the steps. If an impact changes the sign of the
+    guard, the event occurs after the impact. Zero has no sign: a guard that is zero at the start, or touches
+    zero without changing sign, causes no event.
 
     Attributes:
         guard: guard(t, q, v) -> number, with q (nq,) and v (nv,).
         callback: callback(t, q, v), called at the event; it returns None, or the velocity (nv,)
-            after the event. Contacts that approach with it collide.
-        terminal: Whether the event ends the run, after the callback; a number: whether its n-th time does.
-        direction: 1: only changes from negative to positive count; -1: only the others; 0: both.
-        name: What it is called in the trajectory; None for the name of the guard.
+            after the event. Contacts that then approach collide.
+        terminal: Whether the event ends the run, after the callback; a number n: at the n-th event.
+        direction: 1: changes from negative to positive only; -1: from positive to negative only; 0: both.
+        name: Name in the trajectory; None for the name of the guard.
 
     Raises:
         InputError: A guard or callback that cannot be called, a direction that is no number, a terminal that
@@ -71,7 +70,7 @@ class Event:
 
     @property
     def label(self) -> str:
-        """The name, or else that of the guard."""
+        """The name, or that of the guard."""
         return self.name or str(getattr(self.guard, "__name__", "event"))
 
 
@@ -232,8 +231,8 @@ class EventWatch:
             raise _failure(event, "guard", t, error) from error
         if math.isnan(value):
             raise SimulationError(
-                f"events: {value} came back from the guard of {event.label!r} at t = {t:.6g} s; a number "
-                "expected",
+                f"events: {value} returned by the guard of {event.label!r} at t = {t:.6g} s; a "
+                "number expected",
                 field="events",
                 value=value,
             )

@@ -401,7 +401,7 @@ class Integrator:
         work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
-            state.note("The forces of the closed contacts are not unique; all count as equally stiff.")
+            state.note("The contact forces are not unique; those of equally stiff contacts are used.")
         self.forces_were_unique = unique
         self._closed = ClosedSet.of(work, state.shapes.swapped())
 
@@ -424,8 +424,8 @@ class Integrator:
                 if self._resolve_stall():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise IrregularMotionError(
-                    f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the modes of contact do "
-                    "not settle there; a larger resting_speed may help",
+                    f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the contact "
+                    "modes do not converge; a larger resting_speed may help",
                     field="scene",
                 )
         left = stop - t
@@ -438,8 +438,9 @@ class Integrator:
                 if self._resolve_stall():
                     return self.dynamics.first_length(self.rtol, self.atol)
                 raise IrregularMotionError(
-                    f"rtol: the step fell to {trial:.3g} s at t = {t:.6g} s; the motion is not smooth "
-                    "(a control that jumps, forces beyond bounds?), or the tolerance is too small",
+                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is "
+                    "not smooth (a discontinuous control, forces beyond bounds?), or the "
+                    "tolerance is too small",
                     field="rtol",
                     value=self.rtol,
                 )
@@ -552,8 +553,8 @@ class Integrator:
         """Tell of friction that does positive work, once."""
         if not self.friction_drove:
             self.state.note(
-                f"Friction gives {power:.3g} W, and no shorter step ends that: the motion may be wrong from "
-                "here on; a smaller rtol may help."
+                f"Friction has a positive power of {power:.3g} W, and shorter steps do not help: "
+                "the motion may be wrong from here on; a smaller rtol may help."
             )
         self.friction_drove = True
 
@@ -562,9 +563,9 @@ class Integrator:
         unknown = self.rtol * np.abs(self.work.solution).max(initial=0.0)
         if self.work.forces_unique and excess > unknown and not self.forces_beyond:
             self.forces_beyond = True
-            beyond = f"Forces leave by {excess:.3g} N or N m what the modes of contact allow"
+            beyond = f"Contact forces exceed the bounds of the contact modes by {excess:.3g} N or N m"
             if math.isinf(excess):
-                beyond = "Slip as the modes of contact have it drives a surface in"
+                beyond = "Slip in these contact modes has a negative normal acceleration"
             self.state.note(
                 f"{beyond}, and no other modes were found: the motion may be wrong here; near Painlevé's "
                 "paradox there may be none."
@@ -608,7 +609,10 @@ class Integrator:
             else:
                 return False
             self._rested_at = state.t
-            state.note(f"Modes do not settle: slip slower than {work.stick_speed:.3g} m/s is taken as rest.")
+            state.note(
+                f"The contact modes do not converge: slip slower than {work.stick_speed:.3g} m/s is "
+                "taken as zero."
+            )
         self._mark_progress()
         self._settle_and_begin()
         self._sample()

@@ -60,17 +60,17 @@ class ImpactRecord:
     """One impact of a trajectory.
 
     Attributes:
-        time: When [s].
-        source: Name of the contact, or of the joint limit.
+        time: Time [s].
+        source: Name of the contact or joint limit.
         q: (nq,) configuration.
         v_before, v_after: (nv,) velocities.
-        resting: The bounce would have been slower than the resting speed, so restitution was left out.
-        simultaneous: Other impacts took place at the same instant.
+        resting: Whether restitution was set to zero because the bounce was slower than the resting speed.
+        simultaneous: Whether other impacts took place at the same instant.
         record: Whether the solution has a path.
-        contact_space: Makes `problem` and `impulse_world`, which few ask for.
-        group: Of an impact at several contacts at once that of all, and this one's place in it. Then v_before
-            and v_after are those of all together, and `problem` is its own part.
-        contact: Of two shapes the point in which they touched, as a contact; else None.
+        contact_space: Function that computes `problem` and `impulse_world`.
+        group: For an impact at several contacts the `ImpactGroup` of all of them and the index in it. Then
+            v_before and v_after are those of the whole impact, and `problem` is the part of this contact.
+        contact: For two shapes their contact point, as a contact; else None.
     """
 
     time: float
@@ -91,7 +91,7 @@ class ImpactRecord:
 
     @property
     def problem(self) -> ImpactProblem:
-        """The contact-space problem that was solved; of a joint limit only the normal row counts."""
+        """The contact-space problem that was solved; for a joint limit only the normal row has a meaning."""
         return self._contact_space[0]
 
     @property
@@ -101,7 +101,7 @@ class ImpactRecord:
 
     @cached_property
     def solution(self) -> Solution:
-        """The full solution of the impact, made on first access; of several at once, this one's part."""
+        """The solution of the impact, computed on first access; for several contacts the part of this one."""
         if self.group is not None:
             whole, place = self.group
             return whole.solution.part(place)
@@ -127,11 +127,11 @@ class ImpactRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventRecord:
-    """One event of a user's own.
+    """One user event.
 
     Attributes:
-        time: When [s].
-        name: Which.
+        time: Time [s].
+        name: Name of the event.
         q: (nq,) configuration.
         v_before, v_after: (nv,) velocities, before and after its callback.
     """
@@ -145,7 +145,7 @@ class EventRecord:
 
 @dataclass(frozen=True, slots=True)
 class ModeInterval:
-    """A time over which a contact, limit or joint stayed in one mode.
+    """An interval in which a contact, limit or joint stayed in one mode.
 
     Attributes:
         source: Name of the contact, joint limit or joint with dry friction, or "JOINT drive".
@@ -188,11 +188,11 @@ class SteppedInterval:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something about a run that a reader should know.
+    """A sentence about a limitation or a special event of a run.
 
     Attributes:
-        time: When [s].
-        text: What, in a sentence.
+        time: Time [s].
+        text: The sentence.
     """
 
     time: float
@@ -234,16 +234,16 @@ _NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(\.\d*)?(e[-+]?\d+)?(?= (m|s|N|rad|J
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Energy:
-    """Energies and works at the samples [J], each (m,); works are counted from the start.
+    """Energies and work at the times of the trajectory [J], each (m,); work is summed from the start.
 
     Attributes:
-        kinetic, potential: Of the robot, with rotor inertia.
+        kinetic, potential: Energies of the robot, with rotor inertia.
         control: Work of the control.
         joints: Work of joint damping and dry friction, ≤ 0.
-        friction: Work of friction in sustained contacts, in the velocity relative to the surface, ≤ 0.
+        friction: Work of friction in sustained contacts, on the velocity relative to the surface, ≤ 0.
         surface: Work of moving surfaces in sustained contacts.
-        impacts: Change of kinetic energy in impacts, moving surfaces included, in contacts that came to
-            rest, and by callbacks of events; in time steps also of energy where overlap is taken away.
+        impacts: Change of kinetic energy in impacts (including moving surfaces), at contacts that come to
+            rest, and by callbacks of events; with time steps also the energy of removing overlap.
     """
 
     kinetic: Array

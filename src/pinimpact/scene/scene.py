@@ -40,42 +40,42 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot among surfaces.
+    """A robot with its contacts, control and events, to be simulated.
 
-    Contacts without a name of their own whose labels would be the same are numbered: "foot on plane 1",
-    "foot on plane 2". Reports use the labels of `contacts` and `held` as they are here.
+    Contacts without a name whose labels are equal are numbered: "foot on plane 1", "foot on plane 2". Reports
+    use the labels of `contacts` and `held`.
 
-    A contact of a collision shape is replaced by its tips, see `Contact.tips`: `contacts` has them all.
+    A contact of a collision shape is replaced by its tips, see `Contact.tips`; `contacts` has all of them.
 
     Attributes:
-        model: Pinocchio model, or a RobotWrapper; gravity, rotor inertia, joint damping and dry friction and
-            the joint limits are the model's own.
-        contacts: The points that may meet their surfaces.
-        control: control(t, q, v) -> (nv,) generalized forces, or a `JointPD`; None for none. Without a
-            `period` it is a function of its arguments that is called as often as the steps need.
-        period: Where the control is sampled: it is called once at each of the times 0, T, 2T, … of this
-            period T [s], in their order, after what happens then, and its force is held until the next one
-            acts. It may keep a state of its own.
-        simultaneous: Policy for contacts, joint limits among them, that collide or rest at one instant and
-            feel each other; see `POLICIES`.
+        model: Pinocchio model, or a RobotWrapper. Gravity, rotor inertia, joint damping, dry friction and
+            joint limits are those of the model.
+        contacts: The contacts.
+        control: control(t, q, v) -> (nv,) generalized forces, or a `JointPD`, or None. Without `period` it
+            must depend on its arguments only; it is called as often as the steps need.
+        period: Period T [s] of a sampled control. It is called once at each of the times 0, T, 2T, …, in this
+            order and after the events at these times; its force is constant until the next one acts. It may
+            have a state.
+        simultaneous: Policy for contacts and joint limits that collide or rest at one instant and are
+            coupled; see `POLICIES`.
         geometry: Collision shapes; None for those of the RobotWrapper.
-        delay: Time [s] from when a sampled control is asked to when its force acts; no force acts before.
-        held: Contacts that hold throughout, in both directions: a grasp, a bolted foot, a closed loop. They
+        delay: Time [s] from a sample of the control until its force acts; before the first, forces are zero.
+        held: Contacts that are bilateral constraints throughout: a grasp, a bolted foot, a closed loop. They
             start at their surfaces, see `simulate`.
-        locked: Joints, by name or id, whose velocity an impact does not change (stiff position control).
-        limit_restitution: Restitution e of the joint limits, which act as one-sided impacts.
-        resting_speed: Bounce speed [m/s] below which a contact is taken as resting; None for 10⁻⁴ √(g L),
-            with the model's gravity (standard gravity if it has none) and L the size of the robot, `extent`.
-        record: Whether each impact's path is recorded.
-        without: Effects to leave out, by the names in `plan`.
-        events: Events of the user's own, see `Event`; plain guards count as such, with the ``terminal`` and
-            ``direction`` that they may carry as scipy's do.
+        locked: Joints, by name or id, whose velocity impacts do not change (stiff position control).
+        limit_restitution: Coefficient of restitution of the joint limits, which are unilateral impacts.
+        resting_speed: Bounce speed [m/s] below which a contact stays closed; None for 10⁻⁴ √(g L), with the
+            model's gravity (standard gravity if it has none) and the size L of the robot, `extent`.
+        record: Whether to record the path of each impact.
+        without: Effects to switch off, by the names in `plan`.
+        events: User events, see `Event`; functions are accepted too, with the attributes ``terminal`` and
+            ``direction`` as in SciPy.
 
     Raises:
-        InputError: Numbers out of range, two contacts of one name or one contact twice, the name of a joint
-            limit or of a joint with dry friction as that of a contact, a surface that moves out of its place.
+        InputError: Numbers out of range, two contacts with one name or one contact twice, a contact with the
+            name of a joint limit or of a joint with dry friction, a surface that does not move within itself.
         UnknownNameError: A frame, joint or effect that does not exist.
-        ModelError: Gravity, joint damping, dry friction or bounds of joints that no robot has.
+        ModelError: Invalid gravity, joint damping, dry friction or joint limits of the model.
     """
 
     model: pin.Model
@@ -99,7 +99,7 @@ class Scene:
             assign(self, "geometry", getattr(self.model, "collision_model", None))
         elif not isinstance(self.geometry, pin.GeometryModel):
             raise InputError(
-                f"geometry: {self.geometry!r} is no pinocchio GeometryModel",
+                f"geometry: {self.geometry!r} is not a pinocchio GeometryModel",
                 field="geometry",
                 value=self.geometry,
             )
@@ -152,17 +152,17 @@ class Scene:
     def contacts_from_geometry(
         self, surface: Surface, links: str | Sequence[str] = "all", **coefficients: Any
     ) -> Scene:
-        """Return this scene with contacts of collision shapes against a surface, beside those that it has.
+        """Return this scene with additional contacts of collision shapes with a surface.
 
-        Shapes that cannot move relative to the surface are left out where "all" are asked for.
+        With "all", shapes that cannot move relative to the surface are left out.
 
         Args:
-            surface: The surface that they meet.
-            links: Names of the frames of links, all shapes of which take part, or "all".
-            **coefficients: Keywords of each `Contact`: friction, restitution and the like.
+            surface: The surface.
+            links: Names of the frames of links, whose shapes are used, or "all".
+            **coefficients: Keywords of each `Contact`: friction, restitution and others.
 
         Raises:
-            InputError: A robot without collision shapes, a shape that is not supported.
+            InputError: A robot without collision shapes, or a shape that is not supported.
             UnknownNameError: A link that has no shape.
         """
         model = self.model
@@ -192,8 +192,8 @@ class Scene:
                 )
         elif self.delay > 0.0:
             raise InputError(
-                f"delay: {self.delay!r} given without a period; a control is delayed where it is sampled, "
-                "period=",
+                f"delay: {self.delay!r} given without a period; only a sampled control has a "
+                "delay, set period=",
                 field="delay",
                 value=self.delay,
             )
@@ -264,7 +264,7 @@ class Scene:
         return known
 
     def plan(self) -> Plan:
-        """Return the effects that this scene calls for, and why each other one is left out."""
+        """Return which effects are computed, and why."""
         layout = self.layout()
         return make_plan(
             self.model,
@@ -297,7 +297,7 @@ class Scene:
 
     @property
     def rest(self) -> float:
-        """The resting speed that is used [m/s]."""
+        """The resting speed [m/s]."""
         if self.resting_speed is not None:
             return self.resting_speed
         return RESTING_FRACTION * math.sqrt(self._gravity * self.extent)
@@ -331,11 +331,11 @@ class Scene:
         return self.layout().limits
 
     def unreachable(self) -> tuple[str, ...]:
-        """Return the names of the contacts that can never reach their surface, whatever the joints do."""
+        """Return the names of the contacts that cannot reach their surfaces in any configuration."""
         return self.layout().unreachable
 
     def sources(self) -> tuple[str, ...]:
-        """Return the names of what impacts and modes can be of: contacts, joint limits and joints."""
+        """Return the names that impacts and modes can have: contacts, joint limits and joints."""
         return self.layout().sources
 
 
@@ -394,8 +394,8 @@ def _check_surface_motion(field: str, contact: Contact) -> None:
     departure = contact.plane.departure()
     if departure is not None:
         raise InputError(
-            f"{field}: the {contact.plane.kind} of {contact.label!r} {departure}; in a scene a surface may "
-            "only move within itself, for it stays where it is; let a body carry it instead",
+            f"{field}: the {contact.plane.kind} of {contact.label!r} {departure}; in a scene a "
+            "surface can move only within itself; attach it to a moving body instead",
             field=field,
             value=contact,
         )

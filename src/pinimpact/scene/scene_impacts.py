@@ -238,8 +238,8 @@ class SceneImpacts:
         constrained = self._held or self._locked
         if constrained and c <= 1e-12 * float(np.abs(column).max(initial=0.0)):
             raise SimulationError(
-                f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but what is held or "
-                "locked keeps the joint from yielding; leave it out there",
+                f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but held "
+                "contacts or locked joints keep the joint from moving; remove them there",
                 field="locked",
                 value=limit.name,
             )

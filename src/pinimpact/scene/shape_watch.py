@@ -265,9 +265,9 @@ class ShapeWatch:
         free = [i for i in watched.places if i not in watched.points]
         if len(fresh) > len(free):
             raise IrregularMotionError(
-                f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more than the "
-                f"{len(watched.places)} that two such faces can share; corners that differ by rounding "
-                "may be why",
+                f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more "
+                f"than the {len(watched.places)} that two such faces can share; corners may "
+                "differ by rounding",
                 field="contacts",
                 value=watched.label,
             )
@@ -313,8 +313,8 @@ class ShapeWatch:
                 elif watched.points[i].lasting is None:
                     kind = watched.points[i].touch.kind.replace("-", " on ")
                     raise IrregularMotionError(
-                        f"contacts: {watched.label!r} rests {kind}, where its normal is not determined; "
-                        "start a little beside it, or give one of the shapes a radius",
+                        f"contacts: {watched.label!r} rests {kind}, where its normal is not "
+                        "determined; start slightly beside it, or give one of the shapes a radius",
                         field="contacts",
                         value=watched.label,
                     )
@@ -376,8 +376,8 @@ class ShapeWatch:
     def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:
             raise IrregularMotionError(
-                f"contacts: {watched.label!r} neither touches nor parts near t = {step.start:.6g} s; they "
-                "stay within rounding of each other",
+                f"contacts: the shapes of {watched.label!r} neither touch nor separate near t = "
+                f"{step.start:.6g} s; their distance stays within rounding",
                 field="contacts",
                 value=watched.label,
             )
@@ -427,8 +427,9 @@ class ShapeWatch:
             depth = -gap(last.a, last.b).value
             if depth > SUNK * watched.size:
                 raise IrregularMotionError(
-                    f"contacts: {watched.label!r} sinks {depth:.3g} m in at t = {end:.6g} s, past the points "
-                    "that touch: corners may have met corners or edges just so; start a little beside it",
+                    f"contacts: {watched.label!r} penetrates by {depth:.3g} m at t = {end:.6g} s, "
+                    "beyond its contact points: corners may have met corners or edges exactly; "
+                    "start slightly beside it",
                     field="contacts",
                     value=watched.label,
                 )

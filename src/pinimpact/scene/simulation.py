@@ -29,39 +29,39 @@ def simulate(
     scheme: str = "auto",
     dt: float = 1e-3,
 ) -> Trajectory:
-    """Simulate a scene from a state, for a time. (scenes.md)
+    """Simulate a scene. (scenes.md)
 
     Between events the motion is integrated on the configuration manifold to the tolerances; events are
-    located to rounding, and none is missed between steps. Impacts are resolved exactly. Intervals for which
-    this is impossible are crossed by time steps. Ctrl-C ends the run early and leaves what was computed.
+    located to rounding, and none is missed between steps. Impacts are solved exactly. Intervals in which this
+    is impossible are crossed by time steps. Ctrl-C ends the run early; the trajectory up to then is returned.
 
     Args:
-        scene: The robot, its contacts and what acts on it.
-        q0: (nq,) configuration at the start, no contact below its surface.
-        v0: (nv,) velocity at the start.
+        scene: The robot, its contacts and its control.
+        q0: (nq,) initial configuration, with no contact below its surface.
+        v0: (nv,) initial velocity.
         duration: Time to simulate [s].
         rtol: Relative tolerance of each step.
         atol: Absolute tolerance of each step, on coordinates [m, rad] and velocities.
-        max_step: Longest step [s]; None for a quarter of `Scene.time_scale` with a continuous control, so
-            that what it does is seen also where nothing has happened for long, and for no bound without.
-        max_impacts: At how many instants to resolve impacts before giving up.
-        progress: Called with the time reached and the duration, after every step.
+        max_step: Longest step [s]. None: with a continuous control a quarter of `Scene.time_scale`, so that a
+            force that starts after a long rest is detected; else no bound.
+        max_impacts: Largest number of instants with impacts.
+        progress: Called with the current time and the duration after every step.
         scheme: "event-driven": events are located one by one; a motion for which this is impossible raises
-            an error. "time-stepping": steps of fixed length that take sustained contact, friction and limits
-            at once, for scenes of many or aligned contacts, where events crowd. It is of first order in `dt`;
-            tolerances do not apply. (theory.md, 16) "auto": event-driven, and time steps across intervals
+            an error. "time-stepping": steps of fixed length that resolve sustained contact, friction and
+            limits at once, for scenes of many or aligned contacts with many events. It is of first order in
+            `dt`; tolerances do not apply. (theory.md, 16) "auto": event-driven, with time steps in intervals
             whose events cannot be located one by one; `Trajectory.stepped` lists them, with estimates of
             their error, and a `SteppedWarning` reports the first one.
-        dt: Length of the steps of time stepping [s], with "auto" the longest one.
+        dt: Length of the time steps [s]; with "auto" the longest one.
 
     Raises:
-        UnknownNameError: No such scheme.
+        UnknownNameError: Unknown scheme.
         InputError: A start below a surface or beyond a joint limit, a held contact that moves or is further
             from its surface than a thousandth of the robot's size, numbers of the wrong shape or range.
         ModelError: A joint that cannot be integrated.
-        SimulationError: A run that cannot continue; ``partial`` is the trajectory until then. A control, or
-            the guard or callback of an event, that fails or returns nonsense, impacts beyond `max_impacts`,
-            an impact without an answer.
+        SimulationError: The run cannot continue; ``partial`` is the trajectory up to then. Reasons: a
+            control, guard or callback that fails or returns invalid values, more than `max_impacts`
+            instants with impacts, an impact without a solution.
     """
     check_numbers(duration=duration)
     integrator = integrator_of(scheme, scene, q0, v0, rtol, atol, max_step, max_impacts, dt)

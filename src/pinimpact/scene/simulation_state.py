@@ -215,8 +215,8 @@ class SimulationState:
             jams += 1
             if jams > MOST_IMPACTS:
                 raise IrregularMotionError(
-                    f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not settle, "
-                    f"the last at {_last(resolved)}; less friction would end them",
+                    f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not "
+                    f"end, the last at {_last(resolved)}; less friction may help",
                     field="scene",
                 )
             struck = self._without_forces(before, jammed, jams > MOST_JAMS)
@@ -347,10 +347,11 @@ class SimulationState:
             x, y, z = (u @ matrices.axes).tolist()
             least = math.hypot(u[0], u[1]) / u[2]
             raise LockedPostureError(
-                f"contacts: at t = {self.t:.6g} s {contact.label!r} is locked by friction: in this posture "
-                f"nothing moves it along ({x:.3g}, {y:.3g}, {z:.3g}), its friction of {friction:g} holds it "
-                "there against the motion, so rigid bodies have neither forces nor impulses; "
-                f"friction below {least:.3g}, or a joint limit short of this posture, avoids this",
+                f"contacts: at t = {self.t:.6g} s {contact.label!r} is locked by friction: in "
+                f"this posture nothing moves it along ({x:.3g}, {y:.3g}, {z:.3g}), and its "
+                f"friction of {friction:g} holds it against the motion, so the rigid-body "
+                f"equations have no forces or impulses; friction below {least:.3g}, or a joint "
+                "limit before this posture, avoids this",
                 field="contacts",
                 value=contact,
             )
@@ -440,8 +441,8 @@ class SimulationState:
         impact = self._impacts.resolve_group(self.q, self.v, i, touching, limit=True)
         if impact is None or not impact.struck or beyond > len(touching):
             raise IrregularMotionError(
-                f"scene: {len(before)} impacts at t = {self.t:.6g} s do not settle, the last at "
-                f'{_last(before)}; simultaneous="propagate" ends by itself',
+                f"scene: {len(before)} impacts at t = {self.t:.6g} s do not end, the last at "
+                f'{_last(before)}; use simultaneous="propagate"',
                 field="scene",
             )
         self.note(without_end(len(before), [fields["source"] for fields in before]))
@@ -492,14 +493,14 @@ class SimulationState:
         if not self.bound_reached:
             self.bound_reached = True
             warnings.warn(
-                f"t = {self.t:.6g} s: {self.notes[-1].text} Further ones are only listed in the notes.",
+                f"t = {self.t:.6g} s: {self.notes[-1].text} Further such notes are in trajectory.notes only.",
                 BoundReachedWarning,
                 stacklevel=2,
             )
 
     def _note_rest(self, i: int) -> None:
         self.note(
-            f"{self.names[i]} is taken as resting: it would bounce slower than {self._resting_speed:.3g} m/s."
+            f"{self.names[i]} comes to rest: it would bounce slower than {self._resting_speed:.3g} m/s."
         )
 
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
@@ -561,7 +562,7 @@ class SimulationState:
         if group is None:
             return False
         slipping = self._names(touching, slips)
-        self.note(f"Slip at {slipping} makes the forces grow without bound: they jam, in an impact.")
+        self.note(f"Slip at {slipping} makes the forces grow without bound: an impact without collision.")
         resolved = self._take_over_group(group)
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
         return True
@@ -698,8 +699,9 @@ class SimulationState:
             speed = float(np.linalg.norm(velocity))
             if speed > 1e-6 * (1.0 + float(np.abs(self.v).max(initial=0.0))):
                 raise InputError(
-                    f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} m/s against "
-                    "its surface; start with it at rest there, or leave it out of held",
+                    f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} "
+                    "m/s relative to its surface; start with it at rest there, or remove it from "
+                    "held",
                     field="v0",
                     value=speed,
                 )

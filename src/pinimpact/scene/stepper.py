@@ -26,19 +26,19 @@ class Stepper:
     next step continues from there.
 
     Args:
-        scene: The scene, without a control of its own.
-        q0: (nq,) configuration at the start, no contact below its surface.
-        v0: (nv,) velocity at the start.
-        rtol: As of `simulate`.
-        atol: As of `simulate`.
-        max_step: As of `simulate`.
-        max_impacts: At how many instants of one step to resolve impacts before giving up.
-        scheme: As of `simulate`.
-        dt: Length of the time steps of the scheme [s], as of `simulate`; not that of `step`.
+        scene: The scene, without a control.
+        q0: (nq,) initial configuration, with no contact below its surface.
+        v0: (nv,) initial velocity.
+        rtol: As in `simulate`.
+        atol: As in `simulate`.
+        max_step: As in `simulate`.
+        max_impacts: Largest number of instants with impacts in one step.
+        scheme: As in `simulate`.
+        dt: Length of the time steps of the scheme [s], as in `simulate`; not that of `step`.
 
     Raises:
-        UnknownNameError: No such scheme.
-        InputError: As of `simulate`, or a scene with a control.
+        UnknownNameError: Unknown scheme.
+        InputError: As in `simulate`, or a scene with a control.
         ModelError: A joint that cannot be integrated.
     """
 
@@ -57,8 +57,7 @@ class Stepper:
     ) -> None:
         if isinstance(scene, Scene) and scene.control is not None:
             raise InputError(
-                "scene: it has a control, but the forces of a stepper are those of step(tau, dt); leave out "
-                "control=",
+                "scene: it has a control, but a Stepper takes the forces of step(tau, dt); remove control=",
                 field="scene",
                 value=scene,
             )
@@ -67,10 +66,10 @@ class Stepper:
         self.reset(q0, v0)
 
     def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
-        """Restart at t = 0 in another state; the motion until now is discarded.
+        """Restart at t = 0 in another state; the trajectory up to now is discarded.
 
         Raises:
-            InputError: As of `simulate`; the stepper is then as it was.
+            InputError: As in `simulate`; the stepper is then unchanged.
         """
         self._integrator = integrator_of(self._scheme, self._scene, q0, v0, *self._options)
         self._begun = self._failed = False
@@ -88,7 +87,7 @@ class Stepper:
         return self.copy()
 
     def step(self, tau: ArrayLike, dt: float) -> tuple[Array, Array]:
-        """Move on by a time under forces that do not change, and return q (nq,) and v (nv,) at its end.
+        """Advance by a time under constant forces, and return q (nq,) and v (nv,) at its end.
 
         Args:
             tau: (nv,) generalized forces [N, N m].
@@ -96,8 +95,8 @@ class Stepper:
 
         Raises:
             InputError: Forces of the wrong shape or not finite, a time that is not above zero or too small to
-                change `t`; nothing has moved then.
-            SimulationError: The motion cannot continue; ``partial`` is the trajectory so far; use `reset`.
+                change `t`; the state is then unchanged.
+            SimulationError: The motion cannot continue; ``partial`` is the trajectory up to then.
         """
         integrator = self._integrator
         tau = finite_array("tau", tau, (integrator.model.nv,))
@@ -148,5 +147,5 @@ class Stepper:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The motion from the start until now; it grows by some kilobytes a step until `reset`."""
+        """The motion from the start until now; it grows by some kilobytes per step until `reset`."""
         return self._integrator.trajectory(f"Stepped until t = {self.t:.6g} s.", True)

@@ -241,13 +241,14 @@ class TimeStepping(Integrator):
         self.dynamics.check()
         if off > FAILED:
             raise SimulationError(
-                f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: impulses are "
-                f"off Coulomb's law by {off:.2g} of its velocities; dt below {h:.3g} s may help",
+                f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
+                f"impulses violate Coulomb's law by {off:.2g} of its velocities; dt below {h:.3g} "
+                "s may help",
                 field="scene",
             )
         if off > max(USABLE, self._unsolved):
             if self._unsolved == 0.0:
-                state.note(f"A contact problem was solved to {off:.2g} of its velocities only.")
+                state.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
             self._unsolved = off
         share, lost, overlap = numbers.tolist()
         step = self._dense(t, h, rows, (v_end, softened, predicted), (impulse, u_start, u_end))

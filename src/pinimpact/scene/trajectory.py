@@ -33,28 +33,28 @@ SHOWN = 20
 
 
 class Trajectory:
-    """The motion that `simulate` found. It can be pickled, and saved as a file of numbers and text.
+    """The result of `simulate`. It can be pickled, and saved as a file of numbers and text.
 
     Attributes:
-        t: (m,) times [s], the ends of the steps; an impact's time stands twice, before and after it.
-        q, v: (m, nq), (m, nv) samples.
+        t: (m,) times [s] at the ends of steps; an impact's time occurs twice, before and after it.
+        q, v: (m, nq), (m, nv) states.
         impacts: The impacts in order.
-        events: What has happened of the scene's `Event`s, in order.
+        events: The user events in order, as `EventRecord`s.
         modes: The intervals in which contacts, limits and joints were not free, by their end.
-        energy: Energies and works at the samples.
-        termination: Why the run ended, in a sentence.
+        energy: Energies and work at the times `t`.
+        termination: Why the run ended, as a sentence.
         complete: Whether it reached its duration.
-        notes: Where the resting speed was used, where forces were not unique, and the like.
-        stepped: The intervals that time stepping has crossed, with `scheme="auto"`.
-        switched_off: Effects switched off although the scene calls for them.
+        notes: Sentences with times: where the resting speed was used, where forces were not unique, etc.
+        stepped: The intervals crossed by time steps, with `scheme="auto"`.
+        switched_off: Effects switched off although they apply.
         statistics: Counts: "steps", "rejected", "evaluations".
-        sources: Names of the scene's contacts, joint limits and joints: what impacts and modes can be of.
-            None if the trajectory is from a file that was written before they were stored.
-        contacts: The scene's contacts, then those it held; none if the trajectory is from a file that was
-            written before they were stored. From a file, or pickled, one whose restitution was a function
-            has 0 there; what each impact had is in its problem.
+        sources: Names that impacts and modes can have: contacts, joint limits and joints. None if the
+            trajectory is from an older file without them.
+        contacts: The scene's contacts, then the held ones; empty if the trajectory is from an older file
+            without them. In a trajectory from a file or pickle, a contact whose restitution was a function
+            has 0; the value of each impact is in its problem.
         coordinates: Names of the entries of q and of v, after those of the joints; numbers if the trajectory
-            is from a file that was written before they were stored.
+            is from an older file without them.
         joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
     """
 
@@ -102,12 +102,12 @@ class Trajectory:
 
     @property
     def has_forces(self) -> bool:
-        """Whether forces are known; not if the trajectory is from a file written before they were stored."""
+        """Whether forces are available; not if the trajectory is from an older file without them."""
         return self._forces is not None
 
     @property
     def duration(self) -> float:
-        """Time that was covered [s]."""
+        """Time that was simulated [s]."""
         return float(self.t[-1] - self.t[0])
 
     def at(self, t: float, side: Literal["left", "right"] = "right") -> tuple[Array, Array]:
@@ -133,7 +133,7 @@ class Trajectory:
     def work_at(self, t: float, side: Literal["left", "right"] = "right") -> Array:
         """Return the work of control, joints, sliding friction and surfaces up to a time, (4,) [J].
 
-        They are those of `energy` in between its samples. Raises what `at` does.
+        As in `energy`, at any time. Raises the errors of `at`.
         """
         _check_side(side)
         t = self._covered(t)
@@ -145,7 +145,7 @@ class Trajectory:
         """Return q (k, nq) and v (k, nv) at times (k,), after any impact; (nq,) and (nv,) at one time.
 
         Raises:
-            InputError: Times that are no numbers, or outside the trajectory.
+            InputError: Times that are not numbers, or outside the trajectory.
         """
         found = real_numbers("times", times, "a time, or an array of them, in seconds")
         if found.ndim == 0:
@@ -157,39 +157,38 @@ class Trajectory:
         )
 
     def forces(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
-        """Return the force on the robot of a sustained contact, in contact axes [N].
+        """Return the force of a sustained contact on the robot, in contact axes [N].
 
-        It is evaluated at the state of the motion itself, by the equations that the motion obeys (theory.md,
-        sections 9 to 11); of a trajectory from a file, or one that was pickled, it is interpolated. Impulses
-        of impacts are not in it. Where the motion does not determine the forces, see `forces_unique`, these
-        are the ones of least norm among those that keep to their laws.
+        It is evaluated from the state and the contact modes at t by the equations of motion (theory.md,
+        sections 9 to 11); in a trajectory from a file or pickle it is interpolated. Impulses of impacts are
+        not included. If the motion does not determine the forces, see `forces_unique`, they are those of
+        equally stiff contacts.
 
         Args:
-            contact: Its name.
+            contact: Name of the contact.
             t: One time, or (m,) of them [s].
-            side: At a time at which forces jump, before ("left") or after it ("right").
+            side: At a discontinuity of the forces, the value before ("left") or after it ("right").
 
         Returns:
-            (3,) or (m, 3) along t₁, t₂ and n, see `contact_axes`; zero where the contact is open.
+            (3,) or (m, 3) along t₁, t₂ and n, see `contact_axes`; zero while the contact is open.
 
         Raises:
             UnknownNameError: A contact that the scene does not have.
-            InputError: A time outside the trajectory, an unknown side, or a file that was written before
-                forces were stored.
+            InputError: A time outside the trajectory, an unknown side, or an older file without forces.
         """
         return self._of_contact(contact, t, side, _in_axes)
 
     def forces_world(self, contact: str, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
-        """Return what `forces` does, in world axes."""
+        """Return the force of `forces` in world axes."""
         return self._of_contact(contact, t, side, lambda forces, i: forces.world[i])
 
     def joint_forces(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> Array:
-        """Return the generalized forces of joint stops and dry joint friction, (nv,) or (m, nv) [N, N m]."""
+        """Return the generalized forces of joint limits and dry joint friction, (nv,) or (m, nv) [N, N m]."""
         nv = self.v.shape[1]
         return self._of_times(t, side, lambda forces: np.zeros(nv) if forces is None else forces.joints)
 
     def forces_unique(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
-        """Return whether the motion determines the forces, () or (m,); else as equally stiff contacts."""
+        """Return whether the motion determines the forces, () or (m,)."""
         found = self._of_times(t, side, lambda forces: np.array(forces is None or forces.unique))
         return found.astype(bool)
 
@@ -199,7 +198,7 @@ class Trajectory:
         """Return the mean of contact points, weighted by normal forces, (3,) or (m, 3) in world axes [m].
 
         For contacts on one plane it is the point of the plane about which their normal forces have no moment.
-        NaN where none pushes. Raises what `forces` does.
+        NaN if no contact has a force. Raises the errors of `forces`.
         """
         numbers = [self._contact(contact) for contact in contacts]
 
@@ -254,14 +253,14 @@ class Trajectory:
 
         Args:
             source: Its name, one of `sources`.
-            t: Time [s]; where a mode changes the new one counts, at the end of the trajectory the last one.
+            t: Time [s]; at a change of mode the new one is returned, at the end of the trajectory the last.
 
         Returns:
             A mode of `ModeInterval`, or "free".
 
         Raises:
             InputError: A time outside the trajectory.
-            UnknownNameError: A name that the scene does not have. Not raised where `sources` is None.
+            UnknownNameError: A name that the scene does not have. Not raised if `sources` is None.
         """
         t = self._covered(t)
         if self.sources is not None and source not in self.sources:
@@ -299,7 +298,7 @@ class Trajectory:
         """Return a table as arrays of equal length, by the names of its columns.
 
         Args:
-            rows: "samples": t [s]; q and v by coordinate; energies and work [J]; of each contact its mode
+            rows: "samples": t [s]; q and v by coordinate; energies and work [J]; for each contact its mode
                 and force in contact axes t₁, t₂, n [N]. At an impact's time there are two rows, before and
                 after it. "impacts": time [s], source, approach [m/s], impulse in contact axes [N s], work
                 [J], friction, restitution, and v before and after. "modes": source, mode, start, end [s].
@@ -315,7 +314,7 @@ class Trajectory:
         return tables[choice("rows", rows, tables, "a table")]()
 
     def to_dataframe(self, rows: Literal["samples", "impacts", "modes"] = "samples") -> Any:
-        """Return `columns` as a pandas DataFrame; raise `InputError` also where pandas is not installed."""
+        """Return `columns` as a pandas DataFrame; raise `InputError` also if pandas is not installed."""
         return data_frame(self.columns(rows))
 
     def _sample_columns(self) -> dict[str, NDArray[Any]]:
@@ -386,15 +385,15 @@ class Trajectory:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the trajectory to one .npz file, numbers and text only."""
+        """Write the trajectory to one .npz file of numbers and text."""
         write_trajectory(path, **self._parts())
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises:
-            InputError: A file that is missing, or is no trajectory.
+            InputError: A file that is missing or is not a trajectory.
         """
         return cls(**read_trajectory(path))
 

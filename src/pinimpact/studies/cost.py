@@ -155,7 +155,7 @@ class Report:
         if self.contrasts:
             lines += [
                 "",
-                "Another model: Pinocchio's constraint solvers at e = 0, against the end of the path",
+                "Another model: Pinocchio's constraint solvers at e = 0, compared with the final state",
             ]
             lines += [f"  {'problem':<26}{'solver':<8}{'v⁺ off by':>10}{'P off by':>10}  slip on the path"]
             lines += [
@@ -168,8 +168,8 @@ class Report:
         """Return as text the least cost of coming within an error, by method, and what other models do."""
         count = len(self.problems)
         lines = [
-            f"Least time to come within an error, median over {count} problem{'' if count == 1 else 's'} "
-            "(of how many, where not of all)",
+            f"Run time of the fastest setting within an error, median over {count} "
+            f"problem{'' if count == 1 else 's'} (number of problems, if not all)",
             f"  {'method':<14}" + "".join(f"{target:>16.0e}" for target in TARGETS),
         ]
         for method in dict.fromkeys(point.method for point in self.points):
@@ -189,8 +189,8 @@ class Report:
         for solver in dict.fromkeys(contrast.solver for contrast in self.contrasts):
             off = [max(c.velocity, c.impulse) for c in self.contrasts if c.solver == solver]
             lines.append(
-                f"Another model: Pinocchio's {solver.upper()} at e = 0 is off the end of the path by "
-                f"{min(off):.1e} to {max(off):.1e}"
+                f"Another model: Pinocchio's {solver.upper()} at e = 0 differs from the final "
+                f"state by {min(off):.1e} to {max(off):.1e}"
             )
         lines.append(
             f"{len(self.points)} points were measured; --all prints them, --target what reaches an error."
@@ -211,7 +211,7 @@ class Report:
         """Return in words which method and setting reaches `target` at the least cost."""
         lines = [f"cheapest within an error of {target:g}"]
         for problem, point in zip(self.problems, self.cheapest(target), strict=True):
-            found = "nothing measured reaches it"
+            found = "no method reaches it"
             if point is not None:
                 found = f"{point!s:<26}{point.error:>10.1e}{duration(point.cost):>12}"
             lines.append(f"  {problem:<26}{found}")

@@ -64,11 +64,11 @@ LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.4
 
 
 class Replay(os.PathLike[str]):
-    """A replay: a file, and what a notebook shows.
+    """A replay, with its file and its display in notebooks.
 
     Attributes:
-        path: Where it was written, or None.
-        html: The page itself.
+        path: The file, or None.
+        html: The HTML text.
     """
 
     def __init__(self, text: str, path: Path | None) -> None:
@@ -82,7 +82,7 @@ class Replay(os.PathLike[str]):
         return self.path
 
     def open(self) -> None:
-        """Show it in the browser of this machine.
+        """Open the file in the browser of this machine.
 
         Raises:
             InputError: A replay without a file.
@@ -90,7 +90,7 @@ class Replay(os.PathLike[str]):
         webbrowser.open(Path(self).absolute().as_uri())
 
     def video(self, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)) -> Path:
-        """Write the film as a picture that moves; see `pinimpact.visual.video.write_video`."""
+        """Write the replay as a video; see `pinimpact.visual.video.write_video`."""
         from .video import write_video
 
         return write_video(self, path, rate=rate, size=size)
@@ -124,28 +124,28 @@ def replay(
     slowdown: float = 20.0,
     open: bool = False,
 ) -> Replay:
-    """Write a motion, or what happens within one impact, to one HTML file that opens offline in any browser.
+    """Write a motion or an impact to one HTML file that opens in any browser, offline.
 
     The page shows the robot, the surfaces, the paths of the contact points, and the forces of sustained
-    contact; collision shapes are lit while they touch. At an impact the film slows down and stands still
-    while the impulse grows: arrows show the impulse, the contact velocity before and after, and the friction
-    cone. The keys n and p, and the marks on the bar, lead from impact to impact; the speed and the
-    slowness can be changed in the page.
+    contact; collision shapes in contact are highlighted. At an impact the replay slows down and pauses while
+    the impulse grows: arrows show the impulse, the contact velocity before and after, and the friction cone.
+    The keys n and p, and the marks on the bar, select impacts; the speed and the slowdown can be changed in
+    the page.
 
-    ``replay(robot, hit, q=q)`` shows one impact in its normal impulse P₃, the path of the sliding velocity
-    beside the robot, which stands still; ``replay(hit)`` does so without a robot. In a notebook the result
-    shows itself.
+    ``replay(robot, hit, q=q)`` shows one impact over its normal impulse P₃, with the path of the sliding
+    velocity beside the robot, which does not move; ``replay(hit)`` does so without a robot. In a notebook the
+    result displays itself.
 
     Args:
-        robot: The robot with its visual geometry; without any, or as a bare model, it is drawn in lines.
+        robot: The robot with its visual geometry; without it, or as a bare model, it is drawn in lines.
         motion: A `Trajectory`, a `Hit`, a `ManyHit`, or an impact of a trajectory.
         path: The file to write, in a folder that exists; None for none.
-        contacts: Contacts whose surfaces, ways, forces and impacts of a trajectory are drawn, by default its
-            own. An impact of a trajectory needs those of its scene; a hit knows its own.
+        contacts: Contacts to draw, with surfaces, paths, forces and impacts; by default those of the
+            trajectory. An impact of a trajectory needs those of its scene; a hit has its own.
         q: (nq,) the configuration of a hit.
-        speed: Seconds of motion per second of film, > 0, away from impacts.
-        slowdown: How much slower it is at an impact, ≥ 1; 1 also leaves out the standstill.
-        open: Whether to show the page in the browser.
+        speed: Seconds of motion per second of replay, > 0, away from impacts.
+        slowdown: Factor ≥ 1 by which it is slower at an impact; with 1 it does not pause either.
+        open: Whether to open the page in the browser.
 
     Raises:
         InputError: A robot that is not the one of the motion, a speed that is not positive, a hit without its
@@ -245,8 +245,8 @@ def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact
     drawn = [contact for contact in _contacts(model, contacts or ()) if contact.label == source][:1]
     if not drawn:
         raise InputError(
-            f"contacts: none is called {source!r}; give contacts=, those of the scene (a joint limit that is "
-            "struck has no contact to show)",
+            f"contacts: none is called {source!r}; give contacts=, those of the scene (impacts of "
+            "joint limits are not shown)",
             field="contacts",
             value=given,
         )
@@ -266,9 +266,7 @@ def _many_page(robot: Any, hit: ManyHit, q: Any) -> str:
 
 def _configuration(model: pin.Model, q: Any) -> Array:
     if q is None:
-        raise InputError(
-            "q: a hit does not know where the robot was; give q=, the configuration of the impact", field="q"
-        )
+        raise InputError("q: missing; a hit does not have the configuration of the robot, give q=", field="q")
     return finite_array("q", q, (model.nq,))
 
 

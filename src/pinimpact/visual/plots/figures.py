@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 def impact_figure(problem: ImpactProblem, solution: Solution | ManySolution, title: str = "") -> Figure:
     """Return a figure with the hodograph, the velocity over the normal impulse, and the energy by cause.
 
-    Of an impact at many contacts each has its hodograph and its velocity.
+    For an impact at many contacts it has the hodograph and the velocity of each.
 
     Args:
-        problem: What was solved.
-        solution: Its answer.
-        title: Above the figure.
+        problem: The problem.
+        solution: Its solution.
+        title: Title of the figure.
     """
     from matplotlib.figure import Figure
 
@@ -58,7 +58,7 @@ def _many_figure(impact: Solved, count: int, title: str) -> Figure:
 
 
 def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
-    """Return a figure of how a run's energy changes over time, and by what."""
+    """Return a figure of the change of energy over time, by cause."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
@@ -67,7 +67,7 @@ def energy_figure(trajectory: Trajectory, title: str = "") -> Figure:
 
 
 def forces_figure(trajectory: Trajectory, contacts: Sequence[str], title: str = "") -> Figure:
-    """Return a figure of the forces of sustained contacts over time, one row a contact.
+    """Return a figure of the forces of sustained contacts over time, one row per contact.
 
     Raises:
         UnknownNameError: A contact that the scene does not have.

@@ -45,11 +45,11 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
         ax: Axes to draw into.
 
     Raises:
-        InputError: A trajectory that knows no contacts.
+        InputError: A trajectory without contacts.
         UnknownNameError: A robot without a contact's frame.
     """
     if not trajectory.contacts:
-        raise InputError("trajectory: it knows no contacts to draw the gaps of", field="trajectory")
+        raise InputError("trajectory: it has no contacts whose gaps can be drawn", field="trajectory")
     model = model_of(robot)
     ax = axes_for(ax, (8.0, 3.0))
     times, sides = moments(trajectory)
@@ -64,7 +64,7 @@ def gaps(trajectory: Trajectory, robot: pin.RobotWrapper | pin.Model, *, ax: Axe
 
 
 def modes(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
-    """Draw when each contact, joint limit, joint and drive was in which mode, and when it struck."""
+    """Draw the modes of each contact, joint limit, joint and drive over time, and the impacts."""
     drawn = contacts_to_draw(trajectory, trajectory.contacts)
     names = list(dict.fromkeys([*(c.label for c in drawn), *_active(trajectory)]))
     ax = axes_for(ax, (8.0, 1.2 + 0.3 * len(names)))
@@ -82,7 +82,7 @@ def modes(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
 def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> Axes:
     """Draw the normal and the tangential force of a sustained contact over time; slip is shaded.
 
-    Impulses of impacts are not in it; thin lines stand where they are.
+    Impulses of impacts are not included; thin lines mark their times.
 
     Args:
         trajectory: The motion.
@@ -91,7 +91,7 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 
     Raises:
         UnknownNameError: A contact that the scene does not have.
-        InputError: A trajectory from a file that was written before forces were stored.
+        InputError: A trajectory from an older file without forces.
     """
     times, sides = moments(trajectory)
     found = np.array(
@@ -108,9 +108,9 @@ def forces(trajectory: Trajectory, contact: str, *, ax: Axes | None = None) -> A
 
 
 def energy(trajectory: Trajectory, *, ax: Axes | None = None) -> Axes:
-    """Draw how kinetic and potential energy together change from the start on, and what each cause did to it.
+    """Draw the change of kinetic plus potential energy over time, and the work of each cause.
 
-    Work is integrated with the motion, between samples too.
+    Work is integrated with the motion, and is drawn between samples, too.
     """
     ax = axes_for(ax, (8.0, 4.0))
     times, sides = moments(trajectory)
@@ -145,7 +145,7 @@ def overview(
         The four axes, from the top.
 
     Raises:
-        InputError: Another number of axes; what `gaps` and `forces` raise.
+        InputError: Another number of axes; the errors of `gaps` and `forces`.
     """
     if ax is None:
         from matplotlib import pyplot

@@ -72,8 +72,8 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
     count = len(solution.velocity)
     if not isinstance(contact, (int, np.integer)) or not 0 <= contact < count:
         raise InputError(
-            f"contact: {contact!r} given; the impact is at {count} contacts: say which one is drawn, 0 to "
-            f"{count - 1}",
+            f"contact: {contact!r} given; the impact has {count} contacts: give the number of "
+            f"one, 0 to {count - 1}",
             field="contact",
             value=contact,
         )
@@ -96,8 +96,8 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
 
 def _pathless(solution: ManySolution) -> InputError:
     return InputError(
-        f"impact: the policy {solution.simultaneous!r} has left no path to draw; "
-        '"propagate" does, with record=True where it is given options',
+        f'impact: the solution by {solution.simultaneous!r} has no path to draw; use "propagate", '
+        "with record=True if it has options",
         field="impact",
         value=solution,
     )
@@ -109,8 +109,8 @@ def check_alone(impact: Impact, what: str) -> None:
     many = isinstance(impact, ImpactProblem) and np.ndim(impact.velocity) == 2
     if many or isinstance(solution, ManySolution) or getattr(solution, "part_of", None) is not None:
         raise InputError(
-            f"impact: {what} is of one contact alone; here other contacts push too. hodograph, velocities, "
-            "impulses and energy_ledger draw each contact of such an impact",
+            f"impact: {what} needs a single contact; for several contacts use hodograph, "
+            "velocities, impulses or energy_ledger",
             field="impact",
             value=impact,
         )
@@ -119,19 +119,19 @@ def check_alone(impact: Impact, what: str) -> None:
 def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw the path of the sliding velocity vₜ in the tangential plane.
 
-    Behind it stand the flow of slip dvₜ/dP₃ = b − μ A vₜ/|vₜ|, the invariant directions, in which slip
-    does not turn (solid where its neighbours turn towards it, dashed where away), and, shaded, the directions
-    in which the normal acceleration is negative, dv₃/dP₃ < 0 (jam). An impact at many contacts has none of
-    them; there a thin line shows the impulses of other contacts.
+    The background shows the flow of slip dvₜ/dP₃ = b − μ A vₜ/|vₜ|, the invariant directions, along which
+    slip does not turn (solid if attracting, dashed if repelling), and, shaded, the directions with a negative
+    normal acceleration, dv₃/dP₃ < 0 (jam). For an impact at many contacts it is empty; there thin lines are
+    impulses of other contacts.
 
     Args:
         impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved; a `ManyHit` or a
             problem of many contacts.
-        contact: Of many contacts the one to draw, from 0.
+        contact: Index of the contact to draw, from 0, for many contacts.
         ax: Axes to draw into.
 
     Raises:
-        InputError: No impact; no such contact; many contacts resolved by a policy that has no path.
+        InputError: Not an impact; no such contact; many contacts and a policy without a path.
     """
     impact = solved(impact, contact)
     ax = axes_for(ax, (5.6, 6.4))
@@ -203,9 +203,9 @@ def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = No
 
 
 def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
-    """Draw what each cause does to the kinetic energy, one after another, and the change they sum up to [J].
+    """Draw the change of kinetic energy by each cause, one after another, and the total change [J].
 
-    Of an impact at many contacts that of all of them, or of the one that is given. Arguments and errors as in
+    For an impact at many contacts it is the sum over all, or that of one contact. Arguments and errors as in
     `hodograph`.
     """
     if isinstance(impact, ImpactProblem):

@@ -41,19 +41,19 @@ def regime_map(
     resolution: int = 540,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw which regime an impact is in, over μ and one more of its data; a star stands where it is itself.
+    """Draw the regime of an impact over μ and another parameter; a star marks the impact itself.
 
     Args:
-        impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`: the data that are not varied.
+        impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, with the other parameters.
         against: "slip angle", the direction of the initial slip from t₁ at the same speed, or "restitution".
-        friction: The largest μ; None for twice the impact's own and twice its stick threshold |A⁺b|, 1 at
-            least.
-        resolution: Cells along either axis.
+        friction: The largest μ; None for twice the impact's own and twice its stick threshold |A⁺b|, at
+            least 1.
+        resolution: Number of cells along each axis.
         ax: Axes to draw into.
 
     Raises:
-        InputError: No impact, one at many contacts, another `against`, an impact without slip drawn against
-            its angle.
+        InputError: Not an impact, one at many contacts, an unknown `against`, an impact without slip drawn
+            over its angle.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch

@@ -18,18 +18,18 @@ Array = NDArray[np.float64]
 
 
 def impulse_space(impact: OneImpact | ImpactProblem, *, ax: Any = None) -> Any:
-    """Draw the path of the impulse in the space of impulses, after Routh.
+    """Draw the path of the impulse in the space of impulses (Routh's diagram).
 
-    With it stand the friction cone |Pₜ| = μP₃, the line of sticking vₜ° + A Pₜ + b P₃ = 0, and where
-    compression is at its maximum, v₃° + bᵀPₜ + c P₃ = 0. An impact that stays in one plane is drawn in it,
-    where the last two are Routh's lines; any other in three dimensions.
+    The plot shows the friction cone |Pₜ| = μP₃, the line of sticking vₜ° + A Pₜ + b P₃ = 0, and the plane of
+    maximum compression, v₃° + bᵀPₜ + c P₃ = 0. An impact that stays in one plane is drawn in that plane; any
+    other in three dimensions.
 
     Args:
         impact: A `Hit`, an impact of a trajectory, or an `ImpactProblem`, which is solved.
-        ax: Axes to draw into; of three dimensions (``projection="3d"``) unless the impact is planar.
+        ax: Axes to draw into; three-dimensional (``projection="3d"``) unless the impact is planar.
 
     Raises:
-        InputError: No impact, one at many contacts, or flat axes for an impact that is not planar.
+        InputError: Not an impact, one at many contacts, or flat axes for an impact that is not planar.
     """
     check_alone(impact, "impulse_space")
     impact = solved(impact)
