@@ -3,10 +3,10 @@
     python -m benchmarks.fuzz --seed 1 --count 1000000
 
 Run from the root of the repository. Prints a table with a line for each category: problems; those refused (an
-approach that nothing can stop, or a law out of reach; only where W is singular); the most iterations; and the
-largest disagreement between views of one problem in different axes or units, over the problem's own
-sensitivity. Then every violation. What is drawn and checked stands in tests/random_impacts.py; the tests run
-it on fewer problems.
+approach that nothing can stop, or a law that cannot be met; only if W is singular); the most iterations; and
+the largest disagreement between views of one problem in different axes or units, over the problem's own
+sensitivity. Then every violation. tests/random_impacts.py draws and checks the problems; the tests run fewer.
+With --keep the table is written to docs/figures.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from __future__ import annotations
 import argparse
 
 from tests.random_impacts import run
+
+from .timing import keep
 
 
 def main() -> None:
@@ -23,10 +25,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--show", type=int, default=10, help="violations to print in full")
+    parser.add_argument("--keep", action="store_true", help="write the table to docs/figures")
     args = parser.parse_args()
     report = run(args.seed, args.count)
-    print(report.markdown())
-    print(f"\n{len(report.violations)} violations")
+    if args.keep:
+        keep("fuzz", report.table(), {"seed": args.seed, "violations": len(report.violations)})
+    else:
+        print(report.table(), end="")
     kinds: dict[tuple[str, str], int] = {}
     for name, category, _, _ in report.violations:
         kinds[name, category] = kinds.get((name, category), 0) + 1

@@ -1,13 +1,14 @@
-"""Hold arms of one to three joints against what must hold, and against multiple precision.
+"""Check impacts of arms with one to three joints against mechanics and multiple precision.
 
     python -m benchmarks.fuzz_arms --seed 1 --count 1000 --many 1000000
 
-Run from the root of the repository. Bases and planes are turned at random, or aligned within 1e-15 … 1e-3;
-some tips move parallel to the plane, and some contact velocities are small by cancellation. `--count` of them
-are held against the answer of the numbers of their URDF in multiple precision: an impact may disagree by
-eight times what a few roundings of those numbers change. `--many` are held against mechanics, and against the
-same arm and plane in a world that is turned; what is in doubt then goes to multiple precision too. What is
-drawn and checked stands in tests/random_arms.py and tests/many_arms.py; the tests run a few of them.
+Run from the root of the repository. Bases and planes have random orientations, or are aligned within
+1e-15 … 1e-3; some tips move parallel to the plane, and some contact velocities are small by cancellation.
+`--count` of them are compared with the solution from the numbers of the URDF in multiple precision; one
+may differ by eight times what a few roundings of these numbers change. `--many` are checked by mechanics,
+and by the same arm and plane in a rotated world; doubtful ones are compared with multiple precision too.
+tests/random_arms.py and tests/many_arms.py draw and check them; the tests run a few. With --keep the results
+are written to docs/figures.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from tests import many_arms, random_arms
 
 from pinimpact import Status
 
+from .timing import keep
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(
@@ -26,26 +29,35 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--many", type=int, default=100_000)
+    parser.add_argument("--keep", action="store_true", help="write the results to docs/figures")
     args = parser.parse_args()
-    wrong = _print(random_arms.run(args.seed, args.count))
-    report = many_arms.run(args.seed, args.many)
-    print(f"\n{report.impacts} impacts against mechanics and in a turned world")
-    for status, number in sorted(report.statuses.items()):
-        print(f"  {number} {Status(status).name}")
-    for what, case in report.violations:
+    few, many = random_arms.run(args.seed, args.count), many_arms.run(args.seed, args.many)
+    violations = [*few.violations, *many.violations, *many.judged.violations]
+    lines = ["compared with multiple precision", *_lines(few), "", "checked against mechanics"]
+    lines += [f"{number:9} {Status(status).name}" for status, number in sorted(many.statuses.items())]
+    lines += [
+        f"{len(many.violations):9} violations",
+        "",
+        "of these doubtful, compared with multiple precision",
+    ]
+    table = "\n".join([*lines, *_lines(many.judged), ""])
+    if args.keep:
+        keep("fuzz_arms", table, {"seed": args.seed, "violations": len(violations)})
+    else:
+        print(table, end="")
+    for what, case in violations:
         print(f"{what}: {case}")
-    print(f"{len(report.violations)} violations; in doubt:")
-    wrong += len(report.violations) + _print(report.judged)
-    raise SystemExit(bool(wrong))
+    raise SystemExit(bool(violations))
 
 
-def _print(report: random_arms.Report) -> int:
-    print(f"{report.impacts} impacts, {report.refused} refused, {report.uncovered} without a reference")
-    print(f"worst disagreement over sensitivity: {report.worst:.2g}")
-    print(f"{len(report.violations)} violations")
-    for what, case in report.violations:
-        print(f"{what}: {case}")
-    return len(report.violations)
+def _lines(report: random_arms.Report) -> list[str]:
+    return [
+        f"{report.impacts:9} impacts",
+        f"{report.refused:9} refused",
+        f"{report.uncovered:9} without a reference",
+        f"{len(report.violations):9} violations",
+        f"{report.worst:9.2g} largest disagreement over sensitivity",
+    ]
 
 
 if __name__ == "__main__":

@@ -195,9 +195,9 @@ def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
             landing, problem.delassus, velocity, friction, restitution, solution.velocity
         )
         checks[f"off the reference by {off:.1e} of what it may be"] = off > 1.0
-    ended = "by itself" if not solution.notes else solution.notes[-1].split(" ")[0]
-    kinds = {"by itself": ended, "Events": "by steps, noted"}
-    kind = kinds.get(ended, "all at once, noted")
+    kind = "by itself"
+    if solution.notes:
+        kind = "by steps, noted" if "adaptive steps" in solution.notes[-1] else "all at once, noted"
     return [what for what, wrong in checks.items() if wrong], kind, solution.events // len(p), taken
 
 

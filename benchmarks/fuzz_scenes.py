@@ -1,6 +1,7 @@
-"""Robots dropped onto planes: every run has to reach its end, lawfully, with its energy accounted for.
+"""Robots dropped onto planes: every run has to complete, obey the laws of contact and balance its energy.
 
-Postures in which rigid bodies have no motion that goes on (`LockedPostureError`) are counted apart.
+Postures in which the rigid-body equations have no solution (`LockedPostureError`) are counted separately.
+With --keep the summary is written to docs/figures.
 
 python -m benchmarks.fuzz_scenes --seed 1 --seconds 60            # without control
 python -m benchmarks.fuzz_scenes --controlled --seed 1 --count 100
@@ -23,6 +24,8 @@ from tests.random_scenes import DURATION, draw, unaccounted
 
 from pinimpact import LockedPostureError, PinimpactError, Scene, Trajectory, simulate
 
+from .timing import keep
+
 
 class Slow(BaseException):
     """A run that takes too long."""
@@ -41,6 +44,7 @@ def main() -> None:
     parser.add_argument("--count", type=float, default=math.inf, help="runs at most")
     parser.add_argument("--seconds", type=float, default=math.inf, help="time at most")
     parser.add_argument("--each", type=int, default=60, help="processor time at most of each run [s]")
+    parser.add_argument("--keep", action="store_true", help="write the summary to docs/figures")
     options = parser.parse_args()
     if math.isinf(options.count) and math.isinf(options.seconds):
         options.seconds = 60.0
@@ -56,7 +60,7 @@ def main() -> None:
             trajectory = run(scene, q, v, rtol, options.each)
         except LockedPostureError as error:
             locked += 1
-            print(f"{seed}: {name}, rtol {rtol:.0e}: (counted apart) {error}", flush=True)
+            print(f"{seed}: {name}, rtol {rtol:.0e}: (counted separately) {error}", flush=True)
             continue
         except (PinimpactError, TimeoutError) as error:
             bad += 1
@@ -70,10 +74,18 @@ def main() -> None:
         jams += sum("jam" in note.text for note in trajectory.notes)
         longest = max(longest, (trajectory.statistics["steps"], seed))
         worst = max(worst, (unaccounted(trajectory) / rtol, seed))
-    print(f"{runs} runs, {bad} of them not to a good end, {locked} to a locked posture")
-    print(f"{impacts} impacts, {jams} jams")
-    print(f"most steps: {longest[0]} (seed {longest[1]})")
-    print(f"most energy unaccounted for: {worst[0]:.1g} × rtol (seed {worst[1]})")
+    lines = [
+        f"{runs} runs of {DURATION:g} s with {impacts} impacts and {jams} jams",
+        f"{bad} failed, {locked} reached a locked posture",
+        f"most steps: {longest[0]} (seed {longest[1]})",
+        f"largest energy residual: {worst[0]:.1g} × rtol (seed {worst[1]})",
+        "",
+    ]
+    if options.keep:
+        kind = "_controlled" if options.controlled else "_others" if options.others else ""
+        keep(f"fuzz_scenes{kind}", "\n".join(lines), {"seed": options.seed, "failed": bad})
+    else:
+        print("\n".join(lines), end="")
 
 
 def drawn(seed: int, controlled: bool, others: bool) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:

@@ -554,23 +554,21 @@ class Report:
     violations: list[tuple[str, str, str, Problems]] = field(default_factory=list)
     longest: tuple[int, str, Problems] | None = None
 
-    def markdown(self) -> str:
-        """Return the tallies as tables."""
-        lines = [
-            "| category | problems | refused | most iterations | worst disagreement / sensitivity |",
-            "| --- | ---: | ---: | ---: | ---: |",
-        ]
-        for name, t in self.tallies.items():
-            lines.append(f"| {name} | {t.problems} | {t.refused} | {t.iterations} | {t.disagreement:.2g} |")
-        total = sum(t.problems for t in self.tallies.values())
-        refused = sum(t.refused for t in self.tallies.values())
-        most = max(t.iterations for t in self.tallies.values())
-        worst = max(t.disagreement for t in self.tallies.values())
-        lines.append(f"| **all** | {total} | {refused} | {most} | {worst:.2g} |")
-        lines += ["", "| flag | problems that raised it |", "| --- | ---: |"]
-        for flag in Flag:
-            lines.append(f"| {flag.name} | {sum(t.flags[flag.name] for t in self.tallies.values())} |")
-        return "\n".join(lines)
+    def table(self) -> str:
+        """Return the tallies as a table."""
+        tallies = self.tallies.values()
+        everything = Tally(
+            sum(t.problems for t in tallies),
+            sum(t.refused for t in tallies),
+            max(t.iterations for t in tallies),
+            max(t.disagreement for t in tallies),
+        )
+        lines = [f"{'category':26}{'problems':>9}{'refused':>9}{'iterations':>12}{'disagreement':>14}"]
+        for name, t in [*self.tallies.items(), ("all", everything)]:
+            lines.append(f"{name:26}{t.problems:9}{t.refused:9}{t.iterations:12}{t.disagreement:14.2g}")
+        lines += ["", f"{'flag':26}{'problems':>9}"]
+        lines += [f"{flag.name:26}{sum(t.flags[flag.name] for t in tallies):9}" for flag in Flag]
+        return "\n".join([*lines, "", f"{len(self.violations)} violations", ""])
 
 
 def check(rng: np.random.Generator, category: str, law: str, count: int, report: Report) -> None:

@@ -310,7 +310,7 @@ def test_a_mesh_that_is_not_convex_takes_its_hull_and_says_so() -> None:
     mesh.addVertices(np.array([*corners, [0.5, 0.5, 0.7]]))
     mesh.addTriangles(np.array([[0, 1, 2], [6, 7, 8]]))
     mesh.endModel()
-    with pytest.warns(UserWarning, match=r"mesh of 'm' is not convex: its convex hull is taken.*0\.3 m"):
+    with pytest.warns(UserWarning, match=r"mesh of 'm' is not convex: its convex hull is used.*0\.3 m"):
         assert len(of_collision_geometry(mesh, "m").vertices) == 8
 
 

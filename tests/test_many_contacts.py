@@ -444,7 +444,7 @@ def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
     )
     inverse = np.array([[1.0, 0.2, 0.1], [0.2, 0.7, 0.3], [0.1, 0.3, 0.9]])
     u, normals = np.array([0.3, -1.0, 0.4]), jacobian[2::3]
-    with pytest.warns(pinimpact.BoundReachedWarning, match="After 400 impacts one after another"):
+    with pytest.warns(pinimpact.BoundReachedWarning, match="After 400 single impacts"):
         solution, after = collide(jacobian, inverse, u, restitution=e, simultaneous=policy)
     assert Flag.BOUND_REACHED in solution.flags
     impulse = -np.linalg.solve(normals @ inverse @ normals.T, normals @ u)
@@ -452,7 +452,7 @@ def test_impacts_one_after_another_without_end_come_to_their_limit(policy, e):
     assert after == pytest.approx(u + inverse @ normals.T @ impulse, abs=1e-9)
     mass = np.linalg.inv(inverse)
     assert solution.work.total.sum() == pytest.approx(0.5 * (after @ mass @ after - u @ mass @ u), abs=1e-9)
-    assert "After 400 impacts one after another" in solution.notes[0]
+    assert "After 400 single impacts" in solution.notes[0]
     assert solution.notes[0].count("contact 0 at") + solution.notes[0].count("contact 1 at") == 5
 
 

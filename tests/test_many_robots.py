@@ -299,13 +299,13 @@ def test_impacts_one_after_another_that_do_not_end_come_to_their_limit():
         for name, wall in zip(("left", "right"), walls, strict=True)
     ]
     scene = Scene(model, contacts=contacts, simultaneous="sequence")
-    with pytest.warns(BoundReachedWarning, match="After 400 impacts one after another") as told:
+    with pytest.warns(BoundReachedWarning, match="After 400 single impacts") as told:
         motion = simulate(scene, np.zeros(3), [0.3, 0.4, -1.0], 0.01)
     assert len(told) == 1
     assert motion.v[-1] == pytest.approx([0.0, 0.4, 0.0], abs=1e-9)
     assert len(motion.impacts) == 402
     notes = " ".join(note.text for note in motion.notes)
-    assert "After 400 impacts one after another" in notes
+    assert "After 400 single impacts" in notes
     assert "left, right, left, right" in notes
     lost = sum(impact.solution.work.total for impact in motion.impacts)
     assert lost == pytest.approx(-0.5 * (0.3**2 + 1.0), abs=1e-9)

@@ -311,7 +311,7 @@ def test_a_mesh_of_mujoco_that_is_missing_costs_its_own_shape_only(mjcf):
 
 def test_what_mujoco_has_and_pinocchio_leaves_out_is_told(mjcf):
     weld = '<equality><weld body1="leg"/></equality>'
-    with pytest.warns(UserWarning, match=r"equality constraints of .* \(weld\) are left out"):
+    with pytest.warns(UserWarning, match=r"equality constraints of .* \(weld\) are ignored"):
         pinimpact.load_robot(mjcf(more=weld))
 
 

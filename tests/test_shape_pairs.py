@@ -325,7 +325,7 @@ def test_wrong_pairs_are_refused():
         pinimpact.simulate(Scene(robot, contacts=on_block), pose(0.0, 0.0, 0.45), np.zeros(6), 0.1)
     with pytest.raises(UnknownNameError, match="did you mean 'crate'"):
         Scene(robot, contacts=replace(on_block, plane=Shape("crates")))
-    with pytest.raises(InputError, match="cannot move against each other"):
+    with pytest.raises(InputError, match="cannot move relative to each other"):
         Scene(robot, contacts=replace(on_block, plane=Box(size=(1, 1, 1), body="thing")))
     with pytest.raises(InputError, match="only a collision shape can make contact with a box"):
         Contact("thing", BLOCK)

@@ -500,7 +500,8 @@ class SimulationState:
 
     def _note_rest(self, i: int) -> None:
         self.note(
-            f"{self.names[i]} comes to rest: it would bounce slower than {self._resting_speed:.3g} m/s."
+            f"{self.names[i]} stays closed: it would bounce slower than the resting speed of "
+            f"{self._resting_speed:.3g} m/s."
         )
 
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
@@ -562,7 +563,9 @@ class SimulationState:
         if group is None:
             return False
         slipping = self._names(touching, slips)
-        self.note(f"Slip at {slipping} makes the forces grow without bound: an impact without collision.")
+        self.note(
+            f"Slip at {slipping} makes the forces grow without bound (jam): an impact without collision."
+        )
         resolved = self._take_over_group(group)
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
         return True
