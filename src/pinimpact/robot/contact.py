@@ -66,7 +66,7 @@ class Contact:
         geometry: Name of a collision shape of the robot, instead of a frame.
         rim_points: Number of points, ≥ 3, that replace each rim of a cylinder or cone, so that it can stand
             on its face and touch other surfaces than planes; None for smooth rims, which roll.
-        rim: Radius of a circle about the offset that touches a plane [m], 0 for none.
+        rim: Radius of a circle about the offset, for contact with a plane [m], 0 for none.
         axis: Axis of that circle, in the frame's axes, of any nonzero length. Stored as a unit vector.
         shape: Name of the collision shape of the point; set by `tips`.
         pair: The contact of two shapes to which the point belongs; set by a scene.
