@@ -83,7 +83,7 @@ def solve_into(
 
     units = slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
-    work_terms = scratch[2 * TERMS + 6 :]
+    nodes = scratch[2 * TERMS + 6 :]
     traced = trace.shape[0] > 0
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
@@ -114,7 +114,7 @@ def solve_into(
         if turns:
             flags |= SLIP_TURNS
             move, state, new_flags, points = turning_move(
-                coefficients, reciprocals, work_terms, problem, units, state, polynomials, bl, bp,
+                coefficients, reciprocals, nodes, problem, units, state, polynomials, bl, bp,
                 course.rate, ledger.phase, ledger.goal, left, traced, path, points,
             )  # fmt: skip
             flags |= new_flags | jams(move.rate)

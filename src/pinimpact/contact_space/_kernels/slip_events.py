@@ -14,12 +14,12 @@ HASTE = 60
 
 
 @always_inlined
-def measure(series, work_series, counts, aim, x):
+def measure(series, nodes, counts, aim, x):
     """Return a quantity less its aim at x, its slope, and the logarithmic derivative of that."""
     j0, j1, j2, v3 = series.j0, series.j1, series.j2, series.v3
     normal = work = 0.0
     if counts == WORK and not series.around_invariant:
-        work, dv3, value = works_so_far(series, work_series, x)
+        work, dv3, value = works_so_far(series, nodes, x)
         slope, bend, t = flow(series, x, value)
     else:
         normal, _, _, dv3, _, t, slope, bend = point(series, x)
@@ -30,7 +30,7 @@ def measure(series, work_series, counts, aim, x):
     if counts == WORK:
         now = v3 + dv3
         if series.around_invariant:
-            work, _ = works_around(series, work_series, x, normal, False)
+            work, _ = works_around(series, nodes, x)
         return work - aim, slope * now, bend + slope * rate / now
     turn = (j1 + 2.0 * t * (j2 - rate)) / chord
     return (
@@ -41,7 +41,7 @@ def measure(series, work_series, counts, aim, x):
 
 
 @inlined
-def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
+def seek(series, nodes, counts, aim, f_low, f_high, high, rate):
     """Find where a monotone quantity (velocity v₃, impulse ΔP₃ or normal work) meets `aim` in (0, high).
 
     An iteration of third order inside a bracket.
@@ -72,7 +72,7 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
         if high < math.inf:
             x = high * (f_low / (f_low - f_high)) if math.isfinite(f_high) else high
     for i in range(120):
-        now, slope, bend = measure(series, work_series, counts, aim, x)
+        now, slope, bend = measure(series, nodes, counts, aim, x)
         if now == 0.0:
             return x
         beyond = (now > 0.0) == (f_high > 0.0) or math.isnan(now)  # infinite less infinite
@@ -97,7 +97,7 @@ def seek(series, work_series, counts, aim, f_low, f_high, high, rate):
 
 
 @inlined
-def seek_near(series, work_series, counts, aim, x, near):
+def seek_near(series, nodes, counts, aim, x, near):
     """Try to find an event by Halley's iteration from the guess x, without a bracket.
 
     Returns:
@@ -107,7 +107,7 @@ def seek_near(series, work_series, counts, aim, x, near):
     for _ in range(8):
         if not 0.0 < x <= near:
             return 0.0
-        now, slope, bend = measure(series, work_series, counts, aim, x)
+        now, slope, bend = measure(series, nodes, counts, aim, x)
         step = halley(now, slope, bend)
         converged = settled(step, x, now, slope)
         x += step

@@ -27,7 +27,7 @@ from .recording import record_series
 from .slip_equations import TERMS, Polynomials, Shape, expand, reach
 from .slip_events import seek, seek_near
 from .slip_series import SlipSeries, first_root, halley, last_root, point
-from .slip_works import expand_works, no_works, works
+from .slip_works import works
 
 BEYOND_GUESS = 1.0625
 """How far a series is made for an event, over the guess of where it lies, mostly right to a percent."""
@@ -42,14 +42,14 @@ FURTHEST = 100.0
 )
 @always_inlined_bitcode
 def turning_move(
-    coefficients, reciprocals, work_terms, problem, units, state, polynomials, bl, bp, rate, phase, goal,
+    coefficients, reciprocals, nodes, problem, units, state, polynomials, bl, bp, rate, phase, goal,
     left, traced, path, points,
 ):  # fmt: skip
     """Follow slip that turns along one series, on which v₃ is monotone.
 
     Args:
-        coefficients, reciprocals, work_terms: Scratch for the coefficients of the series, for 1/(a + k), and
-            for those of the works.
+        coefficients, reciprocals, nodes: Scratch for the coefficients of the series, for 1/(a + k), and
+            for the works.
         problem, units, state: The impact, and where it stands.
         polynomials, bl, bp, rate: The slip equations, b∥, b⊥ and dv₃/dP₃ in the present frame.
         phase, goal, left: Of the restitution, from the `Ledger`.
@@ -71,7 +71,6 @@ def turning_move(
     around_invariant = whole_series = event != NO_EVENT  # False, but no literal: see `codes`
     last, terms, count = 0.0, 1.0, 0
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    work_series = no_works(work_terms)
     series = SlipSeries(
         *(around_invariant, coefficients, reciprocals, shape, scale, mu, jam0, jam1, jam2, v3, speed)
     )
@@ -100,7 +99,7 @@ def turning_move(
         if whole_series:
             near = reach(last, shape)
         if guess <= near:
-            x = seek_near(series, work_series, sought, aim, guess, near)
+            x = seek_near(series, nodes, sought, aim, guess, near)
         if x > 0.0:
             event = LAW_MET if restoring else COMPRESSION_ENDS
 
@@ -150,8 +149,6 @@ def turning_move(
             *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu),
             *(jam0, jam1, jam2, v3, speed),
         )
-        if around_invariant and (traced or counts == WORK):
-            work_series = expand_works(series, work_series, traced)
         endless = x == math.inf and shape.exponent <= 0.0
         if endless:
             span = math.inf
@@ -176,7 +173,7 @@ def turning_move(
         elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
             event = COMPRESSION_ENDS
         if event != NO_EVENT:
-            x = seek(series, work_series, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
+            x = seek(series, nodes, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
             endless = False
         # what the sum of impulse or work brings before that
         if restoring and counts != VELOCITY:
@@ -184,11 +181,11 @@ def turning_move(
             if not endless:
                 total = span if event == NO_EVENT else point(series, x)[0]
                 if counts == WORK:
-                    total, _ = works(series, work_series, x, total, False)
+                    total, _ = works(series, nodes, x)
                     work = total
             if total >= left:
                 event = LAW_MET
-                x = seek(series, work_series, counts, left, -left, total - left, x, rate)
+                x = seek(series, nodes, counts, left, -left, total - left, x, rate)
                 endless = False
         if endless:
             return Move(NEVER, span, 0.0, 0.0, rate), state, flags, points
@@ -198,7 +195,7 @@ def turning_move(
         v3_end = v3 + dv3
 
     if traced or (counts == WORK and not restoring):
-        work, rubbed = works(series, work_series, x, span, traced)
+        work, rubbed = works(series, nodes, x)
     if path.shape[0] > 0:
         points = record_series(path, points, series, x, d1, d2, p1, p2, p3)
     p1 += d1 * along - d2 * across
