@@ -1,4 +1,4 @@
-"""Checks of what users give: arrays and numbers, with errors that name the field and what would be right."""
+"""Checks of user input: arrays and numbers, with errors that name the field and the expected value."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def real_number(field: str, value: Any) -> float:
 
 
 def _short(value: Any) -> str:
-    """Return what stands for a value in a message, in no more than a line."""
+    """Return a value as text of at most one line, for messages."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 
@@ -85,7 +85,7 @@ def file_path(field: str, path: Any) -> Path:
 
 
 def output_file(field: str, path: str | Path) -> Path:
-    """Return the path of a file to be written; raise `InputError` for a folder or where there is none."""
+    """Return the path of a file to be written; raise `InputError` for a folder or a missing folder."""
     path = file_path(field, path)
     if path.is_dir():
         raise InputError(f"{field}: {path} is a folder; add the name of a file", field=field, value=str(path))
@@ -101,8 +101,8 @@ def output_file(field: str, path: str | Path) -> Path:
 def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return `value` as a contiguous float64 array of `shape`, or raise `InputError` naming `field`.
 
-    A number will do for an array of one. The array is writable: kernels are compiled for such arrays, and
-    read-only ones would have them compiled again.
+    A number is accepted for an array of one. The array is writable: kernels are compiled for such arrays, and
+    read-only ones would be compiled separately.
     """
     given = real_numbers(field, value, f"an array of real numbers of shape {shape}")
     array = np.atleast_1d(given if given.flags.carray else np.array(given, order="C"))
@@ -161,7 +161,7 @@ def counted(number: int, what: str) -> str:
 
 
 def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
-    """Return `value` if it is one of the names, or raise `UnknownNameError`: saying that it is not `what`."""
+    """Return `value` if it is one of the names, else raise `UnknownNameError`: it is not `what`."""
     names = tuple(names)
     if not isinstance(value, str) or value not in names:
         raise UnknownNameError(
@@ -186,7 +186,7 @@ def whole_number(field: str, value: Any, low: int, high: int | None = None) -> i
 
 
 def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) -> tuple[Any, ...]:
-    """Return a sequence as a tuple, with one item alone wrapped, or raise `InputError`."""
+    """Return a sequence as a tuple, and a single item as a tuple of one, or raise `InputError`."""
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
     try:
@@ -198,7 +198,7 @@ def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) ->
 
 
 def near_matches(given: Any, names: Iterable[str]) -> str:
-    """Return a clause that offers the names closest to one, or how many there are if none is close."""
+    """Return a clause that suggests similar names, or the number of names if none is similar."""
     names = sorted(set(names))
     name = given if isinstance(given, str) else ""
     lowered = {known.lower(): known for known in names}

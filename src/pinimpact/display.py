@@ -1,4 +1,4 @@
-"""How objects show themselves: in a line, and as small tables in HTML for notebooks."""
+"""Short text of objects, and small HTML tables for notebooks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; numbers have six digits and stand to the right."""
+    """Return a table; numbers have six digits and are aligned to the right."""
     lines = [f"<table><caption style='text-align:left'><b>{escape(title)}</b></caption>"]
     if any(head):
         lines.append("<tr>" + "".join(f"<th>{escape(name)}</th>" for name in head) + "</tr>")
@@ -31,8 +31,8 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
 
     Args:
         instance: The dataclass.
-        but: Names of fields to leave out.
-        width: Characters that a value may have; a longer one is cut.
+        but: Names of fields to omit.
+        width: Maximum length of a value; longer ones are cut.
     """
     found = []
     for field in fields(instance):
@@ -46,7 +46,7 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
 
 
 def in_a_line(values: ArrayLike, width: int = 70) -> str:
-    """Return an array with six digits, cut where it takes more than `width` characters."""
+    """Return an array as text with six digits, cut beyond `width` characters."""
     digits = {"float_kind": lambda x: f"{x:.6g}"}
     text = np.array2string(np.asarray(values), separator=", ", threshold=12, formatter=digits)  # type: ignore[arg-type]
     text = " ".join(text.split())

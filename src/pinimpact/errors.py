@@ -1,4 +1,4 @@
-"""The errors that pinimpact raises on purpose: one root and its few children."""
+"""The errors and warnings of pinimpact."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def data_frame(columns: Columns) -> Any:
 
 
 def check_table_path(field: str, path: str | Path) -> Path:
-    """Return where a table is to be written, or raise `InputError`: no folder, another suffix, no pyarrow."""
+    """Return the path of a table to write, or raise `InputError`: no folder, unknown suffix, no pyarrow."""
     path = output_file(field, path)
     if path.suffix not in SUFFIXES:
         raise InputError(
@@ -52,7 +52,7 @@ def check_table_path(field: str, path: str | Path) -> Path:
 
 
 def write_table(path: Path, columns: Columns) -> None:
-    """Write a table, as its suffix says; numbers of a CSV file have all their digits."""
+    """Write a table in the format of its suffix; numbers of a CSV file have all their digits."""
     if path.suffix == ".parquet":
         table = _optional("pyarrow", "path").table({name: np.asarray(x) for name, x in columns.items()})
         import_module("pyarrow.parquet").write_table(table, path)

@@ -1,1 +1,1 @@
-"""How kernels are compiled, cached and linked: everything that touches numba and llvmlite."""
+"""Compilation, caching and linking of kernels: all use of numba and llvmlite."""

@@ -1,8 +1,8 @@
-"""Arrays whose references are not counted, for kernels that look at them often.
+"""Arrays whose references are not counted, for kernels that access them often.
 
 numba counts references to an array at each slice and each copy of a tuple that holds it, by atomic
-operations of some 5 ns. A kernel that borrows its arguments at its start spares that: their owner, the
-caller, keeps them for the length of the call.
+operations of some 5 ns. A kernel that borrows its arguments at its start avoids this: the caller owns them
+for the length of the call.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numba.extending import lower_builtin, type_callable
 
 
 def borrowed(array: Any) -> Any:
-    """Return an array argument of a kernel without a count of references.
+    """Return an array argument of a kernel without a reference count.
 
-    Only for arguments: numba gives what a kernel makes itself back after its last use. Neither the array nor
-    a part of it may be returned.
+    Only for arguments: numba frees the arrays that a kernel allocates after their last use. Neither the array
+    nor a part of it may be returned.
     """
     return array
 

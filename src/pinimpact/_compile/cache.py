@@ -1,4 +1,4 @@
-"""Kernels kept on disk: by name and types, and by the code that they were made from; see `sources`."""
+"""Kernels cached on disk: by name and types, and by the code from which they are compiled; see `sources`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .waiting import LOG, SHORT
 
 
 class _Stamped:
-    """Where a kernel is cached: by its name, and by the code that it is made from."""
+    """The cache location of a kernel: by its name, and by the code from which it is compiled."""
 
     _module: str
 
@@ -77,7 +77,7 @@ class _DiskCache(FunctionCache):
     _impl_class = _CacheImpl
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a kernel, without all that numba imports first, which is for what compiles."""
+        """Load a kernel without the imports that numba needs for compilation only."""
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
@@ -91,7 +91,7 @@ class _DiskCache(FunctionCache):
 
 @cache
 def lock() -> CacheLock | None:
-    """Return the lock of the folder where kernels are kept; None where no folder is writable."""
+    """Return the lock of the cache folder; None if no folder is writable."""
     try:
         return CacheLock(_DiskCache(_place).cache_path)
     except RuntimeError:
@@ -99,7 +99,7 @@ def lock() -> CacheLock | None:
 
 
 def _place() -> None:
-    """Have a module, beside whose cache the lock stands."""
+    """A module whose cache folder has the lock."""
 
 
 _in_session = False
@@ -107,11 +107,11 @@ _in_session = False
 
 @contextmanager
 def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
-    """Compile what the cache lacks while no other process does; the lock is taken when something is missing.
+    """Compile missing kernels while no other process does; the lock is taken if something is missing.
 
     Args:
-        missing: Whether something is known to be missing.
-        needless: Whether all that is wanted is kept by now, so that nobody need be waited for.
+        missing: Whether kernels are known to be missing.
+        needless: Whether all kernels are cached by now, so that there is no need to wait.
     """
     global _in_session
     _in_session = True
@@ -127,7 +127,7 @@ def session(missing: bool, needless: Callable[[], bool]) -> Iterator[None]:
 
 
 def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
-    """Take the lock, if a session has not got it; return whether others may have left something meanwhile."""
+    """Take the lock, if a session does not have it; return whether others may have compiled some."""
     found = lock()
     if not _in_session or found is None or found.held:
         return False
@@ -145,7 +145,7 @@ def _hold_lock(needless: Callable[[], bool] = lambda: False) -> bool:
 
 
 class KernelCache(NullCache):
-    """The cache of a kernel, looked for on first use, for that takes time and most kernels are not used."""
+    """The cache of a kernel, opened on first use, since this takes time and most kernels are not used."""
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
@@ -157,11 +157,11 @@ class KernelCache(NullCache):
 
     @property
     def on_disk(self) -> bool:
-        """Whether what is compiled is kept."""
+        """Whether compiled kernels are kept."""
         return isinstance(self._find(), _DiskCache)
 
     def knows(self, types: Any) -> bool:
-        """Whether the kernel is kept for some types of arguments."""
+        """Whether the kernel is cached for some types of arguments."""
         disk = self._find()
         return self.on_disk and disk.knows(types, self._kernel.targetctx.codegen())
 

@@ -1,13 +1,13 @@
-"""Declared signatures: a kernel whose argument types are known is compiled beside its callers.
+"""Declared signatures: a kernel with declared argument types is compiled in parallel with its callers.
 
-The types stand above the decorator of a kernel::
+The types precede the decorator of a kernel::
 
     @declared(FLOAT_ROWS, FLOATS, float, int)
     @external
     def kernel(matrix, vector, x, k): ...
 
-They are a hint and nothing else: for other types the kernel is compiled when a caller asks for it. Where
-the type of the result is declared too, callers are compiled without it::
+They are a hint only: for other types the kernel is compiled when a caller needs it. If the type of the
+result is declared too, callers are compiled without the kernel::
 
     @declared(FLOATS, result=float)
     @external
@@ -42,8 +42,8 @@ class Job(NamedTuple):
     """A kernel to be compiled.
 
     Attributes:
-        module, name, types: Which, and the types of its arguments.
-        needs: Places of the jobs that have to be done before: those whose code goes into it, or whose results
+        module, name, types: The kernel, and the types of its arguments.
+        needs: Indices of the jobs that must be done first: kernels whose code is inlined, or whose results
             are not declared.
     """
 
@@ -57,9 +57,9 @@ def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
     """Declare the types of a kernel's arguments.
 
     Args:
-        *kinds: Of each, in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
-            class of `Workspace`, or a type of numba.
-        result: Of what it returns, if that is to be known before it is compiled, for its callers.
+        *kinds: The types in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
+            class of `Workspace`, or a numba type.
+        result: The type of the result, if callers are to be compiled without the kernel.
     """
 
     def declare(kernel: K) -> K:
@@ -71,7 +71,7 @@ def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
 
 
 def numba_type(kind: Any) -> Any:
-    """Return the type of numba that a kind is short for."""
+    """Return the numba type of a kind."""
     if isinstance(kind, types.Type):
         return kind
     if kind in _NUMBERS:
@@ -85,23 +85,23 @@ def numba_type(kind: Any) -> Any:
 
 
 def plain_tuple(kind: Any) -> Any:
-    """Return the type of a plain tuple of what a class of `NamedTuple` has."""
+    """Return the type of a plain tuple with the fields of a class of `NamedTuple`."""
     return types.BaseTuple.from_types(numba_type(kind).types)
 
 
 def declared_types(kernel: Any) -> tuple[Any, ...]:
-    """Return the types of arguments that a kernel tells."""
+    """Return the declared types of a kernel's arguments."""
     return tuple(map(numba_type, kernel.declared))
 
 
 def declared_result(kernel: Any, types: tuple[Any, ...]) -> Any:
-    """Return the type of what a kernel returns, None where it is not declared for these types."""
+    """Return the type of a kernel's result, None if it is not declared for these types."""
     result = getattr(kernel, "result", None)
     return None if result is None or types != declared_types(kernel) else numba_type(result)
 
 
 def callees(function: FunctionType) -> list[Any]:
-    """Return the kernels that a kernel's Python function calls itself."""
+    """Return the kernels that a kernel's Python function calls directly."""
     names = function.__code__.co_names
     seen = [function.__globals__.get(name) for name in names]
     seen += [cell.cell_contents for cell in function.__closure__ or ()]
@@ -115,12 +115,12 @@ def kernel_of(job: Job) -> Any:
 
 
 def is_part(kernel: Any) -> bool:
-    """Whether the code of a kernel that is kept goes into its callers."""
+    """Whether the cached code of a kernel is inlined in its callers."""
     return getattr(kernel, "is_part", False)
 
 
 def jobs(wanted: Iterable[tuple[Any, Any]]) -> list[Job]:
-    """Return what is to be compiled for some kernels: first what most has to follow on.
+    """Return the jobs for some kernels, those with the most dependants first.
 
     Args:
         wanted: Kernels and their types.

@@ -1,24 +1,24 @@
-"""The decorators of the kernels: numba's njit, each kernel compiled once, and kept on disk from then on.
+"""The decorators of kernels: numba's njit, with each kernel compiled once and cached on disk.
 
-`jit`: what Python calls. It is compiled on its own when it is first called.
-`released`: such a one that runs without Python's lock, so that threads can share its work.
-`external`: what several kernels call and Python does not. It is compiled on its own too, and whoever calls it
-    has no copy of it but its symbol. The call costs some 2 ns; where the kernel is long, each caller takes a
-    second less to compile. (A kernel that calls a `jit` does the same.)
-`inlined`: what is small, or has one caller: its code goes into each caller and is optimized there.
-`always_inlined`: such a one that must not stay a call.
-`inlined_bitcode`, `always_inlined_bitcode`: such a one that takes a second to compile; its bitcode is kept on
-    disk.
+`jit`: called from Python. It is compiled when it is first called.
+`released`: the same, without the global interpreter lock, so that threads can share its work.
+`external`: called by several kernels, not from Python. It is compiled separately, and callers refer to its
+    symbol. The call costs some 2 ns; if the kernel is long, this saves a second of compilation per caller. (A
+    kernel that calls a `jit` does the same.)
+`inlined`: small, or with one caller: its code is inlined in each caller and optimized there.
+`always_inlined`: the same, if it must not remain a call.
+`inlined_bitcode`, `always_inlined_bitcode`: the same, for kernels that take a second to compile; their
+    bitcode is cached on disk.
 
 Kernels with a declared signature (`declared`) are compiled by several processes at once: see `pool`.
 
-The cache of a kernel holds as long as the code that it was made from: see `sources`. Where no folder is
+The cache of a kernel is valid as long as the code from which it was compiled: see `sources`. If no folder is
 writable, every process compiles for itself.
 
-See `waiting` for what is reported to whoever has to wait.
+See `waiting` for the messages during compilation.
 
-With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMBA=1, or where numba is not as
-`linking` needs it, plain numba compiles them: see `plain`.
+With NUMBA_DISABLE_JIT=1 all kernels are plain Python. With PINIMPACT_PLAIN_NUMBA=1, or if numba differs from
+what `linking` needs, plain numba compiles them: see `plain`.
 """
 
 from __future__ import annotations
@@ -56,22 +56,22 @@ def inlined(function: F) -> F:
 
 
 def always_inlined(function: F) -> F:
-    """Like `inlined`, for a kernel with one caller: to pass its many values would cost more than its code."""
+    """Like `inlined`, for a kernel with one caller whose many arguments would cost more than its code."""
     return _compiled(function, forceinline=True)
 
 
 def inlined_bitcode(function: F) -> F:
-    """Like `inlined`, for what takes long: its code is kept, so that another process can compile it ahead."""
+    """Like `inlined`, for long kernels: their bitcode is cached, so that another process can compile it."""
     return _part(function)
 
 
 def always_inlined_bitcode(function: F) -> F:
-    """Like `inlined_bitcode`, for what is `always_inlined`."""
+    """Like `inlined_bitcode`, for `always_inlined` kernels."""
     return _part(function, forceinline=True)
 
 
 def external(function: F) -> F:
-    """Compile a kernel that only other kernels call on its own, once for all of them."""
+    """Compile separately, once, a kernel that only other kernels call."""
     if WHY_PLAIN:
         return _compiled(function)
     return _cached(function, KernelCompiler, no_cpython_wrapper=True)
@@ -83,7 +83,7 @@ def jit(function: F) -> F:
 
 
 def released(function: F) -> F:
-    """Like `jit`, for a kernel that runs long: it lets Python's other threads run meanwhile."""
+    """Like `jit`, for long-running kernels: other Python threads can run meanwhile."""
     return _called(function, nogil=True)
 
 
@@ -129,11 +129,11 @@ def _cached(function: F, pipeline: Any, **options: Any) -> F:
 
 
 def compile_all(*calls: tuple[Any, ...]) -> None:
-    """Make sure that nothing is compiled later: compile or load kernels, in the order given.
+    """Compile or load kernels in the order given, so that nothing is compiled later.
 
     Args:
-        calls: (kernel, *arguments): a `jit`, and arguments that have the types of those to come; none where
-            it declares its types `declared`.
+        calls: (kernel, *arguments): a `jit`, and arguments of the types of later calls; no arguments if its
+            types are `declared`.
     """
     if not all(hasattr(kernel, "py_func") for kernel, *_ in calls):
         return  # it is plain Python
@@ -146,12 +146,12 @@ def compile_all(*calls: tuple[Any, ...]) -> None:
 
 
 def is_declared(item: Any) -> bool:
-    """Whether something is a kernel that Python calls and that declares the types of its arguments."""
+    """Whether something is a kernel that Python calls, with declared argument types."""
     return bool(getattr(item, "is_called", False)) and hasattr(item, "declared")
 
 
 def kept_in(kernels: Sequence[Any]) -> str | None:
-    """Return the folder that the caches of some kernels have in common; None where nothing is kept."""
+    """Return the common cache folder of some kernels; None if nothing is kept."""
     paths = [kernel._cache.cache_path for kernel in kernels if hasattr(kernel, "_cache")]
     return None if not paths or None in paths else os.path.commonpath(paths)
 
@@ -161,10 +161,10 @@ def _types(kernel: Any, arguments: Sequence[Any]) -> tuple[Any, ...]:
 
 
 class _Compile:
-    """What compiles a kernel that Python calls, when it is first called: with helpers, if it takes long.
+    """Compiles a kernel that Python calls on its first call, with helper processes if it takes long.
 
     Attributes:
-        alone: What numba has in its place.
+        alone: Numba's function in its place.
     """
 
     def __init__(self, kernel: Any) -> None:
@@ -211,7 +211,7 @@ def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
 
 
 def _missing(wanted: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
-    """Return the kernels that the cache does not have."""
+    """Return the kernels that are not cached."""
     return [(kernel, types) for kernel, types in wanted if not kernel._cache.knows(types)]
 
 

@@ -1,9 +1,9 @@
-"""How kernels are compiled and linked: each once, and to machine code only where something calls it.
+"""Compilation and linking of kernels: each once, and to machine code only if something calls it.
 
-As numba has it, a function is optimized and translated together with all that it calls, again at each level:
-what ten others call is made ten times over. Here an inner kernel stays LLVM's intermediate code until a
-kernel that is compiled on its own takes it in. Those refer to each other by symbols that only names, types
-and sources make up, so that the caches of different processes fit together.
+Numba optimizes and translates a function together with all its callees, again at each level, so that a
+function with ten callers is compiled ten times. Here an inner kernel remains LLVM bitcode until a separately
+compiled kernel inlines it. Separately compiled kernels refer to each other by symbols that depend on names,
+types and sources only, so that caches of different processes are compatible.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ Kernel = tuple[str, str, tuple[Any, ...]]
 
 
 def symbol_stamp(module: str) -> str:
-    """Return the part of the symbols of a module's kernels that changes with their code."""
+    """Return the part of the symbols of a module's kernels that depends on their code."""
     return stamp(module)[:16]
 
 
 class KernelCode(JITCodeLibrary):
-    """Code that is optimized as kernels need it, in two thirds of the time that numba takes.
+    """Code that is optimized as kernels need it, in two thirds of numba's time.
 
-    A function on its own gets its variables out of memory, which makes it short; all else waits until it is
-    where it is used. Loops are neither vectorized nor unrolled: most run three or seven times, and to
-    unroll them takes a fifth of LLVM's time and gains nothing. What a kernel does to several numbers side by
-    side becomes vector instructions.
+    A single function only has its variables promoted to registers, which makes it short; all other
+    optimization takes place where it is used. Loops are neither vectorized nor unrolled: most have three or
+    seven iterations, and unrolling takes a fifth of LLVM's time without a gain. Independent operations on
+    several numbers become vector instructions.
     """
 
     def _passes(self, level: int) -> Any:
@@ -56,7 +56,7 @@ class KernelCode(JITCodeLibrary):
         return llvm.create_pass_builder(self._codegen._tm, options)
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Optimize each function on its own."""
+        """Optimize each function separately."""
         ll_module.data_layout = self._codegen._data_layout
         passes = self._passes(1)
         manager = llvm.create_new_function_pass_manager()
@@ -69,7 +69,7 @@ class KernelCode(JITCodeLibrary):
                 manager.run(function, passes)
 
     def _optimize_final_module(self) -> None:
-        """Optimize all together."""
+        """Optimize the whole module."""
         passes = self._passes(2)
         manager = passes.getModulePassManager()
         manager.add_refprune_pass()
@@ -77,23 +77,23 @@ class KernelCode(JITCodeLibrary):
 
 
 class InnerLibrary(KernelCode):
-    """The intermediate code of an inner kernel, for its callers to take in."""
+    """The bitcode of an inner kernel, to be inlined in its callers."""
 
     def finalize(self) -> None:
-        """Leave the code as it is: it is optimized where it is taken in."""
+        """Leave the code unchanged: it is optimized where it is inlined."""
         self._raise_if_finalized()
         self._finalized = True
 
     def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
-        """Return what stands for the function."""
+        """Return a placeholder for the function."""
         return _no_entry(self, fndesc, env)
 
     def own_code(self) -> Any:
-        """Return the module with this kernel alone, fit to be linked into several."""
+        """Return the module of this kernel alone, which can be linked into several."""
         return super()._get_module_for_linking()
 
     def _get_module_for_linking(self) -> Any:
-        """Return the module with all that this kernel needs, for a caller that numba itself compiles."""
+        """Return the module with all callees, for a caller that numba itself compiles."""
         module = self.own_code().clone()
         for library in _needed(self):
             module.link_in(_code(library), preserve=True)
@@ -101,16 +101,16 @@ class InnerLibrary(KernelCode):
 
 
 class PartLibrary(InnerLibrary):
-    """The intermediate code of an inner kernel, and of those that it reaches, fit for a cache.
+    """The bitcode of an inner kernel and its callees, for the cache.
 
     Attributes:
-        kernel: What the code is of.
+        kernel: The kernel.
     """
 
     kernel: Kernel
 
     def serialize_using_object_code(self) -> Any:
-        """Return what `load` takes."""
+        """Return the argument of `load`."""
         module, callees = self.own_code().clone(), []
         for library in _needed(self):
             if isinstance(library, KernelLibrary):
@@ -121,7 +121,7 @@ class PartLibrary(InnerLibrary):
 
     @classmethod
     def load(cls, codegen: Any, state: Any) -> PartLibrary:
-        """Return the library that another process has made, with all that it calls in place."""
+        """Return the library of another process, with all callees."""
         name, code, kernel, callees = state
         self = cls(codegen, name)
         self.kernel = kernel
@@ -132,11 +132,11 @@ class PartLibrary(InnerLibrary):
 
 
 class KernelLibrary(KernelCode):
-    """The machine code of a kernel that is compiled on its own, and of the inner kernels that it reaches.
+    """The machine code of a separately compiled kernel, with the inner kernels that it inlines.
 
     Attributes:
-        kernel: What the code is of.
-        callees: What it calls that is compiled on its own too.
+        kernel: The kernel.
+        callees: The separately compiled kernels that it calls.
     """
 
     kernel: Kernel
@@ -147,13 +147,13 @@ class KernelLibrary(KernelCode):
 
     @classmethod
     def without_code(cls, codegen: Any, kernel: Kernel) -> KernelLibrary:
-        """Return what stands for a kernel whose code is elsewhere, for callers that have its symbol."""
+        """Return a library without code for a kernel compiled elsewhere, for callers of its symbol."""
         self = cls(codegen, kernel[1])
         self.kernel, self._finalized = kernel, True
         return self
 
     def finalize(self) -> None:
-        """Take in what the code needs, optimize all together, and translate it."""
+        """Link the inner kernels, optimize the whole, and translate it."""
         for library in _needed(self):
             if isinstance(library, KernelLibrary):
                 self.callees += (library.kernel,)
@@ -163,7 +163,7 @@ class KernelLibrary(KernelCode):
         super().finalize()
 
     def _finalize_final_module(self) -> None:
-        """Translate; what was taken in is kept to itself, for its names may mean something else elsewhere."""
+        """Translate; linked functions become internal, since their names may be in use elsewhere."""
         self._finalize_dynamic_globals()
         for function in self._final_module.functions:
             if function.linkage == llvm.Linkage.linkonce_odr:
@@ -174,23 +174,23 @@ class KernelLibrary(KernelCode):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return no code: callers have the symbol."""
+        """Return no code: callers use the symbol."""
         return llvm.parse_assembly("")
 
     def serialize_using_object_code(self) -> Any:
-        """Return what `load` takes."""
+        """Return the argument of `load`."""
         return self.name, self._code, self._symbols, self.kernel, self.callees
 
     @classmethod
     def load(cls, codegen: Any, state: Any) -> KernelLibrary:
-        """Return the library that another process has made."""
+        """Return the library of another process."""
         name, code, symbols, kernel, callees = state
         self = cls.without_code(codegen, kernel)
         self._name, self._code, self._symbols, self.callees = name, code, symbols, callees
         return self
 
     def entry(self, context: Any, fndesc: Any, env: Any) -> Any:
-        """Return what Python calls, with the code and all that it calls in place."""
+        """Return the function that Python calls, with all callees loaded."""
         self._ensure_finalized()
         if _to_be_kept_only:
             return _no_entry(self, fndesc, env)
@@ -208,7 +208,7 @@ _to_be_kept_only = False
 
 @contextmanager
 def to_be_kept_only() -> Iterator[None]:
-    """Compile kernels for the cache alone: their code is not put where it can run."""
+    """Compile kernels for the cache only, without loading their code."""
     global _to_be_kept_only
     _to_be_kept_only = True
     try:
@@ -218,12 +218,12 @@ def to_be_kept_only() -> Iterator[None]:
 
 
 def stand_in(kernel: Any, types: tuple[Any, ...], result: Any) -> Any:
-    """Return as what a kernel that is compiled elsewhere is called: its symbol and types, without its code.
+    """Return the symbol and types of a kernel that is compiled elsewhere, without its code.
 
     Args:
-        kernel: Which.
-        types: Of its arguments.
-        result: The type of what it returns.
+        kernel: The kernel.
+        types: Types of its arguments.
+        result: Type of its result.
     """
     function, context = kernel.py_func, kernel.targetctx
     flags = Flags()
@@ -259,7 +259,7 @@ def _loaded(kernel: Kernel) -> Any:
 
 
 def _no_entry(library: Any, fndesc: Any, env: Any) -> Any:
-    """Return what stands for a function that Python cannot call."""
+    """Return a placeholder for a function that Python cannot call."""
     return make_function(fndesc.lookup_module(), fndesc.qualname, "", 0, env, (library,))
 
 
@@ -268,7 +268,7 @@ def _code(library: Any) -> Any:
 
 
 def _needed(library: Any) -> list[Any]:
-    """Return the libraries that one needs, through all inner kernels."""
+    """Return the libraries that a library needs, through all inner kernels."""
     found: dict[Any, None] = {}
     waiting = list(library._linking_libraries)
     while waiting:
@@ -282,12 +282,12 @@ def _needed(library: Any) -> list[Any]:
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class KernelLowering(NativeLowering):
-    """Lowering to what the library of a kernel makes of it."""
+    """Lowering with the library classes of kernels."""
 
     _name = "kernel_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        """Lower a kernel and make it known to its callers."""
+        """Lower a kernel and register it for its callers."""
         state.flags.no_compile = True  # numba's way to run it
         super().run_pass(state)
         lowered, library = state["cr"], state.library
@@ -305,7 +305,7 @@ _depth = 0
 
 @contextmanager
 def without_collecting() -> Iterator[None]:
-    """Collect no garbage; to look through what the compiler makes takes a tenth of its time."""
+    """Suspend garbage collection; traversing the compiler's objects takes a tenth of its time."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -322,7 +322,7 @@ def compiling() -> bool:
 
 @contextmanager
 def _deep() -> Iterator[None]:
-    """Count, and collect no garbage."""
+    """Increment the depth, and suspend garbage collection."""
     global _depth
     _depth += 1
     try:
@@ -337,9 +337,9 @@ _LEFT_OUT = {"InlineClosureLikes", "NopythonRewrites", "ReconstructSSA", "PreLow
 
 
 class KernelCompiler(CompilerBase):
-    """The passes of numba that kernels need: all but some, which take a sixth of the time.
+    """The numba passes that kernels need; the others take a sixth of the time.
 
-    Kernels have no closures and no expressions of whole arrays. Static single assignment they do not need: a
+    Kernels have no closures and no array expressions. They do not need static single assignment either: a
     variable of a kernel has one type, and LLVM has its own.
     """
 
@@ -379,6 +379,6 @@ class InnerCompiler(KernelCompiler):
 
 
 class PartCompiler(InnerCompiler):
-    """The passes for an inner kernel that is kept."""
+    """The passes for an inner kernel that is cached."""
 
     library = PartLibrary

@@ -1,9 +1,9 @@
-"""One lock for a cache folder, shared by all processes that use it, on one machine or on several.
+"""A lock for a cache folder, shared by all processes that use it, on one machine or on several.
 
-Whoever compiles holds it, so that what many processes need at once is compiled by one of them. The lock is a
-file that names its holder; the holder touches it every `BEAT` seconds. A lock is taken over when its process
-is gone, or when nobody has touched it for `STALE` seconds, by the clock of the one that waits. Where a lock
-fails, for whatever reason, something is compiled twice and nothing else happens.
+A process that compiles holds the lock, so that kernels that many processes need are compiled by one of them.
+The lock is a file that names its holder, who updates its time every `BEAT` seconds. A lock is taken over if
+its process has ended, or if it has not been updated for `STALE` seconds, by the clock of the waiting process.
+If locking fails for any reason, kernels are compiled twice, without other consequences.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class CacheLock:
         return self._token.startswith(f"{_owner()} ")
 
     def acquire(self, needless: Callable[[], bool] = lambda: False) -> None:
-        """Wait for the lock and take it; return without it as soon as it is `needless`, or cannot be had."""
+        """Wait for the lock and take it; return without it if it is `needless`, or cannot be taken."""
         token = f"{_owner()} {secrets.token_hex(8)}"
         seen, since = None, time.monotonic()
         while not self.held:
@@ -70,21 +70,21 @@ class CacheLock:
                 threading.Thread(target=self._beat, args=(self._ended,), daemon=True).start()
 
     def release(self) -> None:
-        """Give the lock back, if this process holds it."""
+        """Release the lock, if this process holds it."""
         if self.held:
             self._ended.set()
             self._remove(self._token)
         self._token = ""
 
     def _state(self) -> tuple[str, int] | None:
-        """Return who holds the lock, and when it was touched."""
+        """Return who holds the lock, and when it was updated."""
         try:
             return self.file.read_text(), self.file.stat().st_mtime_ns
         except OSError:
             return None
 
     def _remove(self, token: str) -> None:
-        """Remove the lock of a holder, unless another holds it by now."""
+        """Remove the lock of a holder, unless another process holds it by now."""
         aside = self.file.with_suffix(f".{secrets.token_hex(8)}")
         with suppress(OSError):
             os.rename(self.file, aside)

@@ -1,6 +1,7 @@
-"""All names of numba that are not its public interface, each with what it is for.
+"""All private names of numba that are used, each with its purpose.
 
-`MISSING` names the first that this numba lacks; kernels are then compiled by plain numba, see `plain`.
+`MISSING` is the first that this version of numba lacks; kernels are then compiled by plain numba, see
+`plain`.
 """
 
 # ruff: noqa: F401, I001

@@ -1,8 +1,8 @@
-"""Kernels by plain numba, `njit(cache=True)`, where the compiler of `linking` cannot be used.
+"""Kernels compiled by plain numba, `njit(cache=True)`, if the compiler of `linking` cannot be used.
 
-The results are the same to rounding. To compile takes several times as long, for numba optimizes a function
-again in each of its callers. It looks at the source of a kernel only, not at those of its callees, to see
-whether what it has kept is stale: after an edit of kernels, empty the cache.
+The results are the same to rounding. Compilation takes several times as long, since numba optimizes a
+function again in each of its callers. Its cache depends on the source of a kernel only, not on those of its
+callees: after an edit of kernels, empty the cache.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SECONDS = {"impacts": 40, "scenes": 150}
 
 
 def reason(version: tuple[int, ...] = numba.version_info[:2]) -> str:
-    """Return why kernels are compiled by plain numba; empty where they are not."""
+    """Return why kernels are compiled by plain numba; empty if they are not."""
     if os.environ.get(VARIABLE, "0") not in ("", "0"):
         return f"{VARIABLE} is set"
     if not TRIED[0] <= version <= TRIED[1]:
@@ -35,6 +35,6 @@ def reason(version: tuple[int, ...] = numba.version_info[:2]) -> str:
 
 @cache
 def warn(why: str) -> None:
-    """Say once what plain numba means for the first run."""
+    """Warn once that the first run takes longer with plain numba."""
     times = " and ".join(f"about {seconds} s for {purpose}" for purpose, seconds in SECONDS.items())
     LOG.warning("%s: %s: kernels are compiled by plain numba; a first run takes %s", PACKAGE, why, times)

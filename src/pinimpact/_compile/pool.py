@@ -1,11 +1,11 @@
-"""Several processes that compile kernels at once.
+"""A pool of processes that compile kernels.
 
-Whoever waits for kernels has helpers, one for each further processor, as long as it takes. All go
-through one list of kernels whose argument types are declared, first what most has to follow on. Whoever
-comes to a kernel that nobody has begun locks it, by a file, compiles it, and leaves it in the cache; whoever
-needs what another has locked waits for it, or, where the type of its result is declared, calls its symbol.
-Nothing depends on a helper: what it does not leave in the cache, for whatever reason, the process that waits
-compiles itself, and it ends its helpers when it is done or stopped.
+The process that needs kernels starts helpers, one for each further processor. All of them process one list of
+kernels with declared argument types, those with the most dependants first. A process takes the next kernel by
+locking it with a file, compiles it, and writes it to the cache. A process that needs a kernel locked by
+another waits for it or, if its result is declared, calls its symbol. Helpers are optional: kernels that are
+not in the cache, for any reason, are compiled by the process that waits, and it ends its helpers when it is
+done.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {
 
 
 class WorkerPool:
-    """The claims of the processes that compile together.
+    """The locks of the processes that compile together.
 
     Args:
-        folder: Where the claims are.
-        helpers: The other processes, where this is the one that waits for the kernels.
+        folder: Folder of the locks.
+        helpers: The other processes, in the process that waits for the kernels.
     """
 
     def __init__(self, folder: Path, helpers: Sequence[subprocess.Popen[bytes]] = ()) -> None:
@@ -60,7 +60,7 @@ class WorkerPool:
         return self._folder / hashlib.sha256(str(job[:3]).encode()).hexdigest()[:32]
 
     def lock(self, job: Job) -> bool:
-        """Claim a kernel; return False if another has been faster."""
+        """Lock a kernel; return False if another process has locked it."""
         try:
             with open(self._file(job), "x") as file:
                 file.write(str(os.getpid()))
@@ -71,16 +71,16 @@ class WorkerPool:
         return True
 
     def release(self, job: Job) -> None:
-        """Tell whoever waits for a kernel that it is in the cache."""
+        """Mark a kernel as cached."""
         with suppress(OSError):
             self._file(job).with_suffix(".done").touch()
 
     def of_others(self, job: Job, load: Callable[[], T | None]) -> T | None:
-        """Return what others leave of a kernel in the cache; None if there is nothing, or this one claims it.
+        """Return a kernel of other processes from the cache; None if there is none or this process locked it.
 
         Args:
             job: The kernel.
-            load: Looks for it in the cache.
+            load: Loads it from the cache.
         """
         if self._is_at_work(job) or self.lock(job):
             return None
@@ -89,7 +89,7 @@ class WorkerPool:
         return load()
 
     def _is_over(self, job: Job) -> bool:
-        """Whether what has been claimed is in the cache, or will never be."""
+        """Whether a locked kernel is in the cache, or will not be."""
         claimed = self._file(job)
         with suppress(OSError, ValueError):
             owner = self._helpers.get(int(claimed.read_text()))
@@ -98,7 +98,7 @@ class WorkerPool:
         return claimed.with_suffix(".done").exists()
 
     def borrow(self, kernel: Any, job: Job) -> Any:
-        """Return a stand-in for a kernel other than the one at work, if its result is declared; else None."""
+        """Return a placeholder for another kernel with a declared result; else None."""
         if self._at_work is None:
             return None
         self._borrowed.append((kernel, job.types))
@@ -106,7 +106,7 @@ class WorkerPool:
         return None if result is None else stand_in(kernel, job.types, result)
 
     def compile_with_others(self, jobs: Sequence[Job]) -> None:
-        """Compile what nobody else has begun, as soon as all that it needs is there, for the cache alone."""
+        """Compile unlocked kernels for the cache only, when their dependencies are done."""
         try:
             with to_be_kept_only():
                 self._compile_with_others(jobs)
@@ -150,7 +150,7 @@ present: WorkerPool | None = None
 
 
 def possible_helpers() -> int:
-    """Return how many helpers are possible: none on one processor, or where Python cannot be restarted."""
+    """Return how many helpers are possible: none on one processor, or if Python cannot be restarted."""
     if getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("python"):
         return 0
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -159,13 +159,13 @@ def possible_helpers() -> int:
 
 @contextmanager
 def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
-    """Start helpers, who wait for kernels until the context ends.
+    """Start helpers, which wait for kernels until the context ends.
 
     Args:
-        helpers: How many.
+        helpers: Their number.
 
     Yields:
-        A function that compiles jobs, see `ahead.jobs`, with them; those it leaves go on with what is left.
+        A function that compiles jobs, see `declared.jobs`, with them; kernels that remain are compiled later.
     """
     started: list[subprocess.Popen[bytes]] = []
     with ExitStack() as stack:
@@ -218,7 +218,7 @@ def _send(helper: subprocess.Popen[bytes], *messages: Any) -> None:
 
 
 def help_out() -> None:
-    """Be a helper: compile what nobody has claimed, until all is claimed or nobody waits any more."""
+    """Run as a helper: compile unlocked kernels until none is left or no process waits any more."""
     global present
     source = sys.stdin.buffer
     numba.config.CACHE_DIR, folder, known = pickle.load(source)
@@ -232,6 +232,6 @@ def help_out() -> None:
 
 
 def _end_with(source: Any) -> None:
-    """End this process when the one that waits is gone."""
+    """End this process when the one that waits has ended."""
     source.read()
     os._exit(0)

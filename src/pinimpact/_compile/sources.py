@@ -1,9 +1,9 @@
-"""Stamps of sources: the code that a cached kernel was made from, and nothing else.
+"""Hashes of sources: of the code from which a cached kernel was compiled.
 
-The stamp of a module covers its code and that of all modules of this package that it imports, however
-indirectly, as syntax trees without docstrings: no comment, no layout and no docstring makes a kernel stale.
-Sources are hashed as they are when this module is imported, for kernels are made from what was imported,
-whatever becomes of the files afterwards.
+The hash of a module covers its code and that of all modules of this package that it imports, directly or
+indirectly, as syntax trees without docstrings: comments, layout and docstrings do not invalidate a kernel.
+Sources are hashed when this module is imported, since kernels are compiled from the imported code, whatever
+happens to the files afterwards.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ _IMPORTED = {
 
 
 class _Memory:
-    """What parsing has found, by module and hash of its source; in a file, for parsing takes its time.
+    """Results of parsing, by module and hash of its source; kept in a file, since parsing takes time.
 
     Attributes:
-        known: What has been found so far.
+        known: Results so far.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class _Memory:
         self._unsaved = False
 
     def keep_in(self, folder: str) -> None:
-        """Remember in this folder, unless another one was named before."""
+        """Use this folder, unless another one was given before."""
         if self._file is None:
             self._file = Path(folder, f"{PACKAGE}.{sys.implementation.cache_tag}.json")
             with contextlib.suppress(OSError, ValueError):
@@ -88,7 +88,7 @@ class _Memory:
         return self.known[key]
 
     def save(self) -> None:
-        """Leave what was found to other processes, if there is a folder."""
+        """Write the results for other processes, if there is a folder."""
         if self._file is None or not self._unsaved:
             return
         self._unsaved = False
@@ -104,7 +104,7 @@ memory = _Memory()
 
 @cache
 def stamp(module: str) -> str:
-    """Return what changes if and only if the code of a module, or of one that it uses, changes."""
+    """Return a hash that changes if and only if the code of a module, or of one that it uses, changes."""
     found: dict[str, str] = {}
     waiting = [module]
     while waiting:
@@ -125,7 +125,7 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _digest(tree: ast.Module) -> str:
-    """Take the texts out of a tree and return a digest of what is left."""
+    """Remove the strings from a tree and return a hash of the rest."""
     for node in (tree, *_statements(tree)):
         body = getattr(node, "body", None)
         if isinstance(body, list):
@@ -134,7 +134,7 @@ def _digest(tree: ast.Module) -> str:
 
 
 def _written(tree: ast.AST) -> list[Any]:
-    """Return in one list all of a tree but places: what `ast.dump` tells, in less than half its time."""
+    """Return a tree without positions as one list: the content of `ast.dump`, in less than half its time."""
     found: list[Any] = []
     waiting: list[Any] = [tree]
     while waiting:
@@ -151,7 +151,7 @@ def _written(tree: ast.AST) -> list[Any]:
 
 
 def _statements(node: ast.AST) -> Iterator[ast.AST]:
-    """Return all statements in one, or in a module."""
+    """Return all statements within one, or within a module."""
     for name in ("body", "orelse", "handlers", "finalbody", "cases"):
         for one in getattr(node, name, ()):
             yield one

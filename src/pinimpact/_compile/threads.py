@@ -19,9 +19,9 @@ LEAST_SHARE = 32
 
 @functools.cache
 def _helpers() -> ThreadPoolExecutor:
-    """Return the threads that wait for work; there are never more of them than cores.
+    """Return the waiting threads; there are never more of them than cores.
 
-    They stay, for where cores are busy a new thread starts beside the one that asked for it.
+    They are kept, because on busy cores a new thread starts on the core of its caller.
     """
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="pinimpact")
 
@@ -31,13 +31,13 @@ if hasattr(os, "register_at_fork"):  # a child of the process has none of its th
 
 
 def in_threads(solve: Callable[[slice], T], count: int, threads: int) -> list[T]:
-    """Call `solve` for slices of `count` rows, of which each thread takes the next; return what it returns.
+    """Call `solve` for slices of `count` rows, and return its results; each thread takes the next slice.
 
-    The first slices are long, to save calls, and the last are short, so that all threads end together: rows
-    differ in what they cost, and so do the cores of a machine.
+    The first slices are long, to save calls, and the last ones short, so that all threads end together: rows
+    differ in cost, and cores in speed.
 
     Returns:
-        what `solve` returns, in the order of the rows.
+        The results of `solve`, in the order of the rows.
     """
     if threads == 1 or count <= LEAST_SHARE:
         return [solve(slice(0, count))]

@@ -1,8 +1,8 @@
-"""Telling whoever waits for kernels to be compiled what for, and about how long.
+"""Messages about the compilation of kernels: for what, and about how long.
 
-The logger "pinimpact.compiling" says it once for impacts and once for scenes, with a warning, so that it is
-seen where nobody has set up logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences
-it. At the level INFO it counts the kernels of `jit.compile_all`.
+The logger "pinimpact.compiling" warns once for impacts and once for scenes, so that the message is visible
+without set-up of logging; ``logging.getLogger("pinimpact.compiling").setLevel("ERROR")`` silences it. At the
+level INFO it counts the kernels of `jit.compile_all`.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ _announced: set[str] = set()
 
 
 def expected(kernels: Iterable[Any], processes: int = 1) -> float:
-    """Return about how long some kernels take to compile, with all that they call [s]."""
+    """Return the approximate compilation time of kernels with their callees [s]."""
     code = sum(len(function.__code__.co_code) for function in reached(kernels))
     return code / BYTES_PER_SECOND / processes**0.5
 
 
 def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
-    """Say that kernels are being compiled.
+    """Report that kernels are being compiled.
 
     Args:
-        kernels: All of them that are to be compiled now.
-        kept: Whether they stay on disk.
-        processes: How many compile them.
+        kernels: The kernels.
+        kept: Whether they are cached on disk.
+        processes: Number of processes that compile them.
     """
     modules = {kernel.py_func.__module__ for kernel in kernels}
     purpose = SCENES if any(one.startswith(f"{PACKAGE}.scene.") for one in modules) else IMPACTS
@@ -64,7 +64,7 @@ def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
 
 
 def reached(kernels: Iterable[Any]) -> set[FunctionType]:
-    """Return the Python functions of kernels and of all that they call."""
+    """Return the Python functions of kernels and of all their callees."""
     found: set[FunctionType] = set()
     waiting = [kernel.py_func for kernel in kernels]
     while waiting:

@@ -1,21 +1,21 @@
-"""Arrays and numbers that kernels share by name: one declaration gives the memory, the checks and the access.
+"""Arrays and numbers that kernels share by name: one declaration gives memory, checks and access.
 
-A subclass of `Workspace` declares what there is::
+A subclass of `Workspace` declares the fields::
 
     class Pendulum(Workspace):
         nv = size("velocities")
-        active = count("nv", "how many of them are driven")
+        active = count("nv", "number of drives")
         length = real("of the rod [m]")
         torque = reals("active", meaning="of the drives [N m]")
-        mass_matrix = reals("nv", "nv", order="F", given=True, meaning="where the library leaves it")
+        mass_matrix = reals("nv", "nv", order="F", given=True, meaning="in the memory of the library")
 
-and Python and kernels alike read `work.torque`, `work.length` and write `work.length = 2.0`.
+Python and kernels both read `work.torque`, `work.length` and write `work.length = 2.0`.
 
-To compiled code a workspace is one pointer, to slots of eight bytes in the order of the declaration: the
-value of a size, count or number, or the address of an array. The shape of an array is made of sizes and
-counts, so no code can read more of it than they say: no kernel changes a size, and a count is checked against
-the size that bounds it wherever it is set. (Passing it to a kernel costs 0.2 µs more than passing an integer;
-numba's own `structref` 0.5 µs, with code that counts references.)
+In compiled code a workspace is one pointer to slots of eight bytes in the order of the declaration: the
+value of a size, count or number, or the address of an array. The shape of an array consists of sizes and
+counts, so code cannot read beyond it: kernels do not change sizes, and a count is checked against its limit
+whenever it is set. (Passing a workspace to a kernel costs 0.2 µs more than passing an integer; numba's
+`structref` 0.5 µs, with code that counts references.)
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class _Field(Generic[T]):
     """One name of a declaration.
 
     Attributes:
-        name: What it is called.
-        slot: Its place in the memory.
-        meaning: What it is, in words.
+        name: Its name.
+        slot: Its index in the memory.
+        meaning: Its description.
     """
 
     name: str
@@ -80,7 +80,7 @@ class _Field(Generic[T]):
         raise AttributeError(f"{self.name} cannot be set; it was given when the workspace was made")
 
     def layout(self) -> tuple[Any, ...]:
-        """What compiled code depends on."""
+        """The part of the declaration on which compiled code depends."""
         return (self.name, type(self).__name__)
 
 
@@ -150,7 +150,7 @@ class _Array(_Field[NDArray[Any]]):
         return work.whole(self) if whole is None else whole
 
     def _in_use(self, work: Workspace) -> NDArray[Any]:
-        """Return what the counts say is in use."""
+        """Return the part that is in use according to the counts."""
         shape = tuple(dim if isinstance(dim, int) else getattr(work, dim) for dim in self.dims)
         return work.whole(self).ravel()[: math.prod(shape)].reshape(shape)
 
@@ -159,27 +159,27 @@ class _Array(_Field[NDArray[Any]]):
 
 
 def size(meaning: str) -> _Size:
-    """Declare a length that is given when the workspace is made; see `Workspace.enlarge`."""
+    """Declare a length that is given when the workspace is created; see `Workspace.enlarge`."""
     return _Size(meaning)
 
 
 def count(limit: str, meaning: str) -> _Count:
-    """Declare a length that changes, at most the size `limit`; zero at first."""
+    """Declare a variable length of at most the size `limit`; initially zero."""
     return _Count(limit, meaning)
 
 
 def real(meaning: str) -> _Real:
-    """Declare a number; zero at first."""
+    """Declare a number; initially zero."""
     return _Real(meaning)
 
 
 def integer(meaning: str) -> _Integer:
-    """Declare an integer; zero at first."""
+    """Declare an integer; initially zero."""
     return _Integer(meaning)
 
 
 def flag(meaning: str) -> _Flag:
-    """Declare a truth value; false at first."""
+    """Declare a truth value; initially false."""
     return _Flag(meaning)
 
 
@@ -188,10 +188,10 @@ def reals(*dims: str | int, meaning: str, order: str = "C", given: bool = False)
 
     Args:
         *dims: Its shape: sizes or counts by name, or integers. With counts it has room for their limits, and
-            what is in use stands at its front, contiguous.
-        meaning: What it is.
-        order: "C", or "F" for columns one after the other.
-        given: Whether it is the memory of another and has to be handed over.
+            the part in use is at its front, contiguous.
+        meaning: Its description.
+        order: "C", or "F" for column-major order.
+        given: Whether its memory is given when the workspace is created.
     """
     return _Array(float, dims, order, given, meaning)
 
@@ -204,13 +204,13 @@ def integers(*dims: str | int, meaning: str, given: bool = False) -> _Array:
 class Workspace(array.array):
     """The memory that a declaration describes; see the module.
 
-    It is an array of the slots, for numba tells the classes of such buffers apart without a call into Python
-    (but not those of bytearrays, of which it knows only the first that it has met).
+    It is an array of the slots: numba distinguishes the classes of such buffers without a call into Python,
+    but not those of bytearrays, of which it knows only the first class that it has seen.
 
     Args:
         sizes: The value of each size.
-        arrays: Arrays to use as they are, checked against the declaration; every `given` one has to be here.
-            Others are made, and zero.
+        arrays: Arrays to use, checked against the declaration; every `given` one is required. Others are
+            allocated, and zero.
 
     Raises:
         ValueError: A size or given array that is missing, an unknown name, an array of another shape, type or
@@ -257,7 +257,7 @@ class Workspace(array.array):
         self.integers[plan.slots] = self._made.__array_interface__["data"][0] + plan.offsets
 
     def whole(self, field: _Array) -> NDArray[Any]:
-        """Return an array with all its room."""
+        """Return an array with its full length."""
         array = self.arrays.get(field.name)
         if array is None:
             place, shape = self._places[field.name]
@@ -266,9 +266,9 @@ class Workspace(array.array):
         return array
 
     def enlarge(self, sizes: Mapping[str, int]) -> None:
-        """Make some sizes larger, keeping all values; sizes that counts are bounded by, of arrays made here.
+        """Increase some sizes and keep all values; only sizes that limit counts, of allocated arrays.
 
-        What is in use of such an array stands at its front, by the counts. Arrays taken before do not follow.
+        The part of an array in use is at its front, by the counts. Views taken before are not updated.
         """
         grown = {name: value for name, value in sizes.items() if value > getattr(self, name)}
         for field, dims in self._declared:
@@ -285,7 +285,7 @@ class Workspace(array.array):
         self.used.clear()
 
     def copied_values(self, but: Collection[str] = ()) -> dict[str, Any]:
-        """Return copies of the values by the names of their fields, without the sizes and some fields."""
+        """Return copies of the values by field name, without the sizes and some fields."""
         return {
             name: self.whole(field).copy() if isinstance(field, _Array) else int(self.integers[field.slot])
             for name, field in self.fields.items()
@@ -293,7 +293,7 @@ class Workspace(array.array):
         }
 
     def set_values(self, values: Mapping[str, Any]) -> None:
-        """Set fields to what `copied_values` of a workspace of the same sizes has returned."""
+        """Set fields to the result of `copied_values` of a workspace of the same sizes."""
         for name, value in values.items():
             field = self.fields[name]
             if isinstance(field, _Array):
@@ -321,14 +321,14 @@ class Workspace(array.array):
 
 
 class _Plan(NamedTuple):
-    """Where the arrays of a workspace stand.
+    """The layout of the arrays of a workspace.
 
     Attributes:
         sizes: Slot and value of each size.
-        handed: The arrays that are handed over, and their shapes.
-        places: Of the arrays that are made: where in the room for all of them, and shape.
-        room: How many numbers they take in all.
-        slots, offsets: Where the addresses of these go, and bytes from the start of the room.
+        handed: The given arrays, and their shapes.
+        places: For allocated arrays: position in the common memory, and shape.
+        room: Number of values of all of them.
+        slots, offsets: Slots of their addresses, and bytes from the start of the memory.
     """
 
     sizes: list[tuple[int, int]]
@@ -341,7 +341,7 @@ class _Plan(NamedTuple):
 
 @functools.lru_cache(maxsize=128)
 def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], handed: tuple[str, ...]) -> _Plan:
-    """Return where arrays stand for these sizes, with the arrays that are handed over by name."""
+    """Return the layout for these sizes, with the given arrays by name."""
     fields, values = kind.fields, dict(sizes)
     declared = [name for name, field in fields.items() if type(field) is _Size]
     if set(values) != set(declared):
@@ -370,7 +370,7 @@ def _plan(kind: type[Workspace], sizes: tuple[tuple[str, int], ...], handed: tup
 
 
 def _check(field: _Array, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Refuse an array that is not as it is declared."""
+    """Raise an error for an array that differs from its declaration."""
     contiguous = array.flags.c_contiguous if field.order == "C" else array.flags.f_contiguous
     if array.shape != shape or array.dtype != field.dtype or not (contiguous and array.flags.aligned):
         raise ValueError(
@@ -385,7 +385,7 @@ def _check(field: _Array, array: NDArray[Any], shape: tuple[int, ...]) -> None:
 class WorkspaceType(types.Type):
     """The numba type of a declaration.
 
-    Its name changes with the declaration and with this module, so that no code in a cache outlives them.
+    Its name changes with the declaration and with this module, so that cached code becomes invalid.
     """
 
     def __init__(self, layout: tuple[tuple[Any, ...], ...]) -> None:

@@ -1,1 +1,1 @@
-"""What kernels of every package use: how they are compiled, and small dense linear algebra."""
+"""Linear algebra and contact problems for kernels of all packages."""

@@ -34,7 +34,7 @@ STEP = 0.99
 
 @inlined
 def scaling(lines, sizes, s, z, beta, v, lam):
-    """Fill Nesterov and Todd's scaling W at (s, z), and λ = W z; return False outside of the cone."""
+    """Fill the Nesterov–Todd scaling W at (s, z), and λ = W z; return False outside of the cone."""
     for i in range(lines):
         if not (s[i] > 0.0 and z[i] > 0.0):
             return False
@@ -157,7 +157,7 @@ def longest_step(lines, sizes, lam, d):
 
 @inlined
 def cholesky(matrix):
-    """Replace a positive definite matrix by its factor; a pivot lost to rounding counts as a large one."""
+    """Replace a positive definite matrix by its factor; a pivot lost to rounding becomes a large one."""
     n = len(matrix)
     whole, column = np.empty(n), np.empty(n)
     largest = 1e-300
@@ -260,14 +260,14 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         h: (m,).
         lines: Number of half-lines.
         sizes: (k,) sizes of the second-order cones.
-        tolerance: Of the gap sᵀz, and of the equations as far as rounding lets them, absolute: scale the
+        tolerance: Of the gap sᵀz, and of the equations as far as rounding allows, absolute: scale the
             problem to order one.
         x: (n,) takes the solution.
         s: (m,) takes h − G x.
         z: (m,) takes the multipliers, with P x + Gᵀz + c = 0.
 
     Returns:
-        The larger of the gap and of what the equations miss by; above the tolerance where it goes no further.
+        The larger of the gap and the residual of the equations; above the tolerance if the iteration stopped.
     """
     m, n = G.shape
     degree = lines + len(sizes)

@@ -8,9 +8,9 @@ u are velocities and f impulses, or u accelerations and f forces. A contact that
 the direction of its slip, whatever u_t. With De Saxcé's s = μ|u_t| this is a cone complementarity problem,
 f in K and u + s n in its dual cone; where a contact slides K is a half-line and s = μ σ·u_t.
 
-The alternating direction method of multipliers comes near a solution (J. Carpentier, Q. Le Lidec,
-L. Montaut, From compliant to rigid contact simulation, RSS 2024), and Newton's method on what is open, sticks
-and slips then goes to rounding.
+The alternating direction method of multipliers approaches a solution (J. Carpentier, Q. Le Lidec, L. Montaut,
+From compliant to rigid contact simulation, RSS 2024), and Newton's method on the open, sticking and sliding
+contacts then converges to rounding.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
 
 @inlined
 def into_cone(x, b, mu, least, directions, slides):
-    """Take the force at b, b + 1, b + 2 of x to the nearest of its cone, or half-line, from `least` on."""
+    """Project the force at b, b + 1, b + 2 of x onto its cone, or half-line, from `least` on."""
     k = b // 3
     if slides:
         s1, s2 = directions[k, 0], directions[k, 1]
@@ -93,21 +93,21 @@ def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
 @declared(*SYSTEM, result=float)
 @external
 def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Fill x with forces that obey the law, from those that it has.
+    """Fill x with forces that satisfy the law, starting from its values.
 
     Args:
         delassus: (3 nc + ns, 3 nc + ns) W of nc contacts (t₁, t₂, n), then of ns scalar rows.
         free: (3 nc + ns,) u without forces.
-        velocity: (nc, 2) of contacts that slide, whose friction is along it; zero for what may stick.
+        velocity: (nc, 2) of sliding contacts, whose friction is along it; zero for contacts that can stick.
         mu: (nc,) coefficients of friction.
         least: (nc,) l ≥ 0, least normal forces.
         held: (nc,) contacts without bounds.
-        lower: (ns,) least scalar forces, infinite where there is no bound.
-        upper: (ns,) largest scalar forces, likewise.
-        x: (3 nc + ns,) where to begin, unless none at all are nearer to the law; takes the forces.
+        lower: (ns,) lower bounds of scalar forces, infinite for none.
+        upper: (ns,) upper bounds of scalar forces, likewise.
+        x: (3 nc + ns,) the start, unless zero forces have a smaller residual; takes the forces.
 
     Returns:
-        How far they are from the law, in parts of u_free; more than `USABLE` where none are found.
+        The residual of the law, relative to u_free; more than `USABLE` if no forces are found.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
@@ -203,11 +203,12 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
 @declared(*SYSTEM, FLOATS)
 @external
 def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, compliance):
-    """Fill x as `solve_coulomb` does, of several solutions with the limit of small compliances. (11.5)
+    """Fill x as `solve_coulomb` does; of several solutions with the limit of small compliances. (11.12)
 
-    With W + ε C for W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's method
-    goes to the nearest solution. Other arguments and what is returned are as there; x should begin as
-    symmetric as the problem is. C is diagonal, `compliance` (nc,) for each contact's rows, up to a factor.
+    With W + ε C instead of W solutions are isolated. Two of them are extrapolated to ε = 0, where Newton's
+    method converges to the nearest solution. Other arguments and the result are as in `solve_coulomb`; x
+    should have the symmetry of the problem. C is diagonal, `compliance` (nc,) for each contact's rows, up to
+    a factor.
     """
     nc, size = len(mu), len(free)
     stiffest = softest = 0.0
@@ -229,7 +230,7 @@ def solve_compliant(delassus, free, velocity, mu, least, held, lower, upper, x, 
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @external
 def residual(delassus, free, velocity, mu, least, held, lower, upper, x, accelerations, scale_a, scale_f):
-    """Return how far forces are from Coulomb's law, in parts of the scales: complementarity row by row."""
+    """Return the residual of Coulomb's law, relative to the scales: complementarity row by row."""
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
     apply(delassus, x, accelerations)
@@ -277,8 +278,8 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
     Args:
         delassus: (m, m) of the rows, three for each contact first.
         free: (m,) accelerations without forces.
-        contacts: How many.
-        d: (m,) takes what makes the diagonal one.
+        contacts: Number of contacts.
+        d: (m,) takes the factors that make the diagonal one.
         scale_a: (m,) takes factors of accelerations.
         scale_f: (m,) takes units of forces.
     """
@@ -304,7 +305,7 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS)
 @external
 def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Take forces x to rounding by Newton's method on what they say is active; return the residual."""
+    """Refine forces x to rounding by Newton's method on their active set; return the residual."""
     worst = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     if not 0.0 < worst < math.inf:
         return worst
@@ -319,9 +320,9 @@ def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, sc
 def polish(
     delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed
 ):
-    """Newton's method on the equations of what is open, sticks and slips now; keeps what it improves.
+    """Newton's method on the equations of the present active set; improvements are kept.
 
-    In the first iteration contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1
+    In the first iteration `closed` has the contacts that are closed (1; those at rest stick) or open (0); −1
     leaves that to the forces.
     """
     nc, ns = len(mu), len(lower)
@@ -359,7 +360,8 @@ def linearize(
 ):
     """Fill the equations of a step of Newton's method from forces x, whose accelerations are `a_now`.
 
-    Contacts are closed (1; those at rest stick) or open (0) as `closed` has it; −1 leaves that to the forces.
+    `closed` has the contacts that are closed (1; those at rest stick) or open (0); −1 leaves that to the
+    forces.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns

@@ -17,7 +17,7 @@ def solve(system, target, solution, rank):
     """Solve by elimination with complete pivoting.
 
     Returns:
-        The sign of the determinant, zero where its pivots are not above the part `rank` of the largest.
+        The sign of the determinant, zero if a pivot is not above the part `rank` of the largest one.
     """
     size = len(target)
     matrix = system.copy()

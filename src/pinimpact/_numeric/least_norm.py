@@ -1,7 +1,7 @@
 """The solution of least norm of a small dense system, square or not, regular or not.
 
-A complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections: columns are pivoted,
-what is left of them below a part of the first pivot is zero, and x = Π Z [T⁻¹(Qᵀb); 0]. (G. Golub,
+A complete orthogonal decomposition A Π = Q [T 0; 0 0] Zᵀ by Householder reflections with column pivoting:
+remaining columns below a part of the first pivot are taken as zero, and x = Π Z [T⁻¹(Qᵀb); 0]. (G. Golub,
 C. Van Loan, Matrix Computations, 4th edition, section 5.4.7)
 """
 
@@ -20,7 +20,7 @@ from .loops import assign
 def columns_times(r, k, first, column, out):
     """Fill out[j], from a first j on, with the products of columns j and `column` of r from row k on.
 
-    With `column` below zero, of each column and itself. Four at a time, so that no sum waits for another.
+    With `column` below zero, of each column and itself. Four at a time, so that the sums are independent.
     """
     m, n = r.shape
     j = first
@@ -52,9 +52,9 @@ def decompose(matrix, rights, rank_tolerance, order, factor):
     Args:
         matrix: A; takes T above the diagonal of the rank, and beside it the vectors of Z.
         rights: Right-hand sides b.
-        rank_tolerance: Part of the largest pivot below which pivots count as zero.
+        rank_tolerance: Part of the largest pivot below which a pivot is taken as zero.
         order: (n,) takes the columns Π.
-        factor: (min(m, n),) takes what else Z needs.
+        factor: (min(m, n),) takes the other data of Z.
 
     Returns:
         The rank.
@@ -167,12 +167,12 @@ def least_norm(matrix, right, rank_tolerance, x, null):
     """Fill x (n,) with the least-squares solution of matrix x = right that has the least norm.
 
     Args:
-        matrix: (m, n) A, which is left as it is.
+        matrix: (m, n) A, not changed.
         right: (m,) b.
-        rank_tolerance: Part of the largest pivot below which pivots count as zero.
+        rank_tolerance: Part of the largest pivot below which a pivot is taken as zero.
         x: (n,) takes the solution.
-        null: (k, n) takes, in its first n − rank rows as far as it has them, an orthonormal basis of what A
-            takes to zero.
+        null: (k, n) takes, in its first n − rank rows as far as it has them, an orthonormal basis of the null
+            space of A.
 
     Returns:
         The rank.

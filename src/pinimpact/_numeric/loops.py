@@ -1,4 +1,4 @@
-"""Loops in place of what NumPy does in one line, which takes numba up to a second for each kind of array."""
+"""Loops instead of NumPy's functions, which numba compiles in up to a second for each kind of array."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def flags(n, value):
 
 @inlined
 def nonzero(marks):
-    """Return where an array (n,) of integers is not zero."""
+    """Return the indices of nonzero elements of an array (n,) of integers."""
     total = 0
     for i in range(len(marks)):
         if marks[i] != 0:

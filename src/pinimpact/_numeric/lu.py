@@ -1,4 +1,4 @@
-"""Square linear systems that are solved again and again: factored once, with partial pivoting."""
+"""Square linear systems for several right-hand sides: factored once, with partial pivoting."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-"""Coulomb's law where there are more rows than velocities: Newton's method in the velocities. (theory.md, 16)
+"""Coulomb's law with more rows than velocities: Newton's method in the velocities. (theory.md, 16)
 
-Of the impulses f of one iteration the next ones are
+From the impulses f of one iteration the next ones are
 
     f⁺ = P(f − (u + s n)/r),   u = u_free + J w,   M w = Jᵀ f⁺,                                         (16.3)
 
 P the projection onto the cones of the contacts and the bounds of the scalar rows, s = μ|u_t|, r > 0 a
-compliance for each contact or row. Where they no longer change they obey the law, whatever r: this is the
-proximal point method (R. T. Rockafellar, SIAM J. Control Optim. 14, 1976). With s given, w is where a convex
-function is least. Newton's method with a line search finds it in a few steps, for M + Jᵀ (∂P/r) J is definite
-whatever the rank of J. The matrix has the size of w, and zeros where bodies do not touch.
+compliance for each contact or row. A fixed point satisfies the law, whatever r: this is the proximal point
+method (R. T. Rockafellar, SIAM J. Control Optim. 14, 1976). For given s, w is the minimum of a convex
+function. Newton's method with a line search finds it in a few steps, since M + Jᵀ (∂P/r) J is definite
+whatever the rank of J. The matrix has the size of w, and zeros for bodies that do not touch.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def extrapolate(u, mu, iteration, shift, last, gain):
         mu: (nc,) coefficients of friction.
         iteration: Its number.
         shift: (nc,) s.
-        last: (nc,) μ|u_t| an iteration before; takes the present one.
-        gain: (nc,) by how much that was off its s; takes the present one.
+        last: (nc,) μ|u_t| of the previous iteration; takes the present one.
+        gain: (nc,) its difference from s; takes the present one.
     """
     along = across = 0.0
     for i in range(len(mu)):
@@ -207,9 +207,9 @@ def fill_system(mass, start, values, mu, lower, upper, r, u, shift, before, colu
 
 @external
 def solve_profile(system, last, x):
-    """Replace x by the solution of a definite system, and that by its factor U; row a is zero beyond last[a].
+    """Replace x by the solution of a definite system, the matrix by its factor U; row a ends at last[a].
 
-    Only the upper triangle counts.
+    Only the upper triangle is used.
     """
     m = len(x)
     for k in range(m):
@@ -236,7 +236,7 @@ def solve_profile(system, last, x):
 def balance(
     mass, start, values, free, mu, lower, upper, r, columns, counts, before, w, shift, u, f, momentum, out
 ):
-    """Fill u, f⁺, M w and M w − Jᵀ f⁺; return how large the last is, in parts."""
+    """Fill u, f⁺, M w and M w − Jᵀ f⁺; return the relative size of the last."""
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
@@ -259,10 +259,10 @@ def balance(
 
 @external
 def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvature):
-    """Return the part of a step after which the convex function is least, one at most.
+    """Return the length of a step, at most one, that minimizes the convex function.
 
     u (n,) changes by du over the whole step d; `slope` is dᵀM w at its start, `curvature` dᵀM d. f (n,) are
-    the impulses at the start, and will be those at the end.
+    the impulses at the start, and take those at the end.
     """
     trial = np.empty(len(u))
     start = slope - dot(du, f)
@@ -287,7 +287,7 @@ def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvatur
 
 @external
 def find_profile(mass, columns, counts, start, last):
-    """Fill where the rows of M begin (m,), and where those of M + JᵀJ end once it is factorized (m,)."""
+    """Fill the first columns of the rows of M (m,), and the last ones of the factor of M + JᵀJ (m,)."""
     m = len(mass)
     for a in range(m):
         start[a], last[a] = a, a
@@ -307,7 +307,7 @@ def find_profile(mass, columns, counts, start, last):
 
 @external
 def fill_compliances(inverse, values, columns, counts, compliance, proximal, diagonal, given):
-    """Fill the diagonal (n,) of W, of each contact the largest, and the r (n,) of (16.3)."""
+    """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
@@ -345,30 +345,30 @@ def solve_velocities(
     w,
     x,
 ):
-    """Fill x with impulses that obey the law.
+    """Fill x with impulses that satisfy the law.
 
     Args:
         mass: (m, m) M.
         inverse: (m, m) its inverse.
-        values: (n, …) J of nc contacts, three rows (t₁, t₂, n) each, then of ns scalar rows: what is not zero
-            of each row, the same columns for all rows of a contact.
-        columns: (n, …) where that stands, in ascending order.
-        counts: (n,) how much there is.
+        values: (n, …) J of nc contacts, three rows (t₁, t₂, n) each, then of ns scalar rows: the nonzero
+            entries of each row, with the same columns for all rows of a contact.
+        columns: (n, …) their columns, in ascending order.
+        counts: (n,) their numbers.
         free: (n,) u without impulses.
         mu: (nc,) coefficients of friction.
-        lower: (ns,) least scalar impulses.
-        upper: (ns,) largest scalar impulses.
+        lower: (ns,) lower bounds of scalar impulses.
+        upper: (ns,) upper bounds of scalar impulses.
         compliance: (nc,) of the contacts, up to a factor.
-        proximal: The largest r, in parts of the largest of W, see `PROXIMAL`.
-        accuracy: Part of u_free that f⁺ − f may change velocities by at the end; see `ACCURATE`.
-        begin: (m,) change of the velocities with which to begin; takes that of the first iteration, with
-            which a problem that is nearly the same begins best.
+        proximal: The largest r, relative to the largest of W, see `PROXIMAL`.
+        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `ACCURATE`.
+        begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
+            start for a nearly equal problem.
         w: (m,) takes the change by the impulses.
-        x: (n,) takes the impulses. Where several obey the law they are nearly those of least norm in the
+        x: (n,) takes the impulses. If several satisfy the law they are nearly those of least norm in the
             metric of the compliances.
 
     Returns:
-        How far they are from the law, in parts of u_free; infinite where the iteration has diverged.
+        The residual of the law, relative to u_free; infinite if the iteration has diverged.
     """
     n, m, nc = len(free), len(mass), len(mu)
     start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Symmetric positive semidefinite matrices: their rank, and systems of such."""
+"""Symmetric positive semidefinite matrices: rank and linear systems."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def factor(matrix, order, lower):
 @declared(FLOAT_ROWS, FLOATS, FLOATS)
 @external
 def solve_definite(matrix, target, solution):
-    """Solve a system whose matrix is positive semidefinite, as `elimination.solve` does in twice the time.
+    """Solve a system with a positive semidefinite matrix, in half the time of `elimination.solve`.
 
     Returns:
         Whether it is definite; there is no solution otherwise.

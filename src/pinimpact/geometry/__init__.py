@@ -1,1 +1,1 @@
-"""Shapes: surfaces, convex shapes, their gap and the time at which they touch. Knows nothing of robots."""
+"""Shapes: surfaces, convex shapes, their gap and time of contact. Independent of robots."""

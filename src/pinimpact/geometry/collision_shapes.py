@@ -1,8 +1,8 @@
-"""Collision shapes of a robot: by name, and as the points, spheres and rims that can touch a plane.
+"""Collision shapes of a robot: by name, and as points, spheres and rims that can touch a plane.
 
-Of a convex shape only its extreme points can touch a plane: the corners of a box, the vertices of the hull of
+Only the extreme points of a convex shape can touch a plane: the corners of a box, the vertices of the hull of
 a mesh, the spheres at the two ends of a capsule, the two rims of a cylinder. So a mesh and its convex hull
-meet a plane alike.
+touch a plane in the same way.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 
 
 class ShapeTips(NamedTuple):
-    """What of a shape can touch a plane, in the shape's own axes.
+    """The parts of a shape that can touch a plane, in the shape's own axes.
 
     Attributes:
-        kind: What the shape is, in a word.
+        kind: Kind of the shape, in a word.
         centres: (m, 3) [m].
-        radius: Of the sphere about each [m].
+        radius: Radius of the sphere about each [m].
         rims: (m,) radius of the circle about each, 0 for none [m].
-        parts: What each is called; empty for the only one.
+        parts: Names of the parts; empty for a single one.
     """
 
     kind: str
@@ -61,7 +61,7 @@ def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
     """Return a collision shape by name.
 
     Raises:
-        UnknownNameError: No shape bears the name (near matches are offered), or several do.
+        UnknownNameError: No shape has the name (the message suggests similar ones), or several have it.
     """
     found = [shape for shape in shapes.geometryObjects if shape.name == name]
     if len(found) != 1:
@@ -74,7 +74,7 @@ def find_shape(shapes: pin.GeometryModel, name: str) -> pin.GeometryObject:
 
 
 def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
-    """Return the id of the frame that carries a shape: that of its link, else one of its joint.
+    """Return the id of the frame of a shape: that of its link, else one of its joint.
 
     Raises:
         ModelError: Its joint has no frame.
@@ -94,15 +94,15 @@ def shape_frame(model: pin.Model, shape: pin.GeometryObject) -> int:
 
 
 def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points: int | None) -> ShapeTips:
-    """Return what of a shape can touch a plane.
+    """Return the parts of a shape that can touch a plane.
 
     Args:
         shapes: The collision shapes.
         shape: One of them.
-        rim_points: Points that stand for each rim, None for the rim itself.
+        rim_points: Number of points of each rim, None for the rim itself.
 
     Raises:
-        InputError: A shape of a kind that has no such points, or none at all.
+        InputError: A shape of a kind that has no such parts, or none at all.
     """
     solid = shape.geometry
     kind = type(solid).__name__
@@ -132,7 +132,7 @@ def swept_radius(solid: Any) -> float:
 
 
 def check_rim_points(value: Any) -> None:
-    """Refuse what is no number of points for a rim.
+    """Check a number of rim points.
 
     Raises:
         InputError: Neither None nor a whole number of at least 3.
@@ -186,7 +186,7 @@ _MAKERS: dict[str, Callable[[Any], ShapeTips]] = {
 
 
 def _with_points(tips: ShapeTips, count: int) -> ShapeTips:
-    """Return tips with so many points in place of each rim."""
+    """Return tips with a number of points instead of each rim."""
     angles = 2.0 * np.pi * np.arange(count) / count
     circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
     centres, parts = [], []
@@ -208,14 +208,14 @@ _hulls: Remembered = {}
 def remembered(
     memory: Remembered, shapes: pin.GeometryModel, name: str, points: Array, make: Callable[[], Any]
 ) -> Any:
-    """Return what is made of the vertices of a shape, remembered as long as its model lives.
+    """Return an object computed from the vertices of a shape, cached as long as its model exists.
 
     Args:
-        memory: Where.
+        memory: The cache.
         shapes: The collision shapes.
-        name: Of one of them.
-        points: (m, 3) its vertices now; where they have changed it is remade.
-        make: Makes it.
+        name: Name of one of them.
+        points: (m, 3) its vertices now; if they have changed the object is recomputed.
+        make: Computes it.
     """
     key = id(shapes)
     known = memory.get(key)
@@ -236,7 +236,7 @@ def _known_hull(shapes: pin.GeometryModel, shape: pin.GeometryObject, vertices: 
 
 
 def extreme_points(points: Array, name: str) -> Array:
-    """Return those of (n, 3) points that are corners of their convex hull, which may be flat, in their order.
+    """Return the corners of the convex hull, which may be flat, of (n, 3) points, in their order.
 
     Raises:
         ModelError: No points, or some that are not finite.
@@ -267,7 +267,7 @@ def shapes_of_links(
     """Return the collision shapes of links, given by the names of their frames, or of "all".
 
     Raises:
-        UnknownNameError: A link that has none; near matches are offered.
+        UnknownNameError: A link that has none; the message suggests similar names.
     """
     found = [(model.frames[shape_frame(model, shape)].name, shape) for shape in shapes.geometryObjects]
     if isinstance(links, str) and links == "all":

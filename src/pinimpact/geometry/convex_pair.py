@@ -1,6 +1,6 @@
-"""Two convex shapes at an instant: their gap and its normal, and where they touch.
+"""Two convex shapes at an instant: their gap, its normal, and their contact points.
 
-The first shape A meets the second, B: the normal points from B to A, as from a surface into free space.
+The first shape is A, the second B: the normal points from B to A, as from a surface into free space.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ PARALLEL = 1e-9
 
 
 class Gap(NamedTuple):
-    """How far two shapes are apart.
+    """The gap of two shapes.
 
     Attributes:
-        value: The gap [m], negative where they overlap.
-        normal: (3,) unit vector along which they are apart, from B to A, in world axes.
+        value: The gap [m], negative if they overlap.
+        normal: (3,) unit vector of the separation, from B to A, in world axes.
     """
 
     value: float
@@ -51,14 +51,14 @@ class Gap(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """A point in which two shapes touch, an elementary contact.
+    """A contact point of two shapes, an elementary contact.
 
     Attributes:
         kind: ``"vertex-face"`` (a vertex of A on a face of B), ``"face-vertex"``, ``"edge-edge"``,
             ``"vertex-edge"``, ``"edge-vertex"`` or ``"vertex-vertex"``, of the cores.
-        point: (3,) of A's core, in world axes; where that is a face, B's point on it.
+        point: (3,) of A's core, in world axes; for a face, B's point on it.
         other: (3,) of B's core.
-        features: Numbers of A's vertex, edge or face and of B's; an edge's is of its row in `edges`.
+        features: Numbers of A's vertex, edge or face and of B's; an edge's is its row in `edges`.
     """
 
     kind: str
@@ -68,16 +68,16 @@ class Touch(NamedTuple):
 
 
 def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
-    """Return the gap of two shapes, or where it is not small a little less.
+    """Return the gap of two shapes, or a lower bound of it if it is not small.
 
-    To rounding up to `CLOSE` of their size; beyond, less than the distance by at most what coal may err,
-    which makes boxes larger by 1e-10. Cores that are that close and have no radius around them are
-    apart by at least the gap, see `separation`.
+    To rounding up to `CLOSE` of their size; beyond, less than the distance by at most coal's error, which
+    makes boxes larger by 1e-10. Cores that are that close and have no radius around them are apart by at
+    least the gap, see `separation`.
 
     Args:
         a: The one shape.
         b: The other.
-        near: (3,) a direction along which they were apart a short time ago, if known.
+        near: (3,) a recent direction of separation, if known.
     """
     size = a.shape.reach + b.shape.reach
     radius = a.shape.radius + b.shape.radius
@@ -95,7 +95,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
 
 
 def _gjk(a: PlacedShape, b: PlacedShape) -> tuple[float, Array]:
-    """Return distance and normal as coal finds them: 0 or less where the shapes overlap."""
+    """Return distance and normal computed by coal: 0 or less if the shapes overlap."""
     import coal
 
     request = coal.DistanceRequest()
@@ -114,16 +114,16 @@ def _gjk(a: PlacedShape, b: PlacedShape) -> tuple[float, Array]:
 
 
 def separation(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
-    """Return how far the cores are apart along the best of the directions that faces and edges give.
+    """Return the separation of the cores along the best of the directions of faces and edges.
 
-    It is above zero exactly where the cores are apart, and then at most their distance; below, how deep they
-    overlap. Where two directions are as good, faces of B count before faces of A before pairs of edges.
+    It is positive if and only if the cores are apart, and then at most their distance; if negative, it is the
+    depth of their overlap. Of equal directions, faces of B precede faces of A, and these pairs of edges.
 
     Args:
         a: The one shape.
         b: The other.
-        near: (3,) a direction along which they are nearly apart, so that only faces and edges there count;
-            None for all.
+        near: (3,) a direction along which they are nearly apart, so that only faces and edges there are
+            tried; None for all.
     """
     size = a.shape.reach + b.shape.reach
     best, normal = -math.inf, np.array([0.0, 0.0, 1.0])
@@ -141,12 +141,12 @@ def separation(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap
 
 
 class Turning(NamedTuple):
-    """A direction along which two cores are apart, and what it turns with.
+    """A separating direction of two cores, and the features that it follows.
 
     Attributes:
-        value: By how much [m].
+        value: The separation [m].
         normal: (3,) from B to A.
-        edges: (2, 3) directions of an edge of each that it is at right angles to; None for that of a face.
+        edges: (2, 3) directions of the edges to which it is perpendicular; None for that of a face.
         of_a: Whether it is the normal of a face of A, else of B.
     """
 
@@ -157,7 +157,7 @@ class Turning(NamedTuple):
 
 
 def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
-    """Return the separations along all directions that are as good as the best where the cores touch.
+    """Return the separations along all directions that are as good as the best, for cores in contact.
 
     Args:
         a: The one shape.
@@ -178,7 +178,7 @@ def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
 
 
 def _crossed(a: PlacedShape, b: PlacedShape, near: Array | None) -> tuple[Array, Array, Array]:
-    """Return the (k, 3) directions at right angles to an edge of each, both ways, and the edges."""
+    """Return the (k, 3) directions perpendicular to an edge of each, both ways, and the edges."""
     u = a.directions if near is None else _edges_near(a, near)
     w = b.directions if near is None else _edges_near(b, -near)
     u, w = np.repeat(u, len(w), axis=0), np.tile(w, (len(u), 1))
@@ -192,7 +192,7 @@ def _crossed(a: PlacedShape, b: PlacedShape, near: Array | None) -> tuple[Array,
 
 
 def _edges_near(shape: PlacedShape, normal: Array) -> Array:
-    """Return the (k, 3) directions of the edges that begin or end foremost against a normal."""
+    """Return the (k, 3) directions of the edges with an extreme end against a normal."""
     if len(shape.shape.edges) <= 12:
         return shape.directions
     foremost = _foremost(shape, normal, LOCAL)
@@ -202,13 +202,13 @@ def _edges_near(shape: PlacedShape, normal: Array) -> Array:
 
 
 def _foremost(shape: PlacedShape, normal: Array, part: float) -> NDArray[np.bool_]:
-    """Return which vertices are foremost against a normal, to a part of the shape's size."""
+    """Return which vertices are extreme against a normal, to a part of the shape's size."""
     depth = shape.vertices @ normal
     return np.asarray(depth <= depth.min() + part * shape.shape.reach)
 
 
 def _between_cores(a: PlacedShape, b: PlacedShape, normal: Array) -> Gap | None:
-    """Return the distance of the cores from the features nearest along a normal; None where it vanishes."""
+    """Return the distance of the cores from their closest features along a normal; None if it is zero."""
     touches = nearest_features(a, b, normal, LOCAL)
     if not touches:
         return None
@@ -223,8 +223,8 @@ def _between_cores(a: PlacedShape, b: PlacedShape, normal: Array) -> Gap | None:
 def nearest_features(a: PlacedShape, b: PlacedShape, normal: Array, part: float) -> list[Touch]:
     """Return the pairs of features of the cores that face each other along a normal, with their points.
 
-    Only features count of which every corner is foremost along the normal, to a part of the shape's size, and
-    only pairs of which the nearest points lie within both.
+    Only features whose corners are all extreme along the normal, to a part of the shape's size, and only
+    pairs whose closest points lie within both.
     """
     mask_a, mask_b = _foremost(a, normal, part), _foremost(b, -normal, part)
     slack = 1e-12 * (a.shape.reach + b.shape.reach)
@@ -264,7 +264,7 @@ def nearest_features(a: PlacedShape, b: PlacedShape, normal: Array, part: float)
 
 
 def within_face(shape: PlacedShape, k: int, point: Array, slack: float) -> bool:
-    """Return whether a point lies above a face, not beyond its sides by more than a slack [m]."""
+    """Return whether a point lies above a face, within its sides to a tolerance [m]."""
     return beyond_sides(shape, k, point) <= slack
 
 
@@ -278,12 +278,12 @@ def beyond_sides(shape: PlacedShape, k: int, point: Array) -> float:
 
 
 class Followed(NamedTuple):
-    """A pair of features later on.
+    """A pair of features at a later time.
 
     Attributes:
         touch: The pair, with its points now.
         normal: (3,) from B to A.
-        beyond: How far the nearest points are beyond the ends or sides of the features [m], negative within.
+        beyond: Distance of the closest points beyond the ends or sides of the features [m], negative within.
     """
 
     touch: Touch
@@ -292,13 +292,13 @@ class Followed(NamedTuple):
 
 
 def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Followed:
-    """Return a pair of features where they are now, taken without their ends.
+    """Return a pair of features at the present placements, extended beyond their ends.
 
     Args:
         touch: The pair.
         a: The one shape.
         b: The other.
-        normal: (3,) the normal a short time ago.
+        normal: (3,) a recent normal.
     """
     i, j = touch.features
     if touch.kind == "vertex-face":
@@ -344,7 +344,7 @@ def _beyond(part: float, along: Array) -> float:
 
 
 def _foot_on_line(point: Array, segment: Array) -> tuple[Array, float]:
-    """Return the foot of a point on the line of a segment (2, 3), and how far it is beyond the ends."""
+    """Return the projection of a point on the line of a segment (2, 3), and its distance beyond the ends."""
     along = segment[1] - segment[0]
     s = float((point - segment[0]) @ along) / float(along @ along)
     return segment[0] + s * along, _beyond(s, along)
@@ -365,7 +365,7 @@ def corners_of(touch: Touch, a: PlacedShape, b: PlacedShape) -> tuple[Integers, 
 
 
 def _crossing(first: Array, second: Array) -> tuple[Array, Array] | None:
-    """Return the nearest points of two segments (2, 3) where both lie within, else None."""
+    """Return the closest points of two segments (2, 3) if both lie within, else None."""
     u, w = first[1] - first[0], second[1] - second[0]
     across = cross(u, w)
     squared = float(across @ across)
@@ -380,24 +380,24 @@ def _crossing(first: Array, second: Array) -> tuple[Array, Array] | None:
 
 
 def _foot(point: Array, segment: Array) -> Array | None:
-    """Return the foot of a point on a segment (2, 3) where it lies within, else None."""
+    """Return the projection of a point on a segment (2, 3) if it lies within, else None."""
     along = segment[1] - segment[0]
     s = float((point - segment[0]) @ along) / float(along @ along)
     return segment[0] + s * along if 0.0 < s < 1.0 else None
 
 
 def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> list[Touch]:
-    """Return the points in which two shapes touch, of which the gap along a normal is next to nothing.
+    """Return the contact points of two shapes with a gap of about zero along a normal.
 
-    Where faces, or a face and an edge, lie on each other these are the corners of what they share: corners of
-    the one within the other, and crossings of their edges. Points that coincide count once, and a pair of
-    features of more corners before one of fewer.
+    For faces, or a face and an edge, that lie on each other these are the corners of their intersection:
+    corners of one within the other, and crossings of their edges. Coincident points are returned once, and a
+    pair of features with more corners precedes one with fewer.
 
     Args:
         a: The one shape.
         b: The other.
         normal: (3,) the normal, from B to A.
-        tolerance: By which features that touch may be behind the foremost ones [m].
+        tolerance: Distance by which features in contact may be behind the extreme ones [m].
     """
     size = a.shape.reach + b.shape.reach
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))

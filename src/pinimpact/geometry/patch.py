@@ -1,8 +1,8 @@
-"""The patch in which two convex shapes face each other: its corners, each with its own gap.
+"""The contact patch of two convex shapes: its corners, each with its own gap.
 
-Where a face is the reference, the corners are those of the other shape's face, clipped by the sides of the
+With a face as the reference, the corners are those of the other shape's face, clipped by the sides of the
 reference face (Sutherland and Hodgman 1974), and their gaps are heights over its plane: they vary smoothly as
-the faces tilt. Where only edges, points or round shapes are nearest, the points in which they are nearest.
+the faces tilt. For edges, points or round shapes, the closest points.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COINCIDE = 1e-9
 
 
 class Patch(NamedTuple):
-    """Points of two shapes that face each other.
+    """Opposite points of two shapes.
 
     Attributes:
         normal: (3,) from the second shape to the first.
@@ -49,7 +49,7 @@ class Patch(NamedTuple):
 
 
 def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
-    """Return where two shapes are nearer than a distance, None where they are not.
+    """Return the contact patch of two shapes within a distance, None if they are apart.
 
     Args:
         a: The first shape.
@@ -85,14 +85,14 @@ def patch(a: PlacedShape, b: PlacedShape, within: float) -> Patch | None:
 
 
 def _foremost_edge(shape: PlacedShape, direction: Array) -> Array:
-    """Return the ends (2, 3) of the edge that lies farthest along a direction."""
+    """Return the ends (2, 3) of the extreme edge along a direction."""
     heights = shape.vertices @ direction
     edges = shape.shape.edges
     return shape.vertices[edges[int(np.argmax(heights[edges].sum(axis=1)))]]
 
 
 def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the nearest points of two segments, each (2, 3)."""
+    """Return the closest points of two segments, each (2, 3)."""
     u, w, r = first[1] - first[0], second[1] - second[0], first[0] - second[0]
     uu, uw, ww, ur, wr = u @ u, u @ w, w @ w, u @ r, w @ r
     determinant = uu * ww - uw * uw

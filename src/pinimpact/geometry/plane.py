@@ -1,4 +1,4 @@
-"""A plane, in the world or carried by a body."""
+"""A plane, in the world or attached to a body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sphere to strike: a ball or the head of a post, in the world or carried by a body."""
+"""A sphere, in the world or attached to a body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surfaces that contacts meet: what all of them are, and their axes."""
+"""Surfaces of contacts: the base class, and contact axes."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ Vector = tuple[float, float, float]
 
 
 class Surface(ABC):
-    """What a contact meets: a surface in the world or carried by a body.
+    """A surface for contacts, in the world or attached to a body.
 
-    A kind of surface is one class of this, a frozen dataclass, and one kernel module with its signed
-    distance.
-    All vectors are in the axes of what carries the surface.
+    A kind of surface is a subclass, a frozen dataclass, and a kernel module with its signed distance. All
+    vectors are in the axes of the body to which the surface is attached.
 
     Attributes:
-        code: What the kernels know the kind by, see `pinimpact.geometry._kernels.constants`.
-        velocity: Velocity of the surface's material at `origin`, beyond its carrier's [m/s].
-        angular_velocity: Angular velocity of the surface's material, beyond its carrier's [rad/s].
-        body: Frame that carries the surface, by name or id; None for the world.
-        name: How reports call it; None for what it is, or for what carries it.
+        code: Code of the kind in kernels, see `pinimpact.geometry._kernels.constants`.
+        velocity: Velocity of the surface's material at `origin`, relative to its body [m/s].
+        angular_velocity: Angular velocity of the surface's material, relative to its body [rad/s].
+        body: Frame to which the surface is attached, by name or id; None for the world.
+        name: Name in reports; None for that of the kind or of the body.
     """
 
     code: ClassVar[int]
@@ -40,21 +39,21 @@ class Surface(ABC):
     @property
     @abstractmethod
     def origin(self) -> Vector:
-        """The point that the surface's material turns about [m]."""
+        """The centre of rotation of the surface's material [m]."""
 
     @property
     @abstractmethod
     def axes(self) -> NDArray[np.float64]:
-        """(3, 3) axes t₁, t₂, n somewhere on the surface, as rows: a scene's contact axes start from here."""
+        """(3, 3) axes t₁, t₂, n at one point of the surface, as rows: the initial contact axes of a scene."""
 
     @property
     def size(self) -> float:
-        """The number that a kind needs beyond its place and axes; 0 if none."""
+        """The number of a kind beyond its place and axes; 0 if none."""
         return 0.0
 
     @property
     def direction(self) -> Vector:
-        """The unit direction of a surface that is a line; zero of another one."""
+        """The unit direction of a surface that is a line; zero for others."""
         return (0.0, 0.0, 0.0)
 
     @abstractmethod
@@ -63,7 +62,7 @@ class Surface(ABC):
 
     @abstractmethod
     def departure(self) -> str | None:
-        """Return in words how the material leaves the surface's place, or None if it keeps to it."""
+        """Return in words how the material leaves the surface's place, or None if it stays within it."""
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -73,23 +72,23 @@ class Surface(ABC):
 
     @property
     def kind(self) -> str:
-        """What reports call such a surface."""
+        """The name of the kind in reports."""
         return type(self).__name__.lower()
 
     @property
     def label(self) -> str:
-        """The name, or what stands in for it."""
+        """The name, or the default name."""
         if self.name is not None:
             return self.name
         return self.kind if self.body is None else str(self.body)
 
     def at_rest(self) -> Surface:
-        """Return the surface with its material at rest on its carrier."""
+        """Return the surface with its material at rest relative to its body."""
         surface: Any = self  # subclasses are dataclasses
         return cast(Surface, replace(surface, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)))
 
     def _check(self) -> None:
-        """Check the fields that all surfaces have, and keep them as numbers."""
+        """Check the common fields of all surfaces, and store them as numbers."""
         for field in ("velocity", "angular_velocity"):
             object.__setattr__(self, field, vector(field, getattr(self, field)))
         check_frame_key("body", self.body, optional=True)
@@ -120,7 +119,7 @@ def unit_vector(
 
 
 def check_frame_key(field: str, value: object, *, optional: bool = False) -> None:
-    """Refuse what cannot name a frame: a frame is given by name or by id."""
+    """Check that a frame is given by name or by id."""
     if optional and value is None:
         return
     if isinstance(value, bool) or not isinstance(value, (str, int, np.integer)):

@@ -1,4 +1,4 @@
-"""When two convex shapes that move first touch: conservative advancement.
+"""Time of contact of two moving convex shapes: conservative advancement.
 
 With n the normal of their gap at a time t, turned from then on at a constant rate Ω, the gap at t + h is at
 least
@@ -6,15 +6,16 @@ least
     min_a (n·a + h (n·a)˙) − max_b (n·b + h (n·b)˙) − r − ½ h² β
 
 over the vertices a and b of the cores, with r the radius around both. This is concave in h, so its root is a
-time until which nothing touches; there n is recomputed. Ω is such that all vertices that are foremost, those
-of a face or an edge, rise alike: the normal goes with what is about to touch. So as the gap closes each step
-leaves its square, and the last one comes to touch to rounding, from the one side: no touch is missed, however
-short. With α the largest acceleration of a point of the one shape against a point of the other, and v and l
-the largest velocity and distance between such, β = α + 2 |Ω| (v + α h) + Ω² l.
+time before which nothing touches; there n is recomputed. Ω is such that all extreme vertices, those of a face
+or an edge, rise at the same rate: the normal follows the features that are about to touch. As the gap closes
+the remaining gap decreases quadratically from step to step, until the last step reaches contact to rounding,
+from one side: no contact is missed, however short. With α the largest acceleration of a point of one shape
+relative to the other, and v and l the largest relative velocity and distance,
+β = α + 2 |Ω| (v + α h) + Ω² l.
 
-Shapes that part as the force between them fades rise like h³ only, which no such bound sees. So second rates
-at t are taken too, as far as they close the gap, and the third rate of the gap is bounded, by γ h³/6: of both
-bounds the one that reaches farther counts.
+Shapes that separate as their contact force decreases rise like h³ only, which no such bound resolves. So
+second rates at t are used too, as far as they close the gap, and the third rate of the gap is bounded, by γ
+h³/6: of both bounds the one that reaches farther is used.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ class PairState(NamedTuple):
     """Two shapes at a time.
 
     Attributes:
-        a, b: The shapes where they are.
-        velocity_a, velocity_b: (6,) of their bodies' points at the world's origin, linear over angular, in
-            world axes.
+        a, b: The shapes at their placements.
+        velocity_a, velocity_b: (6,) spatial velocities of their bodies at the world's origin, linear over
+            angular, in world axes.
         acceleration_a, acceleration_b: (6,) rates of these, at the same place in space.
     """
 
@@ -58,10 +59,10 @@ class PairState(NamedTuple):
 
 
 class Advance(NamedTuple):
-    """How far two shapes have been followed.
+    """Result of an advancement of two shapes.
 
     Attributes:
-        time: Until when [s].
+        time: Its end [s].
         gap: The gap there [m].
         touches: Whether they touch there, closing.
     """
@@ -72,17 +73,17 @@ class Advance(NamedTuple):
 
 
 class Front(NamedTuple):
-    """What faces each other along a normal, at a time.
+    """The features that face each other along a normal, at a time.
 
     Attributes:
-        heights_a, rates_a: (n,) of the points of the one, and how fast they change.
-        heights_b, rates_b: (m,) of the points of the other.
-        apart: By how much the lowest of the one is above the highest of the other where they touch [m].
+        heights_a, rates_a: (n,) heights of the points of A, and their rates.
+        heights_b, rates_b: (m,) heights of the points of B, and their rates.
+        apart: Height of the lowest point of A above the highest of B in contact [m].
         value: The gap [m].
-        bend: What the second rates do not exceed, for as long as `until` [m/s²].
-        until: For how long [s].
+        bend: Bound of the second rates, until `until` [m/s²].
+        until: Validity of the bounds [s].
         closing_a, closing_b: (n,), (m,) second rates as far as they close the gap, up to a common one [m/s²].
-        third: What the third rate of the gap does not exceed, for as long [m/s³].
+        third: Bound of the third rate of the gap, likewise [m/s³].
     """
 
     heights_a: Array
@@ -101,18 +102,18 @@ class Front(NamedTuple):
 def first_touch(
     at: Callable[[float], PairState], start: float, end: float, bend: float, floor: float
 ) -> Advance | None:
-    """Return where two shapes that are apart first touch until a time; where they do not, `end`.
+    """Return the first contact of two shapes until a time; without contact, the state at `end`.
 
     Args:
         at: Returns the shapes at a time.
-        start: From when to look [s].
-        end: Until when [s].
-        bend: What the acceleration of a point of the one shape against one of the other does not exceed
-            from `start` to `end` [m/s²].
-        floor: A gap below this is none [m].
+        start: Start of the search [s].
+        end: End of the search [s].
+        bend: Bound of the acceleration of a point of one shape relative to the other, from `start` to `end`
+            [m/s²].
+        floor: A gap below this is taken as zero [m].
 
     Returns:
-        None where they neither touch nor part within `MAX_ADVANCES`.
+        None if they neither touch nor separate within `MAX_ADVANCES`.
     """
     near: Array | None = None
     fastest: Fastest | None = None
@@ -149,7 +150,7 @@ FAR = 0.1
 
 
 def _goes_with(state: PairState, value: float, normal: Array) -> Array:
-    """Return the rate (3,) of a normal for which all vertices that are foremost rise alike."""
+    """Return the rate (3,) of a normal for which all extreme vertices rise at the same rate."""
     a, b = state.a, state.b
     size = a.shape.reach + b.shape.reach
     if value >= FAR * size:

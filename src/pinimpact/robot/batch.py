@@ -1,4 +1,4 @@
-"""Many impacts of one robot at once."""
+"""Batches of impacts of one robot."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _INVALID = int(Status.INVALID_NUMBERS)
 
 
 class _Rows:
-    """What was asked: model, (N, nq) q, (N, nv) v, contact, (N,) μ and e, what is held and locked."""
+    """The input: model, (N, nq) q, (N, nv) v, contact, (N,) μ and e, held contacts and locked joints."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Hits:
         return len(self.v)
 
     def __getitem__(self, row: int) -> Hit:
-        """Return the `Hit` of a row, solved again; raise what `impact` raises if there is none."""
+        """Return the `Hit` of a row, solved again; raise the error of `impact` if there is none."""
         try:
             i = range(len(self))[row]
         except (TypeError, IndexError):
@@ -239,7 +239,7 @@ def impacts(
 
 
 def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:
-    """Whether a rim does not lie flat, at a configuration that may be no good."""
+    """Whether a rim does not lie flat, at a configuration that may be invalid."""
     try:
         check_rims(model, data, q, (contact,))
     except InputError:
@@ -250,7 +250,7 @@ def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Conta
 def _solve_by_kernel(
     cache: DataCache, data: pin.Data, rows: _Rows, wanted: int
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Return status and flags (N, 2), v⁺, impulses, and of `wanted` rows what `resolve` has beyond v⁺."""
+    """Return status and flags (N, 2), v⁺, impulses, and for `wanted` rows the other results of `resolve`."""
     model, contact, count = rows.model, rows.contact, len(rows.q)
     after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
     numbers, codes = np.full((wanted, kernel.SIZE), np.nan), np.empty((count, 2), dtype=np.int64)
@@ -283,7 +283,7 @@ def _solve_by_kernel(
 
 
 def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
-    """Return the solutions for what `robot_impact` has written, works included, and surface velocities."""
+    """Return the solutions for the results of `robot_impact`, with work, and surface velocities."""
     upper = numbers[:, kernel.DELASSUS : kernel.DELASSUS + 6]
     delassus = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     velocity = numbers[:, kernel.VELOCITY : kernel.VELOCITY + 3]
@@ -295,7 +295,7 @@ def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
 
 
 def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
-    """Go by way of `contact_matrices`, made once for each q that follows another, and `solve_impacts`."""
+    """Use `contact_matrices`, computed once for each run of equal q, and `solve_impacts`."""
     model, contact, count, nv = rows.model, rows.contact, len(rows.q), rows.model.nv
     delassus, velocity, scale = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count)
     response, surface, axes = np.zeros((count, nv, 3)), np.zeros((count, 3)), np.zeros((count, 3, 3))
@@ -324,14 +324,14 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
 
 
 def _moves(anchor: Any, v: Array) -> bool:
-    """Whether a held contact moves against its surface."""
+    """Whether a held contact moves relative to its surface."""
     speed = float(np.linalg.norm(anchor.velocity(v)))
     scale = float(np.linalg.norm(np.abs(anchor.jacobian) @ np.abs(v)))
     return speed > HELD_TOLERANCE * (scale + float(np.linalg.norm(anchor.surface_velocity)))
 
 
 def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]]) -> None:
-    """Say in how many rows each held contact would have to pull."""
+    """Warn of held contacts that pull, with the number of rows."""
     counts = dict.fromkeys((anchor.label for anchor in rows.held), 0)
     for row, found in pulls:
         impulses = found.held_response @ batch.impulse[row]
@@ -349,7 +349,7 @@ def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]
 
 
 def _per_row(name: str, value: ArrayLike, count: int, shape: tuple[int, ...] = ()) -> Array:
-    """Return (count, *shape) of what is given for each row, or once for all."""
+    """Return (count, *shape) of values given for each row, or once for all."""
     if np.ndim(value) == len(shape):
         value = np.broadcast_to(float_array(name, value, shape) if shape else value, (count, *shape))
     return float_array(name, value, (count, *shape))

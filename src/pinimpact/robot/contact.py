@@ -1,4 +1,4 @@
-"""A contact of a robot: which point, which surface, friction and restitution; and its gap."""
+"""A contact of a robot: contact point, surface, friction and restitution; and its gap."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Contact:
 
     @cached_property
     def constants(self) -> Array:
-        """The numbers that kernels know the contact by, see `pinimpact.geometry._kernels.constants`."""
+        """The numbers of the contact for kernels, see `pinimpact.geometry._kernels.constants`."""
         constants = np.array(
             [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.direction]
         )
@@ -130,7 +130,7 @@ class Contact:
         return constants
 
     def _check_kind(self) -> None:
-        """Refuse what has no surface, or is not one of a frame's points and a collision shape."""
+        """Check the surface, and that there is either a frame or a collision shape."""
         check_frame_key("frame", self.frame)
         if not isinstance(self.name, (str, type(None))):
             raise InputError(f"name: {self.name!r} given; text is expected", field="name", value=self.name)
@@ -226,7 +226,7 @@ class Contact:
 
 
 def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array]:
-    """Return a contact's joints, of the tip and of the surface, and its constants in their axes."""
+    """Return the joints of a contact's tip and surface, and its constants in their axes."""
     frame = model.frames[frame_id(model, contact.frame)]
     tip, base, carrier = frame.parentJoint, 0, pin.SE3.Identity()
     if contact.plane.body is not None:
@@ -281,7 +281,7 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
 
 
 def check_contact(field: str, value: Any) -> None:
-    """Refuse what is no `Contact` of one point."""
+    """Raise an error for anything but a `Contact` of one point."""
     if not isinstance(value, Contact):
         raise InputError(f"{field}: {value!r} is not a Contact", field=field, value=value)
     if value.geometry is not None:

@@ -1,4 +1,4 @@
-"""What does not change about a model and its Data from one call to the next, remembered."""
+"""Data of a model and its Data that do not change between calls, cached."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .pinocchio_bridge import MassAndColumns, Tree, tree_of
 
 
 class DataCache:
-    """What does not change about a model and its data from one call to the next; see `data_cache`."""
+    """Data of a model and its Data that do not change between calls; see `data_cache`."""
 
     __slots__ = (
         *(
@@ -53,7 +53,7 @@ class DataCache:
         self._tree: Tree | bool | None = False
 
     def _read(self, model: pin.Model, data: pin.Data) -> None:
-        """Set what is read of the Data."""
+        """Set the fields that are read from the Data."""
         tree = _tree(model)
         _check_data(tree, model, data)
         self.parents = np.array(tree.parents, dtype=np.int64)
@@ -67,7 +67,7 @@ class DataCache:
 
     @property
     def tree(self) -> Tree | None:
-        """The numbers of the model for `tree_matrices`, or None if that does not know some of its joints."""
+        """The numbers of the model for `tree_matrices`, or None if it does not support some joints."""
         if isinstance(self._tree, bool):  # nobody has asked yet
             self._tree = self._make_tree()
         return self._tree
@@ -77,7 +77,7 @@ class DataCache:
         return tree_of(model, (model,))
 
     def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a call that, when it is made first, shows where Pinocchio stores joints of another kind."""
+        """Return a call that, on its first use, detects data of a model with other joints."""
 
         def checked(model: pin.Model, data: pin.Data, *arguments: Any) -> Any:
             try:
@@ -93,17 +93,17 @@ class DataCache:
         return checked
 
     def warn_of_limits(self, q: np.ndarray, rows: str = "", stacklevel: int = 4) -> None:
-        """Warn of a configuration beyond joint limits, and of no other one from then on."""
+        """Warn of a configuration outside the joint limits, once."""
         self.ignore_limits()
         warn_of_limits(self.model(), q, rows, stacklevel)
 
     def check_limits(self, q: np.ndarray, stacklevel: int) -> None:
-        """Warn of a configuration (nq,) beyond joint limits."""
+        """Warn of a configuration (nq,) outside the joint limits."""
         if ((q < self.bounds[0]) | (q > self.bounds[1])).any():
             self.warn_of_limits(q, stacklevel=stacklevel + 1)
 
     def ignore_limits(self) -> None:
-        """Warn of no configuration beyond joint limits."""
+        """Give no warnings of joint limits."""
         self.bounds[:] = [[-np.inf], [np.inf]]  # in place, where kernels read them
 
     def frame(self, key: str | int, field: str = "frame") -> int:
@@ -118,7 +118,7 @@ class DataCache:
         return found
 
     def contact(self, frame: str | int, body: str | int | None) -> tuple[int, int, np.ndarray]:
-        """Return the ids of a contact's frame and of the frame that carries its surface, and signs.
+        """Return the ids of a contact's frame and of the frame to which its surface is attached, and signs.
 
         The id for the world is 0. The signs (nv,) are 1 for a velocity that moves the contact's frame alone,
         −1 the carrier alone, else 0.
@@ -134,7 +134,7 @@ class DataCache:
 
 
 class _ForestCache(DataCache):
-    """What does not change about a model and its `Forest`."""
+    """Data of a model and its `Forest` that do not change."""
 
     __slots__ = ()
 
@@ -156,13 +156,13 @@ class _ForestCache(DataCache):
 
 
 class _Tree(NamedTuple):
-    """What does not change about a model and can be read from its Data.
+    """Constant data of a model that its Data contain as well.
 
     Attributes:
-        model: A weak reference to it.
-        sizes: nq, nv and numbers of joints and frames, for a model that has grown since.
-        parents: (nv,) the next velocity on the way to the root, or −1, as Data have it.
-        axes: Of the joints whose axis stands in their data: index and (6, 1) motion subspace.
+        model: A weak reference to the model.
+        sizes: nq, nv and numbers of joints and frames, to detect a model that has grown since.
+        parents: (nv,) the next velocity towards the root, or −1, as in Data.
+        axes: For joints whose axis is in their data: index and (6, 1) motion subspace.
     """
 
     model: Any
@@ -191,7 +191,7 @@ def _tree(model: pin.Model) -> _Tree:
 
 
 def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
-    """Refuse what are not the Data of a model, as far as Data show it: by sizes, tree, axes; see `_first`."""
+    """Raise an error for Data of another model, detected by sizes, tree and axes; see `_first`."""
     if not isinstance(data, pin.Data):
         raise InputError(
             f"data: {type(data).__name__} given, pinocchio Data expected: model.createData(), or a "
@@ -208,7 +208,7 @@ def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
 
 
 def _joint_that_differs(model: pin.Model, data: pin.Data) -> str | None:
-    """Return a clause about the first joint of data that is none of the model's."""
+    """Return a clause about the first joint of data that differs from the model."""
     axes = dict(_tree(model).axes)
     for k, (own, given) in enumerate(zip(model.createData().joints, data.joints, strict=True)):
         kind, other = (joint.shortname().removeprefix("JointData") for joint in (own, given))
@@ -228,7 +228,7 @@ def _foreign(data: pin.Data, how: str) -> InputError:
 
 
 def outdated(model: pin.Model, data: Any) -> InputError:
-    """Return the error for data that do not fit their model."""
+    """Return the error for data that do not match their model."""
     return InputError(
         f"data: made for another model or before this one was changed "
         f"({len(data.oMi)} joints, {len(data.oMf)} frames, {len(data.M)} velocities; the model has "
@@ -248,10 +248,10 @@ def _forget(known: dict[int, Any], key: int) -> Any:
 
 
 def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
-    """Return the cache of `data`, made on the first call and remembered as long as `data` lives.
+    """Return the cache of `data`, created on the first call and kept as long as `data` exists.
 
-    Frame placements, inertias and rotor inertias may be changed between calls. Adding a frame calls for
-    new data; a frame that is renamed in place keeps answering to the name first asked for.
+    Frame placements, inertias and rotor inertias may change between calls. Adding a frame requires new data;
+    a frame that is renamed in place keeps its first name here.
     """
     found = _caches.get(id(data))
     if found is None or found.data() is not data or found.model() is not model:

@@ -1,7 +1,7 @@
-"""Robots of several trees of joints, as scenes of many free bodies are: Pinocchio's Data for some trees each.
+"""Robots of many kinematic trees, such as many free bodies: one Pinocchio Data for a few trees each.
 
-A Data has tables of nv³ numbers: one of 60 free bodies takes 3 GB. Trees move without each other but for
-contacts, so each Data of a `Forest` is of a few of them; what is read of a Data is put together from theirs.
+A Data has tables of nv³ numbers: one of 60 free bodies takes 3 GB. Trees are coupled by contacts only, so
+each Data of a `Forest` has a few of them, and the fields of a Data are assembled from theirs.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ LARGE = 60
 
 
 class Part(NamedTuple):
-    """Some trees of a robot, as a robot of their own.
+    """Some trees of a robot, as a separate robot.
 
     Attributes:
         model: Their model.
         data: Its Data.
-        q, v: Where its coordinates and velocities stand in those of the whole.
-        first: Number of the first of its joints in the whole, where they follow one another.
+        q, v: Indices of its coordinates and velocities in those of the whole.
+        first: Number of its first joint in the whole, if its joints are consecutive.
     """
 
     model: pin.Model
@@ -37,12 +37,12 @@ class Part(NamedTuple):
 
     @property
     def joints(self) -> slice:
-        """Where its joints stand in those of the whole."""
+        """Indices of its joints in the whole."""
         return slice(self.first, self.first + self.model.njoints - 1)
 
 
 class _OfJoints:
-    """A field of all Data that has an element for each joint, the world first."""
+    """A field of all Data with an element for each joint, the world first."""
 
     def __init__(self, parts: list[Part], field: str) -> None:
         self._parts, self._field = parts, field
@@ -53,17 +53,17 @@ class _OfJoints:
 
 
 class Forest:
-    """What stands in for the Data of a robot of many trees.
+    """Replaces the Data of a robot of many trees.
 
     Attributes:
         model: The robot's model.
-        parts: Its trees, some together each.
-        oMi, v, a: Placements and motions of the joints, as those of a Data.
-        J: (6, nv) joint Jacobian, brought up to date by `joint_jacobian`.
+        parts: Its trees, in groups.
+        oMi, v, a: Placements and motions of the joints, as in a Data.
+        J: (6, nv) joint Jacobian, updated by `joint_jacobian`.
 
     Args:
         model: The model; its joints are in depth-first order.
-        most: Velocities of a part, unless a single tree has more.
+        most: Largest number of velocities of a part, unless a single tree has more.
     """
 
     def __init__(self, model: pin.Model, most: int = LARGE) -> None:
@@ -73,17 +73,17 @@ class Forest:
         self.J = np.zeros((6, model.nv), order="F")
 
     def refresh(self) -> None:
-        """Take over the numbers of the model, which may have changed."""
+        """Update the numbers of the model, which may have changed."""
         for part in self.parts:
             _set_numbers(part.model, self.model, part.first, part.v)
 
     def forward_kinematics(self, q: Array, *motion: Array) -> None:
-        """Bring placements to q (nq,), and motions to v and v̇ (nv,) if given."""
+        """Compute placements for q (nq,), and motions for v and v̇ (nv,) if given."""
         for part in self.parts:
             pin.forwardKinematics(part.model, part.data, q[part.q], *(one[part.v] for one in motion))
 
     def joint_jacobian(self, q: Array) -> Array:
-        """Bring J and placements to q (nq,), and return it."""
+        """Compute J and placements for q (nq,), and return J."""
         for part in self.parts:
             self.J[:, part.v] = pin.computeJointJacobians(part.model, part.data, q[part.q]).reshape(6, -1)
         return self.J
@@ -104,7 +104,7 @@ class Forest:
         return found
 
     def parents(self) -> NDArray[np.int64]:
-        """Return (nv,) the next velocity on the way to the root, or −1."""
+        """Return (nv,) the next velocity towards the root, or −1."""
         found = [np.array(part.data.parents_fromRow, dtype=np.int64) for part in self.parts]
         return np.concatenate(
             [np.where(one >= 0, one + part.v.start, -1) for one, part in zip(found, self.parts, strict=True)]
@@ -112,12 +112,12 @@ class Forest:
 
 
 def data_of(model: pin.Model) -> Any:
-    """Return a Data of a model, or a `Forest` in place of one that would be large."""
+    """Return a Data of a model, or a `Forest` if the Data would be large."""
     return Forest(model) if model.nv > LARGE and len(_ranges(model, 0)) > 1 else model.createData()
 
 
 def forward_kinematics(model: pin.Model, data: Any, q: Array, *motion: Array) -> None:
-    """Bring placements to q (nq,), and motions to v and v̇ (nv,) if given; of a Data or a `Forest`."""
+    """Compute placements for q (nq,), and motions for v and v̇ (nv,) if given; for a Data or a `Forest`."""
     if isinstance(data, Forest):
         data.forward_kinematics(q, *motion)
     else:
@@ -125,38 +125,38 @@ def forward_kinematics(model: pin.Model, data: Any, q: Array, *motion: Array) ->
 
 
 def joint_jacobian(model: pin.Model, data: Any, q: Array) -> Array:
-    """Return the joint Jacobian (6, nv) at q (nq,), and bring placements there; of a Data or a `Forest`."""
+    """Return the joint Jacobian (6, nv) at q (nq,), and compute placements; for a Data or a `Forest`."""
     if isinstance(data, Forest):
         return data.joint_jacobian(q)
     return np.asarray(pin.computeJointJacobians(model, data, q)).reshape(6, -1)
 
 
 def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
-    """Return M (nv, nv) at q (nq,); of a Data or a `Forest`."""
+    """Return M (nv, nv) at q (nq,); for a Data or a `Forest`."""
     return data.mass_matrix(q) if isinstance(data, Forest) else np.array(pin.crba(model, data, q))
 
 
 def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
-    """Return M⁻¹ (nv, nv) at q (nq,); of a Data or a `Forest`."""
+    """Return M⁻¹ (nv, nv) at q (nq,); for a Data or a `Forest`."""
     if isinstance(data, Forest):
         return data.inverse_mass(q)
     return np.array(pin.computeMinverse(model, data, q)).reshape(model.nv, model.nv)
 
 
 def potential_energy(model: pin.Model, data: Any, q: Array) -> float:
-    """Return the energy in the field of gravity [J]; of a Data or a `Forest`."""
+    """Return the potential energy of gravity [J]; for a Data or a `Forest`."""
     return sum(float(pin.computePotentialEnergy(*part)) for part in states(model, data, q))
 
 
 def frame_placement(model: pin.Model, data: Any, frame: int) -> pin.SE3:
-    """Return the placement of a frame where placements of joints are up to date; of a Data or a `Forest`."""
+    """Return the placement of a frame, for up-to-date placements of joints; for a Data or a `Forest`."""
     if isinstance(data, Forest):
         return data.oMi[model.frames[frame].parentJoint] * model.frames[frame].placement
     return pin.updateFramePlacement(model, data, frame)
 
 
 def states(model: pin.Model, data: Any, q: Array, *motion: Array) -> Iterator[tuple[Any, ...]]:
-    """Yield model, data, q and what else is given (nv,) of each part; for a Data there is one, the whole."""
+    """Yield model, data, q and other vectors (nv,) of each part; a Data is one part, the whole."""
     if isinstance(data, Forest):
         for part in data.parts:
             yield part.model, part.data, q[part.q], *(one[part.v] for one in motion)
@@ -165,9 +165,9 @@ def states(model: pin.Model, data: Any, q: Array, *motion: Array) -> Iterator[tu
 
 
 def _ranges(model: pin.Model, most: int) -> list[tuple[int, int]]:
-    """Return the first joint of each part and the one after its last; none if trees are mixed.
+    """Return the first joint of each part and the one after its last; none if trees are interleaved.
 
-    Trees of a single joint are apart from others.
+    Trees of a single joint are separate from others.
     """
     found: list[tuple[int, int]] = []
     parents, widths, size, alone = list(model.parents), list(model.nvs), 0, False

@@ -1,4 +1,4 @@
-"""What an impact asks of contacts that are held: rest before it, and no pull."""
+"""Checks of held contacts in an impact: at rest before it, and no pull."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class HeldContactWarning(UserWarning):
 
 
 def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
-    """Refuse held contacts that move against their surfaces."""
+    """Raise an error for held contacts that move relative to their surfaces."""
     for anchor, geometry in zip(held, geometries, strict=True):
         speed = float(np.linalg.norm(geometry.velocity(v)))
         scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
@@ -48,14 +48,14 @@ def warn_of_pulls(
     impulse: Array,
     stacklevel: int,
 ) -> None:
-    """Warn of held contacts that would have to pull.
+    """Warn of held contacts that pull on their surfaces.
 
     Args:
-        geometries: Of the held contacts.
+        geometries: Geometry of the held contacts.
         held: The held contacts.
         impulses: (k, 3) on the robot at them, in world axes.
-        impulse: That of the impact, of any shape.
-        stacklevel: As that of `warnings.warn`, seen from the caller.
+        impulse: Impulse of the impact, of any shape.
+        stacklevel: As in `warnings.warn`, seen from the caller.
     """
     for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
         pull = -float(geometry.axes[2] @ push)

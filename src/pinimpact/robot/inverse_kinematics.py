@@ -32,7 +32,7 @@ SETTLED = 1e-7
 
 
 class _Found(NamedTuple):
-    """Where a search has come to: the displacement (nv,) from the given configuration, and its worst gap."""
+    """State of a search: the displacement (nv,) from the given configuration, and the largest gap."""
 
     x: Array
     gap: float
@@ -103,7 +103,7 @@ def place_in_contact(
 
 
 def closed_by_rounding(model: pin.Model, data: pin.Data, q: Array, contacts: Sequence[Contact]) -> Array:
-    """Return q with contacts on their surfaces that are off them by rounding, whatever the joint limits."""
+    """Return q with contacts on their surfaces if they are off by rounding, whatever the joint limits."""
     search = _Search(model, data, q, contacts, limited=False)
     return search.configuration(search.close(np.zeros(model.nv)).x)
 
@@ -136,7 +136,7 @@ class _Search:
         return np.clip(q, *self._bounds)  # which the rounding of a sum may lead beyond
 
     def run(self, x: Array) -> _Found:
-        """Search from a displacement: close the gaps, then come closer to the origin and keep them closed."""
+        """Close the gaps from a displacement, then reduce the displacement and keep them closed."""
         found = self.close(np.clip(x, self._lower, self._upper))
         if not found.closed:
             return found
@@ -157,7 +157,7 @@ class _Search:
         return found
 
     def nearest(self, x: Array) -> Array:
-        """Return where, starting from a displacement, the sum of the squares of the gaps is least."""
+        """Return the displacement that minimizes the sum of the squares of the gaps, from a start."""
         from scipy.optimize import least_squares
 
         found: Array = least_squares(
@@ -169,7 +169,7 @@ class _Search:
         return found
 
     def close(self, x: Array) -> _Found:
-        """Close the gaps by the shortest steps, cut short where the gaps do not get smaller."""
+        """Close the gaps by the shortest steps, shortened if the gaps do not decrease."""
         gaps, rows, size = self._gaps(x)
         for _ in range(MAX_STEPS):
             worst = float(np.abs(gaps).max())
@@ -192,7 +192,7 @@ class _Search:
         return _Found(x, gap, self._contacts[i], gap <= 10.0 * TOUCHING * size)
 
     def _gaps(self, x: Array) -> tuple[Array, Array, float]:
-        """Return gaps (n,), their derivative by x (n, nv), and the size that rounding is a part of [m]."""
+        """Return gaps (n,), their derivative with respect to x (n, nv), and the size for rounding [m]."""
         model, q = self._model, self.configuration(x)
         found = [contact_geometry(model, self._data, q, contact) for contact in self._contacts]
         moved = pin.dIntegrate(model, self._q, x, pin.ArgumentPosition.ARG1)
@@ -201,7 +201,7 @@ class _Search:
         return gaps, np.array([geometry.h for geometry in found]) @ moved, size
 
     def _least_norm(self, rows: Array, wanted: Array, centre: Array | float) -> Array:
-        """Return the x next to a centre within its bounds with rows x = wanted, as nearly as may be."""
+        """Return the x within its bounds closest to a centre with rows x = wanted, by least squares."""
         x = np.clip(centre + np.zeros(len(self._lower)), self._lower, self._upper)
         free = np.ones(len(x), dtype=bool)
         for _ in range(len(x)):

@@ -1,4 +1,4 @@
-"""The bounds of a model's joints, as far as they are bounds of single coordinates."""
+"""The limits of a model's joints, for single coordinates."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class JointLimit:
 
     Attributes:
         name: "joint_name lower" or "joint_name upper".
-        index_q, index_v: Where the coordinate stands in q and in v.
+        index_q, index_v: Indices of the coordinate in q and in v.
         sign: 1 for a lower bound, −1 for an upper one.
         bound: Its value [rad or m].
     """
@@ -59,7 +59,7 @@ def joint_limits(model: pin.Model) -> tuple[JointLimit, ...]:
 
 
 def bounds(model: pin.Model) -> NDArray[np.float64]:
-    """Return (2, nq) the least and the greatest value of each coordinate, infinite where there is none."""
+    """Return (2, nq) the lower and the upper bound of each coordinate, infinite if it has none."""
     found = np.full((2, model.nq), np.inf)
     found[0] = -np.inf
     for limit in joint_limits(model):
@@ -68,22 +68,22 @@ def bounds(model: pin.Model) -> NDArray[np.float64]:
 
 
 def slack_bounds(model: pin.Model) -> NDArray[np.float64]:
-    """Return `bounds` with `SLACK`: beyond them there is something to warn of."""
+    """Return `bounds` with `SLACK`, the tolerance of the warning."""
     return bounds(model) + np.array([[-SLACK], [SLACK]])
 
 
 def degrees_hint(value: float) -> str:
-    """Return what a message adds where a coordinate beyond its limit looks like an angle in degrees."""
+    """Return an addition to a message if a coordinate outside its limits looks like an angle in degrees."""
     return "; angles are in radians, and this looks like degrees" if abs(value) > 2.0 * math.pi else ""
 
 
 def warn_of_limits(model: pin.Model, q: NDArray[np.float64], rows: str, stacklevel: int) -> None:
-    """Warn that a configuration (nq,) lies beyond the limits of a joint.
+    """Warn that a configuration (nq,) is outside the limits of a joint.
 
     Args:
         model: The robot.
         q: The configuration.
-        rows: Goes after the name, where there are others: " in 3 rows".
+        rows: Addition to the message, if there are several: " in 3 rows".
         stacklevel: As in `warnings.warn`.
     """
     low, high = bounds(model)

@@ -1,4 +1,4 @@
-"""Robots by name or by file, as Pinocchio RobotWrappers."""
+"""Robots by name or file, as Pinocchio RobotWrappers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bundled_models() -> dict[str, Path]:
 
 
 def named_robots() -> dict[str, list[str]]:
-    """Return the names that `load_robot` knows, by where their models come from."""
+    """Return the names that `load_robot` accepts, by the origin of their models."""
     # robots of SDF files need a Pinocchio that is built with SDFormat
     readable = [name for name, loader in ROBOTS.items() if not loader.sdf_filename or pin.WITH_SDFORMAT]
     return {"pinimpact": list(bundled_models()), "example-robot-data": sorted(readable)}
@@ -172,7 +172,7 @@ def _from_file(path: Path, free_flyer: bool, package_dirs: Sequence[str | Path])
 
 
 def _kind_of(path: Path) -> str:
-    """Return the outermost tag of an XML file, "" where there is none."""
+    """Return the root tag of an XML file, "" if there is none."""
     try:
         with open(path, "rb") as file:  # which iterparse leaves open where it does not come to the end
             for _, element in ElementTree.iterparse(file, events=("start",)):
@@ -209,7 +209,7 @@ def _check_masses(path: Path) -> None:
 def _shapes(
     model: pin.Model, path: Path, kind: pin.GeometryType, folders: list[str], missing: dict[str, None]
 ) -> pin.GeometryModel:
-    """Return the shapes of one kind, without those whose meshes are no use; these are added to `missing`."""
+    """Return the shapes of one kind, without those of unusable meshes, which are added to `missing`."""
     try:
         return pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=folders)
     except Exception:  # of which one it is there is no more than a text
@@ -258,7 +258,7 @@ class _Mimic(NamedTuple):
 
 
 def _mimic_joints(path: Path, model: pin.Model) -> dict[str, _Mimic]:
-    """Return the joints of a model that follow another one, and how; a leader follows no other."""
+    """Return the joints of a model that mimic another one, and how; a leader mimics no other."""
     found = {}
     for joint in ElementTree.parse(path).getroot().iterfind("joint"):
         tag = joint.find("mimic")
@@ -276,7 +276,7 @@ def _mimic_joints(path: Path, model: pin.Model) -> dict[str, _Mimic]:
 
 
 def _couple(robot: pin.RobotWrapper, coupled: dict[str, _Mimic], name: str) -> pin.RobotWrapper:
-    """Return the robot with joints that follow another one, as far as Pinocchio can couple them."""
+    """Return the robot with coupled mimic joints, as far as Pinocchio can couple them."""
     model, left = robot.model, []
     for joint, (leader, multiplier, offset) in coupled.items():
         try:

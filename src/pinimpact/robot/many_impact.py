@@ -77,7 +77,7 @@ def impact_at_many(
     record: bool,
     options: dict[str, Any],
 ) -> ManyHit:
-    """Resolve the impact of a robot at n contacts; see `impact`."""
+    """Compute the impact of a robot at n contacts; see `impact`."""
     if not contacts:
         raise InputError("contact: no contact given", field="contact", value=contacts)
     for contact in contacts:

@@ -1,4 +1,4 @@
-"""What a contact of a robot is at a configuration: its Jacobian, the mass matrix, the Delassus matrix."""
+"""Matrices of a contact of a robot at a configuration: Jacobian, mass matrix, Delassus matrix."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WORLD = pin.Convention.WORLD
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ContactGeometry:
-    """Where a contact is and how its point moves.
+    """Position, axes and Jacobian of a contact.
 
     Attributes:
         point: (3,) contact point in world axes [m].
@@ -36,7 +36,7 @@ class ContactGeometry:
         axes: (3, 3) contact axes t₁, t₂, n as rows, in world axes.
         K: (nv, 2) tangential columns of Jᵀ.
         h: (nv,) normal column of Jᵀ.
-        surface_velocity: (3,) what the surface does beyond its carrier, at the contact point, in contact
+        surface_velocity: (3,) velocity of the surface relative to its body, at the contact point, in contact
             axes [m/s].
     """
 
@@ -60,7 +60,7 @@ class ContactGeometry:
         return self.jacobian @ np.asarray(v, dtype=np.float64) - self.surface_velocity
 
     def velocity_scale(self, v: ArrayLike) -> float:
-        """Return the size of the numbers that `velocity` is formed from, Σ|J||q̇| + |v_surface| [m/s]."""
+        """Return the size of the terms that `velocity` is the sum of, Σ|J||q̇| + |v_surface| [m/s]."""
         moving = np.abs(self.jacobian) @ np.abs(np.asarray(v, dtype=np.float64))
         return float(np.sum(moving + np.abs(self.surface_velocity)))
 
@@ -92,7 +92,7 @@ class ContactMatrices(ContactGeometry):
 
 
 def contact_geometry(model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact) -> ContactGeometry:
-    """Return where a contact is and its Jacobian. Arguments, Data and errors as in `contact_matrices`."""
+    """Return position and Jacobian of a contact. Arguments, Data and errors as in `contact_matrices`."""
     model = model_of(model)
     cache = data_cache(model, data)
     q = checked_configuration(cache, model, q)
@@ -173,14 +173,14 @@ def contact_matrices(
 
 
 class ManyMatrices(NamedTuple):
-    """What the robot is, seen from n contacts at once; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes.
+    """The matrices of a robot at n contacts; M Δq̇ = Jᵀ P for impulses P (3n,) in their axes.
 
     Attributes:
         axes: (k, 3, 3) contact axes t₁, t₂, n as rows, in world axes; joint rows, which have none, come after
             the k contacts.
         jacobian: (3n, nv) J.
         surface_velocity: (n, 3) of the surfaces, see `ContactGeometry`.
-        delassus: (3n, 3n) W, with what is held and locked taken into account [1/kg].
+        delassus: (3n, 3n) W, with held contacts and locked joints [1/kg].
         response: (nv, 3n) Δq̇ per unit impulse.
         held: Geometry of each held contact.
         held_response: (h, 3, 3n) impulse on each held contact (world axes) per impulse.
@@ -210,11 +210,11 @@ def many_matrices(
     """Return the matrices of n contacts at a configuration.
 
     Args:
-        model: As that of `contact_matrices`.
+        model: As in `contact_matrices`.
         data: Likewise.
         q: (nq,) configuration.
         contacts: The contacts.
-        held: Contacts that hold, see `contact_matrices`.
+        held: Held contacts, see `contact_matrices`.
         locked: Joints whose velocity cannot change.
     """
     model = model_of(model)
@@ -235,16 +235,16 @@ def checked_matrices(
     free: NDArray[np.bool_],
     stops: Array,
 ) -> ManyMatrices:
-    """Return the matrices of n contacts, and of joint stops, for arguments that need no check.
+    """Return the matrices of n contacts and of joint stops, for checked arguments.
 
     Args:
-        model: As that of `contact_matrices`.
+        model: As in `contact_matrices`.
         data: Likewise.
         q: (nq,) configuration.
         contacts: The contacts.
         anchors: Geometry of each held contact.
-        free: (nv,) False for velocities that are locked.
-        stops: (m, nv) rows of joint stops, which act like contacts without a tangential plane.
+        free: (nv,) False for locked velocities.
+        stops: (m, nv) rows of joint stops, which are like contacts without tangential directions.
     """
     cache = data_cache(model, data)
     mass = cache.mass_matrix(model, data, q, _WORLD)
@@ -261,7 +261,7 @@ def checked_matrices(
 
 
 def contact_points(model: pin.Model, data: pin.Data, q: Array, contacts: Sequence[Contact]) -> Array:
-    """Return the points (n, 3) of contacts in world axes [m], of the configuration of the last matrices."""
+    """Return the points (n, 3) of contacts in world axes [m], at the configuration of the last matrices."""
     cache = data_cache(model, data)
     placed = ((kinematics(model, data, q, cache, contact), contact.constants) for contact in contacts)
     return np.array([contact_kinematics.locate(*k[:2], constants)[4:7] for k, constants in placed])
@@ -277,7 +277,7 @@ def _responses(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian.
 
-    And the L and Y (m, nv) that they are made from.
+    Also returns L and Y (m, nv).
     """
     m, nv = jacobian.shape
     y, lower = jacobian.copy(), np.empty((nv, nv))
@@ -298,9 +298,9 @@ def _responses(
 def kinematics(
     model: pin.Model, data: pin.Data, q: Array, cache: DataCache, contact: Contact
 ) -> tuple[Array, Array, Array, Array]:
-    """Return what `contact_kinematics.jacobian` takes of the contact's frame and of the surface's carrier.
+    """Return the arguments of `contact_kinematics.jacobian` for the frames of contact and surface.
 
-    ``data.J`` and ``data.oMi`` have to be those of q already.
+    ``data.J`` and ``data.oMi`` must be those of q.
     """
     body = contact.plane.body
     frame, carrier, signs = cache.contacts.get((contact.frame, body)) or cache.contact(contact.frame, body)
@@ -313,10 +313,10 @@ def kinematics(
 
 
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
-    """Take out of the rows of `y` what the rows of `anchored` (both L⁻ᵀ of rows of Jacobians) can balance.
+    """Project the rows of `anchored` out of the rows of `y` (both L⁻ᵀ of rows of Jacobians).
 
     Returns:
-        What is left of y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
+        The remaining y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
         least norm that balance the rest.
     """
     tolerance = 32.0 * _EPS * max(anchored.shape)

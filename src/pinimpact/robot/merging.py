@@ -1,4 +1,4 @@
-"""Several robots in one model, each at its place and with its own names."""
+"""Several robots in one model, each with its placement and names."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A robot to be put among others.
+    """A robot to be merged with others.
 
     Attributes:
         robot: The robot.
-        prefix: Goes before the names of its joints and frames.
-        placement: Of its base in the world.
+        prefix: Prefix of the names of its joints and frames.
+        placement: Placement of its base in the world.
     """
 
     robot: pin.RobotWrapper
@@ -28,10 +28,10 @@ class Placed:
 
 
 def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
-    """Return one robot that consists of all the parts; its ``q0`` is made of theirs.
+    """Return one robot that consists of all parts; its ``q0`` consists of theirs.
 
     Raises:
-        InputError: No parts, or two that would bear the same names.
+        InputError: No parts, or two with the same names.
     """
     prefixes = [part.prefix for part in parts]
     if not parts or len(set(prefixes)) < len(prefixes):
@@ -55,7 +55,7 @@ def assemble(parts: Sequence[Placed]) -> pin.RobotWrapper:
 
 
 class _Assembled(pin.RobotWrapper):
-    """A robot whose Data are made when they are asked for: those of many parts are large."""
+    """A robot whose Data are created on first access: those of many parts are large."""
 
     def __init__(self, model: pin.Model, collision: pin.GeometryModel, visual: pin.GeometryModel) -> None:
         super().__init__()
@@ -80,7 +80,7 @@ class _Assembled(pin.RobotWrapper):
 
 
 def _renamed(part: Placed) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
-    """Return copies of a robot's model and shapes in which all but the universe bears the prefix."""
+    """Return copies of a robot's model and shapes with prefixed names, except that of the universe."""
     model = part.robot.model.copy()
     for joint in range(1, model.njoints):
         model.names[joint] = part.prefix + model.names[joint]

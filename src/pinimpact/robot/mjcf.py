@@ -1,4 +1,4 @@
-"""Robots from MuJoCo's files, as far as Pinocchio reads them."""
+"""Robots from MuJoCo's files, as far as Pinocchio supports them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..errors import ModelError
 def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
     """Return the robot of an MJCF file.
 
-    Its ``q0`` is the key called "home", or else the first key, or else that of the joints as they stand. A
-    warning names equality constraints, which are left out, and of meshes that are not found.
+    Its ``q0`` is the key called "home", or else the first key, or else that of the joints in the file.
+    Warnings name equality constraints, which are ignored, and meshes that are not found.
 
     Args:
         path: The file.
-        root_joint: A joint that carries the base, and nothing if the file says how it moves.
+        root_joint: Joint of the base; None if the file has one.
 
     Raises:
         ModelError: A file that Pinocchio cannot read.
@@ -64,7 +64,7 @@ def load_mjcf(path: Path, root_joint: tuple[Any, ...]) -> pin.RobotWrapper:
 
 
 def _shapes(model: pin.Model, path: Path, kind: pin.GeometryType) -> tuple[pin.GeometryModel, list[str]]:
-    """Return the shapes of one kind, without those whose meshes are no use, and the files of these."""
+    """Return the shapes of one kind, without those whose meshes cannot be used, and the files of these."""
     try:
         return pin.buildGeomFromMJCF(model, str(path), kind), []
     except Exception:  # of which one it is there is no more than a text

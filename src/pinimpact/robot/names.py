@@ -1,4 +1,4 @@
-"""Names to ids in a Pinocchio model, with errors that offer what was meant."""
+"""Ids of names in a Pinocchio model, with errors that suggest similar names."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
     """Return the id of a frame given by name or id.
 
     Raises:
-        UnknownNameError: No frame bears the name (near matches are offered), several do (their ids are
-            offered), or the id is out of range.
+        UnknownNameError: No frame has the name (the message suggests similar ones), several have it (the
+            message has their ids), or the id is out of range.
     """
     if not isinstance(key, str):
         if not 0 <= key < model.nframes:
@@ -49,7 +49,7 @@ def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
 
 
 def coordinate_names(model: pin.Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names of the entries of q and of v: the joint's, with a suffix where it has several."""
+    """Return names of the entries of q and of v: the joint's, with a suffix if it has several."""
     q: list[str] = []
     v: list[str] = []
     for joint, name in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
@@ -85,7 +85,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     """Return (nv,) booleans: False for the velocities of the joints named (or numbered) in `locked`.
 
     Raises:
-        UnknownNameError: A name that no joint bears, or a number out of range.
+        UnknownNameError: A name that no joint has, or a number out of range.
     """
     free = np.ones(model.nv, dtype=np.bool_)
     for key in joint_keys(locked):
@@ -114,7 +114,7 @@ def joint_keys(locked: Any) -> tuple[str | int, ...]:
 
 
 def joint_of_velocity(model: pin.Model, velocity: int) -> str:
-    """Return the name of the joint that a velocity index belongs to."""
+    """Return the name of the joint of a velocity index."""
     return str(
         model.names[max(j for j in range(1, model.njoints) if model.idx_vs[j] <= velocity and model.nvs[j])]
     )
@@ -139,7 +139,7 @@ def model_of(robot: Any) -> pin.Model:
 
 
 class ShapedRobot(NamedTuple):
-    """A model and its collision shapes, as a RobotWrapper has them, without a Data.
+    """A model and its collision shapes, as in a RobotWrapper, without a Data.
 
     Attributes:
         model: Its model.

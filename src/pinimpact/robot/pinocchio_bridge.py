@@ -1,20 +1,20 @@
-"""All that is taken for granted about Pinocchio beyond what its documentation says, and the check of it.
+"""All assumptions about Pinocchio beyond its documentation, and their checks.
 
 An impact takes microseconds and kernels evaluate dynamics thousands of times, so they read Pinocchio's
-results in place and take several of them from one call. That presumes:
+results in place and obtain several of them from one call. This assumes that
 
-- `crba` and `aba` in the world convention leave ``data.J`` and ``data.oMi`` behind, `aba` also ``data.ov``
-  and ``data.oa_gf``, and `computeMinverse` without a configuration continues from there;
-- a result stays at one address as long as its Data live, and the placements and motions of the joints stand
-  one after another in memory;
-- a Python object is called by its address and that of its tuple of arguments;
-- placements and inertias of a model's joints stand one after another in memory, and what its joints do is
-  identified by their names and axes.
+- `crba` and `aba` in the world convention fill ``data.J`` and ``data.oMi``, `aba` also ``data.ov`` and
+  ``data.oa_gf``, and `computeMinverse` without a configuration continues from there;
+- a result has one address as long as its Data exist, and the placements and motions of the joints are
+  consecutive in memory;
+- a Python object can be called by its address and that of its tuple of arguments;
+- placements and inertias of a model's joints are consecutive in memory, and the kind of a joint is
+  identified by its name and axes.
 
-None of it is promised. Once for each model it is compared with what documented calls give on Data of their
-own; addresses are compared for each Data before anything is read by them. Where anything disagrees, as it
-may in another version of Pinocchio, the same results come from documented calls and are copied, which takes
-longer, and a `PinocchioLayoutWarning` says so once.
+None of this is documented. It is checked once for each model against documented calls on other Data;
+addresses are checked for each Data before use. If a check fails, as it may in another version of Pinocchio,
+the same results come from documented calls and are copied, which is slower, and a `PinocchioLayoutWarning` is
+given once.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ class PinocchioLayoutWarning(UserWarning):
 
 
 class Call(NamedTuple):
-    """A function and its arguments, which kernels call by their addresses."""
+    """A function and its arguments, called by kernels by their addresses."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
 
 
 def call_addresses(calls: Sequence[Call]) -> NDArray[np.int64]:
-    """Return (2 n,) the addresses of n functions and of their arguments, in turn, for `python_calls.call`.
+    """Return (2 n,) addresses of n functions and their arguments, alternating, for `python_calls.call`.
 
-    Whoever uses them keeps the calls alive.
+    The caller keeps the calls alive.
     """
     return np.array([id(item) for call in calls for item in call], dtype=np.int64)
 
@@ -89,11 +89,11 @@ class MassAndColumns:
 
     Attributes:
         columns: (6, nv) ``data.J`` in place, column by column: motion of the world's origin, as if fixed to
-            what each velocity moves, in world axes; it does not keep the Data alive. None for a model with
-            mimic joints, where ``data.J`` has columns of its own.
-        mass_matrix: Called with model, data, q and the world convention, returns M (nv, nv) and brings
-            `columns` and ``data.oMi`` to q.
-        joint_jacobian: Called with model, data and q, brings `columns` and ``data.oMi`` to q.
+            the bodies that each velocity moves, in world axes; it does not keep the Data alive. None for a
+            model with mimic joints, where ``data.J`` has its own columns.
+        mass_matrix: Called with model, data, q and the world convention, returns M (nv, nv) and updates
+            `columns` and ``data.oMi``.
+        joint_jacobian: Called with model, data and q, updates `columns` and ``data.oMi``.
     """
 
     __slots__ = ("columns", "joint_jacobian", "mass_matrix")
@@ -143,7 +143,7 @@ _MANY_AXES = {  # kind, and of each velocity whether it is a rotation, and its a
 
 
 class Tree(NamedTuple):
-    """The numbers of a kinematic tree as `RobotWorkspace` has them: sizes, arrays in place, copies."""
+    """The numbers of a kinematic tree for `RobotWorkspace`: sizes, arrays in place, copies."""
 
     sizes: dict[str, int]
     given: dict[str, Array]
@@ -151,11 +151,11 @@ class Tree(NamedTuple):
 
 
 def tree_of(model: pin.Model, parts: Sequence[pin.Model]) -> Tree | None:
-    """Return the numbers of a model for `tree_matrices`, or None if that does not know some of its joints.
+    """Return the numbers of a model for `tree_matrices`, or None if it does not support some joints.
 
     Args:
         model: The model.
-        parts: Models of its trees, with which the check is made, or itself.
+        parts: Models of its trees, used in the check, or the model itself.
     """
     if _flaw(model) is not None:
         return None
@@ -221,7 +221,7 @@ def _inertias(model: pin.Model) -> Array:
 
 
 def _in_place(array: Array, again: Array, name: str) -> Array:
-    """Return what a property gives a view of, if both times it is the same memory."""
+    """Return the array of a property, if two accesses have the same memory."""
     start = array.__array_interface__["data"][0]
     if again.__array_interface__["data"][0] != start or not _by_row(array):
         raise _ElsewhereError(name)
@@ -232,13 +232,13 @@ def placement_of_frame(model: pin.Model, frame: int) -> Array:
     """Return (12,) the placement of a frame on its joint, in place.
 
     Raises:
-        _ElsewhereError: It does not stand as kernels read it.
+        _ElsewhereError: Its memory layout is not the expected one.
     """
     return _rows([model.frames[frame].placement], [model.frames[frame].placement], "frames")[0]
 
 
 def _disagreement_of_tree(model: pin.Model) -> str | None:
-    """Return what `tree_matrices` finds otherwise than Pinocchio, or None."""
+    """Return which result of `tree_matrices` differs from Pinocchio's, or None."""
     model, q, _, _ = _probe(model)
     model.armature = np.linspace(0.1, 0.2, model.nv)
     try:
@@ -284,15 +284,15 @@ def workspace_of(
     parents: NDArray[np.int64],
     signs: Array,
 ) -> RobotWorkspace:
-    """Return the workspace of a contact, but for the contact's own numbers.
+    """Return the workspace of a contact, without the contact's constants.
 
     Args:
         tree: The numbers of the model.
         frame: Id of the contact's frame.
-        carrier: Id of the frame that carries the surface, 0 for the world.
+        carrier: Id of the frame to which the surface is attached, 0 for the world.
         model: Pinocchio model.
         bounds: (2, nq) of the coordinates.
-        parents: (nv,) the next velocity on the way to the root, or −1.
+        parents: (nv,) the next velocity towards the root, or −1.
         signs: (nv,) see `contact_kinematics.fill_jacobian`.
     """
     arrays = tree.given | {
@@ -311,20 +311,20 @@ def workspace_of(
 
 
 class MassAndFrames:
-    """The mass matrix and the Jacobian of a contact for kernels: calls read a buffer and leave arrays.
+    """The mass matrix and the Jacobian of a contact for kernels: calls read a buffer and fill arrays.
 
     Args:
         model: Pinocchio model.
         data: Its data.
         frame: Id of the contact's frame.
-        carrier: Id of the frame that carries the surface, 0 for the world.
+        carrier: Id of the frame to which the surface is attached, 0 for the world.
 
     Attributes:
         q: (nq,) buffer that the calls read.
-        calls: To be made in turn; the arrays are then those of q.
-        mass: (nv, nv) M, row by row, for it is symmetric.
+        calls: To be called in order; the arrays are then those of q.
+        mass: (nv, nv) M, row by row, since it is symmetric.
         frame, carrier: (12,) placements: rotation column by column, translation.
-        columns: (6, nv) as in `MassAndColumns`, or what `contact_columns` returns.
+        columns: (6, nv) as in `MassAndColumns`, or as returned by `contact_columns`.
     """
 
     def __init__(self, model: pin.Model, data: pin.Data, frame: int, carrier: int) -> None:
@@ -362,7 +362,7 @@ class MassAndFrames:
 
 
 def contact_columns(model: pin.Model, data: pin.Data, q: Array, frame: int, carrier: int) -> Array:
-    """Return (6, nv) a frame's Jacobian at the world's origin less its carrier's, mimic joints summed."""
+    """Return (6, nv) a frame's Jacobian at the world's origin minus its carrier's; mimic joints summed."""
     columns = np.zeros((6, model.nv), order="F")
     for sign, k in ((1.0, frame), (-1.0, carrier)):
         if k > 0:
@@ -373,7 +373,7 @@ def contact_columns(model: pin.Model, data: pin.Data, q: Array, frame: int, carr
 
 
 def _disagreement_of_crba(model: pin.Model) -> str | None:
-    """Return what `crba` does not leave behind, or None."""
+    """Return what `crba` does not fill, or None."""
     model, q, _, _ = _probe(model)
     data = model.createData()
     whole = data.J.size == 6 * model.nv
@@ -395,10 +395,10 @@ def _disagreement_of_crba(model: pin.Model) -> str | None:
 
 
 def check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
-    """Refuse a configuration in which a joint moves no inertia, for its acceleration would be infinite.
+    """Check that no joint has zero inertia at a configuration, since its acceleration would be infinite.
 
     Raises:
-        ModelError: The mass matrix is not positive definite, or not the right one.
+        ModelError: The mass matrix is not positive definite, or not correct.
     """
     for part in states(model, data, q):
         _check_inertia(*part)
@@ -422,15 +422,15 @@ def _check_inertia(model: pin.Model, data: pin.Data, q: Array) -> None:
 
 
 class RobotDynamics:
-    """Forward dynamics of a robot for kernels: calls that read buffers and leave arrays, on Data of its own.
+    """Forward dynamics of a robot for kernels: calls that read buffers and fill arrays, on separate Data.
 
     Attributes:
         model: The robot's model.
         q, v, tau: (nq,), (nv,), (nv,) buffers that the calls read: state, generalized forces.
-        forward_dynamics: Leaves `acceleration`, `placements`, `velocities`, `accelerations` and
+        forward_dynamics: Fills `acceleration`, `placements`, `velocities`, `accelerations` and
             `joint_jacobian`.
-        inverse_mass: Leaves `minverse`; only after `forward_dynamics` at the same state.
-        forward_kinematics: Leaves `placements` and `local_velocities`.
+        inverse_mass: Fills `minverse`; only after `forward_dynamics` at the same state.
+        forward_kinematics: Fills `placements` and `local_velocities`.
         acceleration: (nv,) v̇.
         minverse: (nv, nv) M⁻¹.
         placements: (nj, 12) of the joints, the world first: rotation column by column, translation.
@@ -456,11 +456,11 @@ class RobotDynamics:
         self.q, self.v, self.tau = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
 
     def refresh(self) -> None:
-        """Take over the numbers of the model, which may have changed, where they are not read in place."""
+        """Update numbers of the model, which may have changed, if they are not read in place."""
 
 
 def robot_dynamics(model: pin.Model) -> RobotDynamics:
-    """Return the forward dynamics of a robot, its results in place where this Pinocchio lets them be read.
+    """Return the forward dynamics of a robot, with results in place if this version of Pinocchio allows it.
 
     Raises:
         ModelError: No joints, joints that are not in depth-first order, or mimic joints, for which
@@ -477,7 +477,7 @@ def robot_dynamics(model: pin.Model) -> RobotDynamics:
 
 
 class _ElsewhereError(Exception):
-    """Results do not stand as kernels read them."""
+    """The memory layout of results is not the expected one."""
 
 
 class _InPlace(RobotDynamics):
@@ -503,7 +503,7 @@ class _InPlace(RobotDynamics):
 
 
 class _Copied(RobotDynamics):
-    """The arrays are copies of what documented calls give, each on Data that no other call writes."""
+    """The arrays are copies of the results of documented calls, each on Data that no other call writes."""
 
     def __init__(self, model: pin.Model) -> None:
         super().__init__(model)
@@ -610,7 +610,7 @@ class _OfParts(RobotDynamics):
 
 
 def _flies_freely(model: pin.Model, joint: int) -> bool:
-    """Return whether a joint lets its body fly in the world, carries no other and has no rotor inertia."""
+    """Return whether a joint is that of a free body without children and rotor inertia."""
     rows = slice(model.idx_vs[joint], model.idx_vs[joint] + 6)
     return (
         model.parents[joint] == 0
@@ -622,7 +622,7 @@ def _flies_freely(model: pin.Model, joint: int) -> bool:
 
 
 def _disagreement_of_dynamics(model: pin.Model) -> str | None:
-    """Return what stands elsewhere, or has another value, where it is read in place; or None."""
+    """Return which result has another address or value than expected, or None."""
     model, q, v, tau = _probe(model)
     try:
         found, expected = _InPlace(model), _Copied(model)
@@ -646,7 +646,7 @@ def _disagreement_of_dynamics(model: pin.Model) -> str | None:
 
 
 def _flaw(model: pin.Model) -> str | None:
-    """Return what keeps Pinocchio's algorithms from a right answer for a model, or None."""
+    """Return why Pinocchio's algorithms give wrong results for a model, or None."""
     if model.nv == 0:
         return (
             "has no joints, so nothing can move; a free body has a free-flyer joint "
@@ -667,7 +667,7 @@ def _flaw(model: pin.Model) -> str | None:
 
 
 def _refuse(model: pin.Model, *_: Any) -> Any:
-    """Refuse a model for which Pinocchio has no right answer."""
+    """Raise an error for a model for which Pinocchio gives wrong results."""
     raise ModelError(f"model: {model.name!r} {_flaw(model)}", field="model", value=model.name)
 
 
@@ -693,7 +693,7 @@ _warned = False
 
 
 def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) -> bool:
-    """Return whether results may be read in place, found out once for a model and again if it grows."""
+    """Return whether results can be read in place, checked once for a model and again if it grows."""
     global _warned
     key, sizes = (id(model), disagreement.__name__), (model.njoints, model.nq, model.nv)
     known = _verdicts.get(key)
@@ -715,7 +715,7 @@ def _trusted(model: pin.Model, disagreement: Callable[[pin.Model], str | None]) 
 def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> float:
     """Return ½ vᵀ M v [J].
 
-    Pinocchio's own sum leaves out the rotor inertia of joints about slanted axes, which its M has.
+    Pinocchio's own sum omits the rotor inertia of joints with slanted axes, which its M has.
     """
     return sum(_kinetic_energy(*part) for part in states(model, data, q, v))
 
@@ -733,7 +733,7 @@ def _forget(key: tuple[int, Any]) -> Any:
 
 
 def _probe(model: pin.Model) -> tuple[pin.Model, Array, Array, Array]:
-    """Return a copy whose links all have a well-conditioned inertia, and q, v and τ at random."""
+    """Return a copy whose links all have a well-conditioned inertia, and random q, v and τ."""
     model = model.copy()
     for joint in range(1, model.njoints):
         model.inertias[joint] = pin.Inertia(1.0, np.array([0.1, 0.2, 0.3]), np.diag([0.4, 0.5, 0.6]))
@@ -764,15 +764,15 @@ def _by_row(array: Array) -> bool:
 def _rows(items: Sequence[Any], again: Sequence[Any], name: str) -> Array:
     """Return (n, 12) placements or (n, 6) motions of a Data in place.
 
-    The first two elements and the last one show where all are, for those of a vector are contiguous.
+    The first two elements and the last one determine the layout, since those of a vector are contiguous.
 
     Args:
         items: The elements of one of Pinocchio's vectors.
-        again: The same, taken once more: copies that live at once would have two addresses each.
-        name: Of the vector.
+        again: The same from a second access: copies that exist at once would have two addresses each.
+        name: Name of the vector.
 
     Raises:
-        _ElsewhereError: They do not stand in rows.
+        _ElsewhereError: They are not rows of an array.
     """
     count = len(items)
     taken = [(k, _parts(vector[k])) for vector in (items, again) for k in {0, min(1, count - 1), count - 1}]

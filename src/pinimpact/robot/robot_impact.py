@@ -1,4 +1,4 @@
-"""Impacts of robots: (q, v) and a contact in, post-impact velocity and impulse out."""
+"""Impacts of robots: from (q, v) and a contact to post-impact velocity and impulse."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _NONE_HELD.setflags(write=False)
 
 
 def _factor(numbers: Array) -> tuple[Array | None, float | None]:
-    """Return a factor of W and its scale as an `ImpactProblem` has them."""
+    """Return a factor of W and its scale for an `ImpactProblem`."""
     if not numbers.any():
         return None, None
     return triangle_of(numbers), float(numbers[-1])
@@ -288,7 +288,7 @@ def impact(
 def _impact_by_calls(
     model: pin.Model, cache: DataCache, struck: Struck, q: Array, v: Array, e: float, numbers: Array
 ) -> tuple[int, ...]:
-    """Do what `robot_impact` does, for joints that its kernels do not know."""
+    """Compute the impact by calls of Pinocchio, for joints that the kernels do not support."""
     parts, contact = struck.parts, struck.contact
     assert parts is not None
     if not np.isfinite(q).all() or (cache.curved and not pin.isNormalized(model, q, 1e-8)):
@@ -322,7 +322,7 @@ def _impact_in_steps(
     record: bool,
     options: dict[str, Any],
 ) -> Hit:
-    """Go by way of `contact_matrices` and `solve_impact`, for all that the kernel does not do."""
+    """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply."""
     held = check_held(held)
     matrices = contact_matrices(model, data, q, contact, held, locked)
     nv = len(matrices.h)

@@ -1,4 +1,4 @@
-"""A contact of two convex shapes, and the contacts of single points that it comes to where they touch."""
+"""A contact of two convex shapes, and its contact points as contacts of single points."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ShapePair:
-    """Two convex shapes that may meet.
+    """Two convex shapes that can make contact.
 
     Attributes:
-        contact: The contact that asks for them, with its coefficients.
-        a: The shape of the robot; impulses and forces are those on it.
-        b: The shape that it meets; normals point from it to `a`.
+        contact: The contact, with its coefficients.
+        a: The shape of the robot; impulses and forces act on it.
+        b: The other shape; normals point from it to `a`.
     """
 
     contact: Contact
@@ -44,7 +44,7 @@ class ShapePair:
 
     @property
     def most_points(self) -> int:
-        """In how many points the two can touch at once, one that takes over from another among them."""
+        """Largest number of contact points of the two, including one that replaces another."""
         corners = [max([len(face) for face in one.shape.faces], default=0) for one in (self.a, self.b)]
         if all(corners):
             return sum(corners)
@@ -52,14 +52,14 @@ class ShapePair:
 
     @property
     def basis(self) -> Contact:
-        """A contact of a point of A, of no place as yet, with the coefficients and the name."""
+        """A contact of a point of A without a position, with the coefficients and the name."""
         return replace(
             self.contact, geometry=None, rim_points=None, frame=0, plane=Plane(), shape=self.a.name
         )
 
     @cached_property
     def bounding(self) -> Contact:
-        """A sphere around A that meets one around B, as a contact of a single point."""
+        """Bounding spheres of A and B, as a contact of a single point."""
         point = self.a.in_frame.act(self.a.shape.center)
         center = self.b.in_frame.act(self.b.shape.center)
         return replace(
@@ -71,7 +71,7 @@ class ShapePair:
         )
 
     def placed(self, data: pin.Data) -> tuple[PlacedShape, PlacedShape]:
-        """Return both where they are, with ``data.oMi`` up to date."""
+        """Return both shapes at their placements, with ``data.oMi`` up to date."""
         return _placed(data, self.a), _placed(data, self.b)
 
 
@@ -95,9 +95,9 @@ def is_pair(robot: Any, contact: Contact) -> bool:
 
 
 def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
-    """Return a contact for each point in which two shapes can touch at once, as yet far from any surface.
+    """Return a contact for each possible contact point of two shapes, initially far from any surface.
 
-    Where they are is known when the shapes touch; see `point_contacts`.
+    Their positions are set when the shapes touch; see `point_contacts`.
 
     Args:
         robot: The RobotWrapper with the collision shapes.
@@ -112,7 +112,7 @@ def places(robot: Any, contact: Contact) -> tuple[Contact, ...]:
 
 
 def _called(contact: Contact, name: str) -> Contact:
-    """Return a contact that differs by its name only, of which nothing needs to be checked again."""
+    """Return a contact with another name, without checking it again."""
     other = copy(contact)
     object.__setattr__(other, "name", name)
     return other
@@ -131,8 +131,8 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
 
     Raises:
         InputError: A robot without collision shapes, a shape that cannot be made convex, two shapes that
-            cannot move against each other.
-        UnknownNameError: No shape bears a name; near matches are offered.
+            cannot move relative to each other.
+        UnknownNameError: There is no shape of that name; the message suggests similar names.
     """
     a = collision_shape(robot, contact.geometry or "", contact.rim_points)
     surface = contact.plane
@@ -148,14 +148,14 @@ def shape_pair(robot: Any, contact: Contact) -> ShapePair:
 
 
 class PointContact(NamedTuple):
-    """A point in which two shapes touch, as contacts of single points.
+    """A contact point of two shapes, as contacts of single points.
 
     Attributes:
-        touch: What touches.
-        instant: The contact at this instant, a point of A on a plane that B carries: its Jacobian is right.
-        lasting: The contact that holds as long as these features touch; None where corners of two polytopes
-            meet, or a corner and an edge.
-        swapped: Whether B carries the point of `lasting`, so that its force acts on B.
+        touch: The features in contact.
+        instant: The contact at this instant, a point of A on a plane attached to B: its Jacobian is correct.
+        lasting: The contact as long as these features touch; None for corners of two polytopes, or a corner
+            and an edge.
+        swapped: Whether the point of `lasting` belongs to B, so that its force acts on B.
     """
 
     touch: Touch
@@ -172,12 +172,12 @@ def point_contact(
     touch: Touch,
     basis: Contact,
 ) -> PointContact:
-    """Return the contacts of a point in which two shapes touch, at the configuration of `data`.
+    """Return the contacts of a contact point of two shapes, at the configuration of `data`.
 
     Args:
         pair: The shapes.
         data: With joint placements up to date.
-        placed: The shapes where they are.
+        placed: The shapes at their placements.
         normal: (3,) from B to A.
         touch: The point.
         basis: A contact with the coefficients and the name.
@@ -255,7 +255,7 @@ TIE = 4e-12
 
 
 def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
-    """Return the contacts of single points in which two shapes are nearest at a configuration.
+    """Return the contacts of single points for the closest points of two shapes at a configuration.
 
     Args:
         robot: The RobotWrapper.

@@ -1,4 +1,4 @@
-"""Surfaces that only collision shapes meet: a box, and a collision shape of the robot itself."""
+"""Surfaces for contact with collision shapes only: a box, and a collision shape of the robot itself."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .names import frame_id, model_of
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """A convex shape that a frame carries.
+    """A convex shape attached to a frame.
 
     Attributes:
         shape: The shape.
@@ -40,7 +40,7 @@ class CarriedShape:
         joint: The joint that moves the frame.
         in_frame: Placement of the shape in the frame's axes.
         in_joint: Placement of the shape in the joint's axes.
-        name: What it is called.
+        name: Name of the shape.
     """
 
     shape: ConvexShape
@@ -52,22 +52,22 @@ class CarriedShape:
 
 
 def carried(model: pin.Model, shape: ConvexShape, frame: int, placement: pin.SE3, name: str) -> CarriedShape:
-    """Return a shape that a frame carries at a placement in its axes."""
+    """Return a shape attached to a frame at a placement in its axes."""
     body = model.frames[frame]
     return CarriedShape(shape, frame, int(body.parentJoint), placement, body.placement * placement, name)
 
 
 def collision_shape(robot: Any, name: str, rim_points: int | None = None) -> CarriedShape:
-    """Return a collision shape of a robot as a convex shape; of a mesh its hull.
+    """Return a collision shape of a robot as a convex shape; for a mesh its hull.
 
     Args:
         robot: The RobotWrapper.
-        name: Of the shape.
-        rim_points: Points that stand for each rim of a cylinder or cone.
+        name: Name of the shape.
+        rim_points: Number of points of each rim of a cylinder or cone.
 
     Raises:
         InputError: A robot without collision shapes, a shape that cannot be made convex.
-        UnknownNameError: No shape bears the name; near matches are offered.
+        UnknownNameError: There is no shape of that name; the message suggests similar names.
     """
     model, shapes = model_of(robot), collision_model(robot)
     found = find_shape(shapes, name)
@@ -80,7 +80,7 @@ _known: Remembered = {}
 
 
 def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_points: int | None) -> ConvexShape:
-    """Return the convex shape of a collision shape; those of meshes are remembered."""
+    """Return the convex shape of a collision shape; those of meshes are cached."""
     solid, name = found.geometry, found.name
     swept = swept_radius(solid)
     if swept > 0.0:
@@ -108,7 +108,7 @@ def _known_shape(shapes: pin.GeometryModel, found: pin.GeometryObject, rim_point
 
 
 class Solid(Surface):
-    """A surface that is a whole convex body, and that only a contact with `geometry` meets."""
+    """A surface that is a convex body, for contacts with `geometry` only."""
 
     code: ClassVar[int] = SOLID
     velocity: Vector = (0.0, 0.0, 0.0)
@@ -116,7 +116,7 @@ class Solid(Surface):
 
     @abstractmethod
     def carried_by(self, robot: Any) -> CarriedShape:
-        """Return the convex shape, and what carries it.
+        """Return the convex shape, and the frame to which it is attached.
 
         Args:
             robot: The RobotWrapper.
@@ -134,11 +134,11 @@ class Solid(Surface):
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What stands in for them, for no kernel knows it."""
+        """Placeholders, since kernels do not support it as a surface."""
         return *self.origin, *self.axes.ravel().tolist(), *self.velocity, *self.angular_velocity, SOLID, 0.0
 
     def distance(self, point: ArrayLike) -> float:
-        """Not known by itself.
+        """Not available without the robot.
 
         Raises:
             InputError: Always.
@@ -148,7 +148,7 @@ class Solid(Surface):
         )
 
     def departure(self) -> str | None:
-        """It keeps to its place."""
+        """None: it does not move by itself."""
         return None
 
     def at_rest(self) -> Surface:
@@ -239,7 +239,7 @@ def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
     """Return a sphere as a convex shape.
 
     Raises:
-        InputError: One whose surface moves by itself.
+        InputError: The sphere has a surface velocity.
     """
     if any(surface.velocity) or any(surface.angular_velocity):
         raise InputError(

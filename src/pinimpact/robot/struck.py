@@ -1,4 +1,4 @@
-"""What kernels take of a contact that collides, remembered with the Data."""
+"""Kernel data of a contact that collides, cached with the Data."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MOST = 256
 
 
 class Struck(NamedTuple):
-    """What kernels take of a contact that collides.
+    """Kernel data of a contact that collides.
 
     Attributes:
         contact: The contact, kept so that no other one has its id.
         signs, constants: As in `contact_kinematics.jacobian`.
-        work: For `robot_impact`; None where some joint is unknown to `tree_matrices`.
-        parts: Then mass matrix and Jacobian by way of Pinocchio,
-        room: and room for `resolve`.
+        work: For `robot_impact`; None if `tree_matrices` does not support some joint.
+        parts: Mass matrix and Jacobian from Pinocchio in that case,
+        room: and the work array of `resolve`.
     """
 
     contact: Contact
@@ -37,7 +37,7 @@ class Struck(NamedTuple):
 
 
 def strike(cache: DataCache, model: pin.Model, data: pin.Data, contact: Contact) -> Struck:
-    """Return what kernels take of a contact, made on the first call and again when the model has grown."""
+    """Return the kernel data of a contact, created on the first call and again if the model has grown."""
     if model.njoints != cache.njoints:
         raise outdated(model, data)
     if model.nframes != cache.frames_seen or len(cache.struck) >= MOST:

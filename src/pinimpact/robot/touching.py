@@ -1,4 +1,4 @@
-"""Which tips of a collision shape touch a surface first, and rims that touch it all round."""
+"""Tips of a collision shape that touch a surface first, and rims that lie flat on it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FLAT = 1e-12
 
 
 def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
-    """Return the tips of a contact of a collision shape that are lowest at a configuration.
+    """Return the tips of a contact of a collision shape with the smallest gap at a configuration.
 
     Args:
         robot: The RobotWrapper.
@@ -46,10 +46,10 @@ def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) ->
 
 
 def check_rims(model: pin.Model, data: pin.Data, q: ArrayLike, contacts: Iterable[Contact]) -> None:
-    """Refuse an impact at a rim that lies flat on its plane.
+    """Raise an error for an impact at a rim that lies flat on its plane.
 
     Raises:
-        InputError: See above; the message has the contact.
+        InputError: A rim lies flat; the message has the contact.
     """
     rims = [contact for contact in contacts if contact.rim > 0.0]
     if not rims:
@@ -62,9 +62,9 @@ def check_rims(model: pin.Model, data: pin.Data, q: ArrayLike, contacts: Iterabl
 
 
 def tilt_of_rim(model: pin.Model, data: pin.Data, contact: Contact) -> Array:
-    """Return u × n (3,) in the axes of the plane's carrier, where ``data.oMi`` is up to date.
+    """Return u × n (3,) in the axes of the plane's carrier, with ``data.oMi`` up to date.
 
-    Its length is the sine of the angle between a rim and its plane; its lowest point is across it.
+    Its length is the sine of the angle between a rim and its plane; its lowest point is perpendicular to it.
     """
     frame, carrier = _placements(model, data, contact)
     axis = carrier[:3, :3].T @ (frame[:3, :3] @ contact.axis)
@@ -72,7 +72,7 @@ def tilt_of_rim(model: pin.Model, data: pin.Data, contact: Contact) -> Array:
 
 
 def flat_rim(contact: Contact) -> str:
-    """Return what is wrong with a rim that lies flat."""
+    """Return the message for a rim that lies flat."""
     return (
         f"{contact.label!r} lies flat on its surface: a smooth rim then has no unique contact "
         "point; set rim_points= of the collision shape, or give contacts at single points"

@@ -1,1 +1,1 @@
-"""Measurements: what accuracy costs, and other solvers of the same problem."""
+"""Accuracy against run time, and other solvers of the same problem."""

@@ -1,4 +1,4 @@
-"""What accuracy costs in time: error against time for every method over its steps or tolerances."""
+"""Accuracy against run time, for every method over its steps or tolerances."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ BATCH = 2e-4
 
 
 def problem_classes() -> dict[str, ImpactProblem]:
-    """Return the standard problems, one for each regime that an impact can take."""
+    """Return the standard problems, one for each regime of impacts."""
     skewed = np.array([[1.3, 0.2, 0.4], [0.2, 0.8, -0.3], [0.4, -0.3, 0.9]])
     s, c = math.sin(0.46), math.cos(0.46)
     rod = np.array(
@@ -109,7 +109,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """End state of another model, at e = 0, against the end of the path.
+    """Final state of another model, at e = 0, compared with the end of the path.
 
     Attributes:
         problem: Name of the problem.
@@ -130,7 +130,7 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Measurements, and how to read, keep and draw them."""
+    """Measurements, with tables, plots and files."""
 
     points: tuple[Point, ...]
     contrasts: tuple[Contrast, ...]
@@ -165,7 +165,7 @@ class Report:
         return "\n".join(lines)
 
     def summary(self) -> str:
-        """Return as text the least cost of coming within an error, by method, and what other models do."""
+        """Return as text the shortest run time within an error by method, and differences of other models."""
         count = len(self.problems)
         lines = [
             f"Run time of the fastest setting within an error, median over {count} "
@@ -198,7 +198,7 @@ class Report:
         return "\n".join(lines)
 
     def cheapest(self, target: float) -> tuple[Point | None, ...]:
-        """Return for each problem the point of least cost whose error is within `target`, or None."""
+        """Return for each problem the fastest point whose error is within `target`, or None."""
         if not 0.0 < target < math.inf:
             raise InputError(f"target: {target!r} given, a number > 0 expected", field="target", value=target)
         best = []
@@ -208,7 +208,7 @@ class Report:
         return tuple(best)
 
     def advice(self, target: float) -> str:
-        """Return in words which method and setting reaches `target` at the least cost."""
+        """Return as text the fastest method and setting with an error within `target`."""
         lines = [f"cheapest within an error of {target:g}"]
         for problem, point in zip(self.problems, self.cheapest(target), strict=True):
             found = "no method reaches it"
@@ -218,7 +218,7 @@ class Report:
         return "\n".join(lines)
 
     def save(self, path: str | Path) -> None:
-        """Write the raw figures as JSON (NaN as null)."""
+        """Write the measurements as JSON (NaN as null)."""
         raw = {
             "machine": self.machine,
             "points": [asdict(point) for point in self.points],
@@ -252,21 +252,21 @@ def run_cost(
     time_cap: float = 2.0,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Measure error against time.
+    """Measure error against run time.
 
     Args:
-        problems: Problems by name; the standard classes where None.
-        methods: Names of registered methods; all where None.
-        repeats: Timings of each point, of which the best counts.
-        time_cap: Seconds after which a point takes no more timings; a method is not measured at settings
-            beyond the first whose single call takes longer.
-        progress: Called with the name of each problem as its turn comes.
+        problems: Problems by name; None for the standard ones.
+        methods: Names of registered methods; None for all.
+        repeats: Timings of each point; the best is used.
+        time_cap: Seconds after which a point is not timed again; a method is not measured at settings beyond
+            the first whose single call takes longer.
+        progress: Called with the name of each problem before it is measured.
 
     Returns:
         The `Report`. A method that fails on a problem has NaN there.
 
     Raises:
-        PinimpactError: A problem that has no answer, or the name of no method.
+        PinimpactError: A problem without a solution, or an unknown method.
     """
     points: list[Point] = []
     contrasts: list[Contrast] = []
@@ -295,7 +295,7 @@ def relative_error(solution: Solution, reference: Solution, problem: ImpactProbl
 
 
 def best_time(call: Callable[[int], Any], repeats: int, time_cap: float) -> float:
-    """Return the least seconds that ``call(count)`` takes per count."""
+    """Return the shortest time of ``call(count)`` per count [s]."""
     begun = time.perf_counter()
     call(1)
     once = time.perf_counter() - begun
@@ -335,7 +335,7 @@ def _measure(
 
 
 def _kernel(problem: ImpactProblem, method: str, setting: dict[str, Any]) -> Callable[[int], Any] | None:
-    """Return what solves the problem `count` times in compiled code, warmed up."""
+    """Return a function that solves the problem `count` times in compiled code, warmed up."""
     from ..contact_space._kernels.butcher import DORMAND_PRINCE, EULER, RK4
     from ..contact_space._kernels.timing import repeat_exact, repeat_stepping
     from ..contact_space.methods import FIRST_STEPS
@@ -386,7 +386,7 @@ def _contrasts(name: str, problem: ImpactProblem, repeats: int, time_cap: float)
 
 
 def machine() -> dict[str, Any]:
-    """Return what a measurement has to say about where it was made."""
+    """Return a description of the machine and the versions, for measurements."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

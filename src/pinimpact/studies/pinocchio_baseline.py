@@ -1,7 +1,7 @@
 """Pinocchio's own constraint solvers on the same W, v and μ: another model of the impact.
 
-They find one impulse for the whole impact, with friction opposed to the *final* slip and no restitution.
-Where slip keeps its direction that is the end of the path too; where it turns, it is not.
+They find one impulse for the whole impact, with friction opposed to the *final* slip and no restitution. If
+slip keeps its direction this is the end of the path too; if it turns, it is not.
 """
 
 from __future__ import annotations

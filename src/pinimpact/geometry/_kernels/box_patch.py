@@ -1,4 +1,4 @@
-"""The patch in which two boxes face each other; see `geometry.patch`, which does so for all convex shapes.
+"""The contact patch of two boxes; see `geometry.patch`, which supports all convex shapes.
 
 A box is a placement of twelve numbers (its axes, column by column, and its centre) and half its edges (3,).
 """
@@ -49,9 +49,9 @@ def extent(a, half, n1, n2, n3):
 
 @external
 def separate(a, half_a, b, half_b):
-    """Return how far two boxes are apart along the best direction, that (3), and what it is of.
+    """Return the separation of two boxes along the best direction, that direction (3), and its kind.
 
-    That is 0, 1, 2 for a face of B, 3, 4, 5 for one of A, 6 + 3 i + j for the edges i of A and j of B.
+    The kind is 0, 1, 2 for a face of B, 3, 4, 5 for one of A, 6 + 3 i + j for the edges i of A and j of B.
     """
     d1, d2, d3 = a[9] - b[9], a[10] - b[10], a[11] - b[11]
     size = math.sqrt(half_a[0] ** 2 + half_a[1] ** 2 + half_a[2] ** 2) + math.sqrt(
@@ -82,7 +82,7 @@ def separate(a, half_a, b, half_b):
 
 @inlined
 def facing_axis(a, n1, n2, n3):
-    """Return the axis of a box that is nearest to a direction or its opposite, and their cosine."""
+    """Return the axis of a box closest to a direction or its opposite, and their cosine."""
     best, axis = 0.0, 0
     for i in range(3):
         cosine = along(a, i, n1, n2, n3)
@@ -144,7 +144,7 @@ def clip_face(a, half_a, axis, side, b, half_b, face, up, polygon):
 
 @inlined
 def nearest_on_edges(along_a, half_a, along_b, half_b, cosine):
-    """Return where two segments are nearest, from the middle of each along its direction.
+    """Return the closest points of two segments, from the middle of each along its direction.
 
     Args:
         along_a: From the middle of the second to that of the first, along the first.
@@ -177,15 +177,15 @@ def edge_middle(a, half, i, first, second):
 
 @external
 def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others):
-    """Put the nearest points of an edge of A and one of B first; return their distance.
+    """Write the closest points of an edge of A and one of B to the first rows; return their distance.
 
     Args:
         a, half_a: The box A.
         i: The axis along the edge.
-        p: ±1, on which side of the next axis it is.
-        q: ±1, on which side of the one after that.
+        p: ±1, the side of the next axis.
+        q: ±1, the side of the one after that.
         b, half_b: The box B.
-        j: As i, p, q of A.
+        j: As i, p, q for B.
         k: Likewise.
         o: Likewise.
         points: (k, 3) of A.
@@ -206,7 +206,7 @@ def nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, points, others)
 
 @external
 def nearest_edges(a, half_a, b, half_b, size, points, others):
-    """Put the mean of the nearest points of all edges of two boxes first; return the distance."""
+    """Write the mean of the closest points of all edges of two boxes first; return the distance."""
     best, count = math.inf, 0
     one, other = np.empty((1, 3)), np.empty((1, 3))
     for i in range(3):
@@ -229,7 +229,7 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
 @declared(FLOATS, FLOATS, FLOATS, FLOATS, float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, result=int)
 @jit
 def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
-    """Fill where two boxes are nearer than a distance; return the number of points, none if they are not.
+    """Fill the contact patch of two boxes within a distance; return the number of points, 0 if apart.
 
     Args:
         a: (12,) placement of A.
@@ -294,9 +294,9 @@ def sign(x):
 
 @external
 def face_patch(a, half_a, axis, side, b, half_b, face, up, within, normal, points, others, gaps):
-    """Fill the patch of A over a face of B, as `box_patch` does; return −1 where A is beyond its sides.
+    """Fill the patch of A over a face of B, as `box_patch` does; return −1 if A is beyond its sides.
 
-    Other arguments are as of `clip_face`.
+    Other arguments are as in `clip_face`.
     """
     polygon = np.empty((2 * MOST, 3))
     count = clip_face(a, half_a, axis, side, b, half_b, face, up, polygon)

@@ -1,12 +1,12 @@
-"""Where the constants of a contact stand.
+"""The layout of the constants of a contact.
 
-In the axes of what carries the tip: the tip's centre (3) and radius. In the axes of what carries the
-surface: its point (3), its axes (3, 3), and the velocity and angular velocity of its material (3 + 3). Then
-the code of its kind and the number that its kind adds. In the tip's axes again, the radius of its rim (0 if
-it has none) and the unit axis of that, or the unit direction of its edge (3). Last, in the axes of what
-carries the surface, the unit direction of a surface that is a line (3).
+In the axes of the tip's body: the tip's centre (3) and radius. In the axes of the surface's body: its point
+(3), its axes (3, 3), and the velocity and angular velocity of its material (3 + 3). Then the code of its kind
+and the number of its kind. In the tip's axes again, the radius of its rim (0 if it has none) and the unit
+axis of that, or the unit direction of its edge (3). Last, in the axes of the surface's body, the unit
+direction of a surface that is a line (3).
 
-What carries them are frames for an impact and joints for a scene.
+The bodies are frames for an impact and joints for a scene.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from ..._compile.jit import jit
 @declared(float, float, float)
 @jit
 def contact_axes(nx, ny, nz):
-    """Return t₁ and t₂ (3 + 3 scalars) of the unit normal n: where the smallest rotation z → n takes x and y.
+    """Return t₁ and t₂ (3 + 3 scalars) of the unit normal n: x and y after the smallest rotation z → n.
 
     With n = (s u, nz), |u| = 1: t₁ = x − (1 − nz) u₁ (u, 0) − nx z, and t₂ alike. For nz > 0 the factor
     is s²/(1 + nz), so nothing cancels near n = ±z. For n = −z: half a turn about x.

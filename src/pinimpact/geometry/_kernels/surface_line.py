@@ -1,4 +1,4 @@
-"""A line through the surface's point, round to its size; see `surface_plane` for what each function is."""
+"""A line through the surface's point, with a radius; see `surface_plane` for the meaning of the functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .constants import LINE_AXIS, SIZE
 
 @inlined
 def across(k, x1, x2, x3):
-    """Return the part (3) of a vector that is at right angles to the line."""
+    """Return the component (3) of a vector perpendicular to the line."""
     e1, e2, e3 = k[LINE_AXIS], k[LINE_AXIS + 1], k[LINE_AXIS + 2]
     f = e1 * x1 + e2 * x2 + e3 * x3
     return x1 - f * e1, x2 - f * e2, x3 - f * e3

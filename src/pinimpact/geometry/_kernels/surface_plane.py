@@ -12,7 +12,7 @@ from .constants import AXES
 
 @inlined
 def distance(k, x1, x2, x3):
-    """Return the signed distance of x and its gradient n (3), the unit normal of the surface nearest to x."""
+    """Return the signed distance of x and its gradient n (3), the unit normal of the surface closest to x."""
     n1, n2, n3 = k[AXES + 6], k[AXES + 7], k[AXES + 8]
     return n1 * x1 + n2 * x2 + n3 * x3, n1, n2, n3
 

@@ -1,4 +1,4 @@
-"""A sphere about the surface's point, n pointing out of it; see `surface_plane` for what each function is."""
+"""A sphere about the surface's point, n outwards; see `surface_plane` for the meaning of the functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .constants import SIZE
 
 @inlined
 def distance(k, x1, x2, x3):
-    """Return |x| − R and x/|x|; at the very centre, where no direction is nearest, n is z."""
+    """Return |x| − R and x/|x|; at the centre, where the normal is not unique, n is z."""
     away = math.sqrt(x1 * x1 + x2 * x2 + x3 * x3)
     if away == 0.0:
         return -k[SIZE], 0.0, 0.0, 1.0

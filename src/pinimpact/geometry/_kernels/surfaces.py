@@ -1,4 +1,4 @@
-"""The kinds of surfaces: the one place where a kernel asks which it is; see `surface_plane` for the rest."""
+"""Selection of surface functions by kind; see `surface_plane` for their meaning."""
 
 from __future__ import annotations
 

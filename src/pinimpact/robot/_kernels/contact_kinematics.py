@@ -1,10 +1,10 @@
-"""Where a contact is: its axes, point, gap and Jacobian, for impacts and for scenes alike.
+"""Contact axes, contact point, gap and Jacobian of a contact, for impacts and for scenes.
 
 The tip is a sphere (or a point) about c, the surface is anything with a signed distance d. With n = ∇d at c
 the gap is d(c) − r and the contact point p = c − r n. A tip with a rim, a circle of radius ρ and axis u about
-c₀ that meets planes alone, has its lowest point in place of c: c = c₀ − ρ n_u/|n_u| with n_u = n − (n·u)u.
-A tip that is an edge, a line of direction u through c₀, meets an edge, a line of direction e on the surface:
-then n = u × e/|u × e|, and c is where the one is nearest to the other.
+c₀ that makes contact with planes only, has its lowest point instead of c: c = c₀ − ρ n_u/|n_u| with n_u = n −
+(n·u)u. A tip that is an edge, a line of direction u through c₀, makes contact with an edge, a line of
+direction e on the surface: then n = u × e/|u × e|, and c is the point of the one closest to the other.
 Placements are twelve numbers, see `placement`; k are the constants of the contact, see `constants`.
 """
 
@@ -38,7 +38,7 @@ LEAST_RISE = 1e-12
 
 @inlined
 def carried_axes(k, n1, n2, n3):
-    """Return t₁ and t₂ (3 + 3) in the carrier's axes: where the smallest rotation a₃ → n takes a₁ and a₂.
+    """Return t₁ and t₂ (3 + 3) in the carrier's axes: a₁ and a₂ after the smallest rotation a₃ → n.
 
     a₁, a₂, a₃ are the axes in the constants, which `follow` n. So a scene's axes move with the surface and
     along it without a jump; those of an impact, `contact_axes` of n in world axes, jump where n passes −z.
@@ -66,9 +66,9 @@ def carried_spin(k, n1, n2, n3, m1, m2, m3):
 
 @inlined
 def follow(R, S, k):
-    """Let the axes in the constants become the present ones where n has turned more than 60° from them.
+    """Replace the axes in the constants by the present ones if n has turned more than 60° from them.
 
-    Components along the present axes stay what they are; those along axes at other places change a little.
+    Components along the present axes do not change; those along axes at other places change slightly.
     """
     _, _, _, x1, x2, x3 = relative(R, S, k)
     _, n1, n2, n3 = distance(R, S, k, x1, x2, x3)
@@ -98,7 +98,7 @@ def towards_plane(R, S, k):
 def relative(R, S, k):
     """Return the tip's centre c (3) in world axes, and from the surface's point in the carrier's axes (3).
 
-    Of a rim it is the lowest point, see `towards_plane`; of an edge that nearest to the other one.
+    For a rim it is the lowest point, see `towards_plane`; for an edge the point closest to the other edge.
     """
     c1, c2, c3 = place(R, k, TIP)
     if k[RIM] > 0.0:
@@ -148,7 +148,7 @@ def at_contact(R, S, k):
 
 @inlined
 def material_velocity(S, k, y1, y2, y3):
-    """Return the velocity (3) that the surface's material has beyond its carrier's, and its spin (3).
+    """Return the velocity (3) of the surface's material relative to its carrier, and its spin (3).
 
     y is from the surface's point; all in world axes.
     """
@@ -225,7 +225,7 @@ def fill_by_axes(J, signs, p1, p2, p3, axes, out):
 @declared(FLOAT_COLUMNS, FLOATS, FLOATS, FLOATS, FLOAT_ROWS)
 @jit
 def jacobian_by_axes(columns, signs, point, axes, out):
-    """Do what `fill_by_axes` does, for Python.
+    """Call `fill_by_axes` from Python.
 
     Args:
         columns: (6, nv) as in `fill_jacobian`.
@@ -255,7 +255,8 @@ def contact_rows(R, S, columns, signs, constants, out):
     """Fill the contact Jacobian J, as `jacobian` does, for placements of the frame and of the carrier.
 
     Returns:
-        t₁, t₂, n (9), what the surface does beyond its carrier (3), in contact axes, and the point (3).
+        t₁, t₂, n (9), the velocity of the surface relative to its carrier (3), in contact axes, and the point
+            (3).
     """
     _, n1, n2, n3, p1, p2, p3 = at_contact(R, S, constants)
     a1, a2, a3, b1, b2, b3 = contact_axes(n1, n2, n3)
@@ -278,13 +279,14 @@ def jacobian(frame, carrier, columns, signs, constants, out):
 
     Args:
         frame: (4, 4) placement of the contact's frame.
-        carrier: (4, 4) placement of the frame that carries the surface, or of the world.
+        carrier: (4, 4) placement of the frame to which the surface is attached, or of the world.
         columns: (6, nv) as in `fill_jacobian`.
         signs: (nv,) as in `fill_jacobian`.
-        constants: Of the contact, in these frames' axes.
+        constants: Constants of the contact, in these frames' axes.
         out: (3, nv) takes J.
 
     Returns:
-        t₁, t₂, n (9) in world axes, and what the surface does beyond its carrier (3), in contact axes.
+        t₁, t₂, n (9) in world axes, and the velocity of the surface relative to its carrier (3), in contact
+            axes.
     """
     return contact_rows(pose(frame), pose(carrier), columns, signs, constants, out)[:12]

@@ -1,10 +1,10 @@
-"""How a contact moves: rate of its gap, acceleration, and bounds of it over a step.
+"""The motion of a contact: rate and acceleration of its gap, and bounds over a step.
 
-Bodies are given by the placement of their joint, and by spatial vectors (linear over angular), as Pinocchio
-leaves them in its data. The acceleration may include gravity, for only differences of two bodies enter.
+Bodies are given by the placement of their joint, and by spatial vectors (linear over angular), as in
+Pinocchio's data. The acceleration may include gravity, since only differences of two bodies enter.
 
 The contact point is the point of the tip that is closest to the surface, so on a sphere it is not a material
-point: with c the centre, p = c − r n and ṗ = ċ − r ṅ; and on a rim the lowest point c itself goes round it,
+point: with c the centre, p = c − r n and ṗ = ċ − r ṅ; and on a rim the lowest point c itself moves along it,
 see `towards_plane`. The contact velocity is that of the two bodies' material at p.
 """
 
@@ -54,22 +54,22 @@ def gap_and_rate(R, V, S, U, k):
 
 @inlined
 def bounds(J, signs, group, R, k, peak, h, reach):
-    """Return what bounds the gap's second derivative over a step of length h, see `gap_bounds`.
+    """Return the numbers that bound the gap's second derivative over a step of length h, see `gap_bounds`.
 
-    That is, for the tip's centre relative to the surface's carrier, the largest size of its acceleration, how
-    much that varies, its largest speed. With a reach the same of all points of the tip's body that are within
-    it of the centre.
+    For the tip's centre relative to the surface's carrier these are the largest acceleration, its largest
+    variation and the largest speed. With a reach they hold for all points of the tip's body within it of the
+    centre.
 
     With J_k the column of velocity k for the tip's centre, d²c/dt² = Σ J_k v̇_k + Σ H_jk v_j v_k. H_jk is ω
     × J of the inner and the outer joint, so |H_jk| ≤ |ω_inner||J_outer|, and its own derivative has one more
-    factor ω. The |J_k| are the present ones, lengthened by the way the point can go.
+    factor ω. The |J_k| are the present ones, plus the distance that the point can move.
 
     Args:
         J, signs, R, k: As in `contact_motion`.
-        group: (nv,) number of the joint that each velocity belongs to.
-        peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and how far they get from those at its start.
-        h: Its length [s].
-        reach: Of the points about the centre [m].
+        group: (nv,) number of the joint of each velocity.
+        peak: (4, nv) the largest |ξ̇| and |v̇| of the step, and their largest changes from its start.
+        h: Length of the step [s].
+        reach: Radius of the points about the centre [m].
     """
     n = len(signs)
     c1, c2, c3 = place(R, k, TIP)
@@ -125,7 +125,7 @@ def bounds(J, signs, group, R, k, peak, h, reach):
 @declared(*6 * [FLOATS])
 @external
 def rim_and_rates(R, V, S, U, k, out):
-    """Fill what the gap of a rim over a plane is made of, and its rates; arguments as in `gap_and_rate`.
+    """Fill the terms of the gap of a rim over a plane, and their rates; arguments as in `gap_and_rate`.
 
     These are the height of its centre and its rate, and u × n and its rate (3 + 3), in the axes of the
     plane's carrier: the gap is the height less the rim's radius times |u × n|.
@@ -152,10 +152,10 @@ def rim_and_rates(R, V, S, U, k, out):
 
 @inlined
 def turning_bound(J, signs, R, k, peak, h):
-    """Return the largest size of the second derivative of a rim's axis over a step, times the rim's radius.
+    """Return the largest second derivative of a rim's axis over a step, times the rim's radius.
 
-    As `bounds` does for a point, for the end of the axis relative to the centre; seen from the surface's
-    carrier, so that any rotation may be the inner one.
+    As `bounds` for the end of the axis relative to the centre, seen from the surface's carrier, so that any
+    rotation may be the inner one.
     """
     n = len(signs)
     x1, x2, x3 = direction(R, k, RIM_AXIS)
@@ -179,19 +179,19 @@ def turning_bound(J, signs, R, k, peak, h):
 @declared(*7 * [FLOATS], FLOAT_COLUMNS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS)
 @external
 def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, acceleration, surface):
-    """Fill what a closed contact needs, in axes t₁, t₂, n that the surface carries, see `carried_axes`.
+    """Fill the kinematics of a closed contact, in axes t₁, t₂, n carried by the surface, see `carried_axes`.
 
     Args:
         R, V, A: Placement of the tip's joint, its velocity and acceleration in world axes at the world's
             origin.
-        S, U, B: Those of the joint that carries the surface.
+        S, U, B: Those of the joint to which the surface is attached.
         k: Constants of the contact, in the axes of the two joints.
         J: (6, nv) joint Jacobian in world axes at the world's origin.
         signs: (nv,) 1 for velocities that move the tip only, −1 the surface only, 0 neither or both.
         jacobian: (3, nv) takes the contact Jacobian.
         velocity: (3,) takes the contact velocity v.
         acceleration: (3,) takes dv/dt for the accelerations given.
-        surface: (3,) takes the velocity of the surface beyond its carrier's.
+        surface: (3,) takes the velocity of the surface relative to its carrier.
 
     Returns:
         The gap [m].
@@ -289,10 +289,10 @@ def _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, v1, v2, v3, n1, n2, n3):
 
 @inlined
 def _along_rim(R, V, k, n1, n2, n3, m1, m2, m3):
-    """Return how fast (3) the lowest point goes along a rim as its material sees it, for ṅ = m.
+    """Return the velocity (3) of the lowest point along a rim relative to its material, for ṅ = m.
 
-    The material sees u at rest and n turn at ṅ − ω × n, which takes the lowest point along t = u × e, with e
-    = n_u/|n_u| of `towards_plane`. All in world axes.
+    Relative to the material, u is at rest and n turns at ṅ − ω × n, which moves the lowest point along t = u
+    × e, with e = n_u/|n_u| of `towards_plane`. All in world axes.
     """
     u1, u2, u3 = direction(R, k, RIM_AXIS)
     w1, w2, w3 = cross(u1, u2, u3, n1, n2, n3)

@@ -1,8 +1,8 @@
-"""The triangular factor of W = YYᵀ, Y = J L⁻¹, and the size of the numbers that it is formed from.
+"""The triangular factor of W = YYᵀ, Y = J L⁻¹, and the size of the terms that it is the sum of.
 
-Rounding of J is ε of the lengths and axes that its columns are products of, seen from the world's origin;
-rounding of the solution of Lᵀ y = x is that of |Lᵀ||y|. Either reaches Y through L⁻ᵀ, from each velocity on
-its own. (theory.md, 6)
+The rounding error of J is ε of the lengths and axes in the products of its columns, relative to the world's
+origin; that of the solution of Lᵀ y = x is ε|Lᵀ||y|. Both reach Y through L⁻ᵀ, independently for each
+velocity. (theory.md, 6)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .tree import solve_transposed
 
 @inlined
 def _take_out(direction, row):
-    """Take out of a row its part along a unit direction, and return its size."""
+    """Subtract from a row its component along a unit direction, and return that."""
     part = 0.0
     for j in range(len(row)):
         part += direction[j] * row[j]
@@ -29,7 +29,7 @@ def _take_out(direction, row):
 
 @inlined
 def _normalize(row):
-    """Divide a row by its length, and return that."""
+    """Divide a row by its length, and return the length."""
     total = 0.0
     for x in row:
         total += x * x

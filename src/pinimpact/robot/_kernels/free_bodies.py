@@ -1,4 +1,4 @@
-"""Dynamics of bodies that fly freely in the world, each with a free-flyer joint of its own.
+"""Dynamics of free bodies in the world, each with its own free-flyer joint.
 
 Newton's and Euler's equations about the centre of mass c, in the body's axes, with v and ω of its joint:
 
@@ -17,7 +17,7 @@ MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
 
 @inlined
 def times(k, at, a, b, c):
-    """Return a symmetric (3, 3) matrix that stands at k[at:at + 9] times a vector."""
+    """Return the product of the symmetric (3, 3) matrix at k[at:at + 9] and a vector."""
     return (
         k[at] * a + k[at + 1] * b + k[at + 2] * c,
         k[at + 3] * a + k[at + 4] * b + k[at + 5] * c,
@@ -27,7 +27,7 @@ def times(k, at, a, b, c):
 
 @inlined
 def set_placement(k, q, i, out):
-    """Fill the placement (12,) of a joint whose coordinates stand at q[i:i + 7]."""
+    """Fill the placement (12,) of a joint with the coordinates q[i:i + 7]."""
     x, y, z, w = q[i + 3], q[i + 4], q[i + 5], q[i + 6]
     turn = (
         *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
@@ -78,10 +78,10 @@ def move_bodies(joints, bodies, q, v, placements, velocities):
 def accelerate_bodies(
     joints, bodies, gravity, q, v, tau, acceleration, placements, velocities, accelerations, jacobian
 ):
-    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` leaves them.
+    """Fill v̇ of bodies and their kinematics, as `RobotDynamics.forward_dynamics` does.
 
     Args:
-        joints, bodies: As of `move_bodies`.
+        joints, bodies: As in `move_bodies`.
         gravity: (3,) [m/s²].
         q, v, tau: State of the robot, generalized forces.
         acceleration: (nv,) takes v̇.

@@ -1,7 +1,7 @@
-"""Vectors and points moved by a placement.
+"""Vectors and points transformed by a placement.
 
 A placement is twelve numbers, the rotation column by column and then the translation: a tuple, or a row of
-the array in which Pinocchio keeps its placements.
+the array in which Pinocchio stores its placements.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from ..._compile.jit import inlined
 
 @inlined
 def pose(matrix):
-    """Return the placement that a homogeneous (4, 4) matrix stands for."""
+    """Return the placement of a homogeneous (4, 4) matrix."""
     m = matrix
     return (
         *(m[0, 0], m[1, 0], m[2, 0]),
@@ -48,12 +48,12 @@ def rotate_back(R, a, b, c):
 
 @inlined
 def direction(R, k, i):
-    """Rotate the vector that stands at k[i:i + 3]."""
+    """Rotate the vector k[i:i + 3]."""
     return rotate(R, k[i], k[i + 1], k[i + 2])
 
 
 @inlined
 def place(R, k, i):
-    """Move the point that stands at k[i:i + 3]."""
+    """Transform the point k[i:i + 3]."""
     a, b, c = rotate(R, k[i], k[i + 1], k[i + 2])
     return a + R[9], b + R[10], c + R[11]

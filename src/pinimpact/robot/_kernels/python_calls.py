@@ -1,9 +1,9 @@
 """Calls from a kernel into Python: of a bound C++ function on buffers that the kernel fills and reads.
 
-The interpreter's lock is held while a kernel runs, and its C interface is linked by name as numba's own code
-links it. Neither function nor arguments are created again, so a call costs as much as from Python, less the
-interpreter. A kernel cannot pass an error on: it is kept, and `raise_kept_error` raises it when the kernel
-has come back.
+The global interpreter lock is held while a kernel runs, and its C interface is linked by name as numba's own
+code links it. Functions and arguments are created once, so a call costs as much as from Python, without the
+interpreter. A kernel cannot propagate an error: the error is stored, and `raise_kept_error` raises it when
+the kernel has returned.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _release = types.ExternalFunction("Py_DecRef", types.void(types.intp))
 
 @intrinsic
 def _keep_error(typing_context):
-    """Move the interpreter's error to where it is kept, in place of one that nobody has asked for."""
+    """Store the interpreter's error, replacing one that was not raised."""
 
     def generate(context, builder, signature, arguments):
         word, i32 = context.get_value_type(types.intp), ir.IntType(32)
@@ -51,7 +51,7 @@ def _declared(builder, name, arguments):
 def _call(function, arguments):
     """Call a Python object with a tuple of arguments, both given by address; return False if it raises.
 
-    With the JIT off an error passes through at once.
+    With NUMBA_DISABLE_JIT the error propagates at once.
     """
     result = _call_object(function, arguments)
     if result == 0:
@@ -71,7 +71,7 @@ call = _call_in_python if config.DISABLE_JIT else inlined(_call)
 
 
 def raise_kept_error():
-    """Raise the error that a call from a kernel has kept, if there is one."""
+    """Raise the error that a call from a kernel has stored, if there is one."""
     error = tuple(_kept)
     if error[0] is not None:
         _kept[:] = [None, None, None]

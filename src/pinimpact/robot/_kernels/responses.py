@@ -1,4 +1,4 @@
-"""What impulses in given directions do to a robot: W and M⁻¹Jᵀ from M and the rows of J."""
+"""The response of a robot to impulses in given directions: W and M⁻¹Jᵀ from M and the rows of J."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def half_solve(mass, parents, free, lower, rows):
 
     Args:
         mass: (nv, nv) M.
-        parents: (nv,) the next velocity on the way to the root, or −1.
-        free: (nv,) False for velocities that are locked: to these M and the rows do not reach.
+        parents: (nv,) the next velocity towards the root, or −1.
+        free: (nv,) False for locked velocities, which are left out.
         lower: (nv, nv) takes L.
         rows: Rows of Jacobians.
 
@@ -64,21 +64,21 @@ COUPLED = 1e-12
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
 @jit
 def taking_part(delassus, friction, rates, least, first, found):
-    """Tell which of n contacts take part in an impact at `first`: 1 in `found` (n,).
+    """Mark which of n contacts take part in an impact at `first`: 1 in `found` (n,).
 
-    That is what approaches and feels another of them, and what an impulse of another can press. The rest is
-    lifted by every impulse within the cones of friction, so it has none itself.
+    These are contacts that approach and are coupled to another of them, and those that an impulse of another
+    can press. Every impulse within the friction cones lifts the others, so they have no impulse.
 
     Args:
         delassus: (3n, 3n) W.
         friction: (n,) μ.
         rates: (n,) normal velocities.
-        least: A speed of approach that is none.
+        least: Speed of approach that is taken as zero.
         first: One of them.
-        found: Takes the answer.
+        found: Takes the result.
 
     Returns:
-        Whether any of these feels another contact at all.
+        Whether any of these is coupled to another contact.
     """
     n = len(found)
     own = np.empty(n)
@@ -108,7 +108,7 @@ def taking_part(delassus, friction, rates, least, first, found):
 
 @inlined
 def _largest(delassus, i, j):
-    """Return the size of the largest number in one contact's block of W for another's impulses."""
+    """Return the largest magnitude in one contact's block of W for another's impulses."""
     largest = 0.0
     for a in range(3 * i, 3 * i + 3):
         for b in range(3 * j, 3 * j + 3):

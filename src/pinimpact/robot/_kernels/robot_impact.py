@@ -1,7 +1,7 @@
-"""The whole impact of a robot in one call: configuration and velocity in, post-impact velocity out.
+"""The impact of a robot in one call: from configuration and velocity to post-impact velocity.
 
 Mass matrix, Jacobian and placements come from the numbers of the model, `tree_matrices`, or, for joints that
-that does not know, from Pinocchio.
+it does not support, from Pinocchio.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ CALL_RAISED, ALL_DONE = -2, -1
 
 @inlined
 def all_finite(x):
-    """Whether no number of a vector is infinite or NaN."""
+    """Whether all numbers of a vector are finite."""
     total = 0.0
     for i in range(len(x)):
         total += 0.0 * x[i]
@@ -57,7 +57,7 @@ def all_finite(x):
 
 
 def room_to_resolve(nv: int) -> int:
-    """Return how many numbers `resolve` needs room for; for Python."""
+    """Return the size of the work array of `resolve`; for Python."""
     return (nv + 4) * nv + SCRATCH
 
 
@@ -145,15 +145,15 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
 
 
 def room_for(nv: int, bodies: int) -> int:
-    """Return how many numbers `robot_impact` needs room for; for Python."""
+    """Return the size of the work array of `robot_impact`; for Python."""
     return BODY * (bodies + 2) + 6 * nv + nv * nv + room_to_resolve(nv)
 
 
 @inlined
 def _by_tree(work, room, evaluated, q, v, mu, e, out):
-    """Resolve the impact of a robot's contact; as `resolve`, or `NOT_NORMALIZED`.
+    """Resolve the impact of a robot's contact; returns as `resolve`, or `NOT_NORMALIZED`.
 
-    Where the tree is `evaluated`, at this q by the call before, room has it still.
+    If the tree is `evaluated`, at this q by the previous call, the work array still has its matrices.
     """
     room, q, v, out = borrowed(room), borrowed(q), borrowed(v), borrowed(out)
     nv, n = work.nv, work.bodies
@@ -223,13 +223,13 @@ def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
         work: `RobotWorkspace`.
         q: (N, nq).
         v: (N, nv).
-        usable: (N,) whether a row is to be resolved; the others are passed by.
+        usable: (N,) whether a row is to be resolved; the others are skipped.
         mu: (N,).
         e: (N,).
         after: (N, nv) takes v⁺.
         impulses: (N, 3) takes the impulses in world axes.
-        codes: (N, 2) takes status and flags; rows that are passed by keep theirs.
-        numbers: (N, SIZE) takes what `resolve` has beyond v⁺; (0, SIZE) where that is not wanted.
+        codes: (N, 2) takes status and flags; skipped rows do not change.
+        numbers: (N, SIZE) takes the other results of `resolve`; (0, SIZE) if they are not needed.
 
     Returns:
         `ALL_DONE`, or the velocity at which the factorization of M stops.
@@ -268,26 +268,26 @@ def impacts_by_calls(
     Args:
         calls: (2 k,) addresses of functions and their arguments, see `python_calls`; after them mass, frame,
             carrier and columns are those of the buffer.
-        buffer: (nq,) where the calls find the configuration.
-        mass: As in `resolve`, as all that is not told here.
-        parents: See there.
-        frame: See there.
-        carrier: See there.
-        columns: See there.
-        signs: See there.
-        constants: See there.
-        bounds: See there.
-        q: As in `robot_impacts`, as all that follows but `law`.
-        v: See there.
-        usable: See there.
-        mu: See there.
-        e: See there.
+        buffer: (nq,) the configuration for the calls.
+        mass: As in `resolve`, like the arguments up to `bounds`.
+        parents: See `resolve`.
+        frame: See `resolve`.
+        carrier: See `resolve`.
+        columns: See `resolve`.
+        signs: See `resolve`.
+        constants: See `resolve`.
+        bounds: See `resolve`.
+        q: As in `robot_impacts`, like the arguments that follow except `law` and `room`.
+        v: See `robot_impacts`.
+        usable: See `robot_impacts`.
+        mu: See `robot_impacts`.
+        e: See `robot_impacts`.
         law: Code of the law.
         room: See `resolve`.
         after: See `robot_impacts`.
-        impulses: See there.
-        codes: See there.
-        numbers: See there.
+        impulses: See `robot_impacts`.
+        codes: See `robot_impacts`.
+        numbers: See `robot_impacts`.
 
     Returns:
         `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.

@@ -1,4 +1,4 @@
-"""What the kernels of impacts know of a robot and of the contact that collides."""
+"""Data of a robot and of the contact that collides, for the kernels of impacts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ REVOLUTE, UNBOUNDED, PRISMATIC, FREE_FLYER, SPHERICAL, TRANSLATION, PLANAR = ran
 
 
 class RobotWorkspace(Workspace):
-    """See `pinimpact._compile.workspace` for how it is declared and read.
+    """See `pinimpact._compile.workspace` for its declaration and access.
 
-    Kernels that run without Python's lock write nothing into it, so threads may share it. Placements are
-    twelve numbers, see `placement`.
+    Kernels that run without the global interpreter lock do not write to it, so threads can share it.
+    Placements are twelve numbers, see `placement`.
     """
 
     nq = size("numbers of a configuration")

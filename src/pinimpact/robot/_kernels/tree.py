@@ -1,4 +1,4 @@
-"""Factor and solve with the mass matrix of a kinematic tree, M = LᵀL, touching only ancestors.
+"""Factorization and solution with the mass matrix of a kinematic tree, M = LᵀL, using ancestors only.
 
 L is lower triangular and L[i, j] ≠ 0 only where velocity j is an ancestor of velocity i (Featherstone,
 Rigid Body Dynamics Algorithms, 2008, section 6.5).
@@ -18,15 +18,15 @@ EPS = 2.0**-52
 @declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
 @jit
 def factor(mass, parents, lower):
-    """Fill `lower` with L; its entries that are no ancestor's are left as they are.
+    """Fill `lower` with L; entries of velocities that are not ancestors do not change.
 
     Args:
         mass: (nv, nv) M.
-        parents: (nv,) the next velocity on the way to the root, or −1.
+        parents: (nv,) the next velocity towards the root, or −1.
         lower: (nv, nv) takes L.
 
     Returns:
-        −1, or the first velocity whose inertia, with all that it carries free to move, is not positive.
+        −1, or the first velocity whose inertia, with its subtree free to move, is not positive.
     """
     n = mass.shape[0]
     for i in range(n):

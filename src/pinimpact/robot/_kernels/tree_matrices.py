@@ -1,8 +1,8 @@
 """Placements, Jacobian and mass matrix of a kinematic tree, from the numbers of its model.
 
-Composite rigid bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2). All stands in the
-world's axes but is seen from the first joint, so that it does not matter how far the robot is from the
-world's origin.
+Composite rigid bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2). All vectors are in
+world axes, relative to the first joint, so that the distance of the robot from the world's origin does not
+matter.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NORMALIZED = 1e-8
 
 @inlined
 def placed(body, placement, out):
-    """Fill `out` with a placement (12,) on a body's, and return nothing."""
+    """Fill `out` with the product of a body's placement and a placement (12,) on it."""
     for k in (0, 3, 6):
         out[k], out[k + 1], out[k + 2] = rotate(body, placement[k], placement[k + 1], placement[k + 2])
     x, y, z = rotate(body, placement[9], placement[10], placement[11])
@@ -42,7 +42,7 @@ def placed(body, placement, out):
 
 @inlined
 def _slide(R, x, y, z):
-    """Move a placement along its own axes."""
+    """Translate a placement along its own axes."""
     x, y, z = rotate(R, x, y, z)
     R[9] += x
     R[10] += y
@@ -51,7 +51,7 @@ def _slide(R, x, y, z):
 
 @inlined
 def _turn(R, axis, cos, sin):
-    """Turn a placement about an axis of its own."""
+    """Rotate a placement about one of its axes."""
     a, b = 3 * ((axis + 1) % 3), 3 * ((axis + 2) % 3)
     for i in range(3):
         x, y = R[a + i], R[b + i]
@@ -60,7 +60,7 @@ def _turn(R, axis, cos, sin):
 
 @inlined
 def _turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
-    """Turn a placement by a rotation matrix, given column by column."""
+    """Rotate a placement by a rotation matrix, given column by column."""
     x, y, z = rotate(R, l11, l21, l31), rotate(R, l12, l22, l32), rotate(R, l13, l23, l33)
     for i in range(3):
         R[i], R[3 + i], R[6 + i] = x[i], y[i], z[i]
@@ -68,7 +68,7 @@ def _turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
 
 @inlined
 def _turn_about(R, a, cos, sin):
-    """Turn a placement about a unit vector of its own axes."""
+    """Rotate a placement about a unit vector in its axes."""
     x, y, z = a[0], a[1], a[2]
     m = 1.0 - cos
     _turn_by(
@@ -81,7 +81,7 @@ def _turn_about(R, a, cos, sin):
 
 @inlined
 def _turn_by_quaternion(R, x, y, z, w):
-    """Turn a placement by a unit quaternion."""
+    """Rotate a placement by a unit quaternion."""
     _turn_by(
         R,
         *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
@@ -124,7 +124,7 @@ def _move(work, j, q, R):
 
 @inlined
 def _add(parent, m, c1, c2, c3, xx, xy, yy, xz, yz, zz):
-    """Add a rigid body (mass, centre, inertia about it) to what a body carries."""
+    """Add a rigid body (mass, centre, inertia about it) to the composite body."""
     old = parent[12]
     total = old + m
     if m == 0.0 or total == 0.0:
@@ -146,7 +146,7 @@ def _add(parent, m, c1, c2, c3, xx, xy, yy, xz, yz, zz):
 
 @inlined
 def _own_inertia(body, inertia):
-    """Fill what a joint carries with its own link."""
+    """Initialize the composite body of a joint with its own link."""
     c1, c2, c3 = rotate(body, inertia[1], inertia[2], inertia[3])
     xx, xy, yy, xz, yz, zz = inertia[4], inertia[5], inertia[6], inertia[7], inertia[8], inertia[9]
     r1, r2, r3, r4, r5, r6, r7, r8, r9 = (
@@ -175,11 +175,12 @@ def tree_matrices(work, q, bodies, columns, mass):
         work: `RobotWorkspace`.
         q: (nq,) configuration.
         bodies: (bodies, BODY) takes the joints' placements, the world's first, in its first twelve columns.
-        columns: (6, nv) takes the motion of the point seen from, as if fixed to what each velocity moves.
-        mass: (nv, nv) takes M, at the places of each velocity and those on its way to the root.
+        columns: (6, nv) takes the motion of the reference point, as if fixed to the bodies that each velocity
+            moves.
+        mass: (nv, nv) takes M, in the entries of each velocity and its ancestors.
 
     Returns:
-        whether q is normalized.
+        Whether q is normalized.
     """
     bodies, columns, mass = borrowed(bodies), borrowed(columns), borrowed(mass)
     n = work.bodies
@@ -244,5 +245,5 @@ def tree_matrices(work, q, bodies, columns, mass):
 @declared(RobotWorkspace, FLOATS, FLOAT_ROWS, FLOAT_COLUMNS, FLOAT_ROWS)
 @jit
 def evaluate_tree(work, q, bodies, columns, mass):
-    """Do what `tree_matrices` does, for Python."""
+    """Call `tree_matrices` from Python."""
     return tree_matrices(work, q, bodies, columns, mass)
