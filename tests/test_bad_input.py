@@ -190,7 +190,7 @@ def test_files_that_hold_no_trajectory_are_called_what_they_are(tmp_path):
     with pytest.raises(InputError, match=r"^path: there is no file .*fall\.npz$"):
         pinimpact.Trajectory.load(tmp_path / "fall.npz")
     (tmp_path / "text.npz").write_text("t, q, v")
-    with pytest.raises(InputError, match=r"text\.npz' is no readable trajectory \(not a zip archive\)"):
+    with pytest.raises(InputError, match=r"text\.npz' is not a readable trajectory \(not a zip archive\)"):
         pinimpact.Trajectory.load(tmp_path / "text.npz")
 
 

@@ -132,10 +132,10 @@ class WorkerPool:
                 continue
             LOG.info(COUNT, sum(over), len(jobs))
             self._at_work = job
-            with suppress(Exception):  # types that it cannot be called with; or else whoever calls it tells
+            with suppress(Exception):  # invalid types; other errors occur again at the call
                 kernel_of(job).compile(job.types)
             self.release(job)
-            if self._helpers:  # a second at the end, while nobody helps any more; a helper ends before
+            if self._helpers:  # not in helpers, which end before it matters
                 gc.collect(0)
 
     def _is_at_work(self, job: Job) -> bool:
@@ -169,7 +169,7 @@ def worker_pool(helpers: int) -> Iterator[Callable[[Sequence[Job]], None]]:
     """
     started: list[subprocess.Popen[bytes]] = []
     with ExitStack() as stack:
-        with suppress(OSError):  # no place for claims, or no process to be had: alone, then
+        with suppress(OSError):  # no folder for locks, or no further process: compile alone
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=PACKAGE)))
             stack.callback(_end, started)
             for _ in range(helpers):

@@ -59,7 +59,7 @@ SMALL = 1e-5
 """A compliance that is small beside the largest of W: what it changes has its square left, 10⁻¹⁰."""
 
 CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
-"""What `polish` is told of a contact in its first iteration."""
+"""Modes of a contact for the first iteration of `polish`."""
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""The command line; heavy modules load when a verb needs them."""
+"""The command line; large modules are imported by the commands that need them."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 class _Shown(logging.Handler):
-    """Hands on the text of what is logged; how long it takes stays in sight while kernels are counted."""
+    """Passes on log messages; the estimated time stays visible while kernels are counted."""
 
     def __init__(self, show: Callable[[str], Any]) -> None:
         super().__init__()
@@ -93,7 +93,7 @@ class _Shown(logging.Handler):
 
 @contextmanager
 def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
-    """Pass messages on the compiling of kernels to `show` only, if the console is a terminal."""
+    """Send messages about compilation to `show` only, if the console is a terminal."""
     if not console.is_terminal:
         yield
         return
@@ -115,7 +115,7 @@ def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
     """Show progress on a terminal, and which kernels are compiled.
 
     Returns:
-        What prints a line on how far it has come.
+        A function that prints a line of progress.
     """
     from rich.console import Console
 
@@ -299,7 +299,7 @@ def plan(scene: Path, as_json: bool) -> None:
 
 
 def _plain(text: str) -> float | str:
-    """Return a number where a text is one, else the text with its unit."""
+    """Return a number if a text is one, else the text with its unit."""
     try:
         return float(text)
     except ValueError:

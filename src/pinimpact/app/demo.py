@@ -1,4 +1,4 @@
-"""The main job in one call: a robot swings its hand, or drops its foot, onto a table."""
+"""The demo: a robot swings its hand, or drops its foot, onto a table."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ BEFORE, AFTER = 0.15, 0.25
 SUNK = 0.01
 """How far a part without contact may be in the table before the demo ends, in parts of the robot's size."""
 SLIDE = 0.2
-"""How far the striking point moves along the table before and after the touch [m], of a robot of 1 m."""
+"""How far the contact point moves along the table before and after the impact [m], of a robot of 1 m."""
 FRICTION, RESTITUTION = 0.3, 0.5
 FIXED_BASE, FREE_BASE = (0.5, 0.3, -0.8), (0.6, 0.3, -2.0)
-"""Velocity of the contact point at the touch [m/s], in contact axes; the tangential part is less where a
-free base stands on little (`_steadiness`)."""
+"""Velocity of the contact point at impact [m/s], in contact axes; the tangential part is smaller for a free
+base with a small support (`_steadiness`)."""
 TILT = (-0.15, 0.25, 0.0)
-"""Roll, pitch and yaw of a free base at the touch [rad], so that one foot comes first; less likewise."""
+"""Roll, pitch and yaw of a free base at impact [rad], so that one foot lands first; smaller likewise."""
 LEAST_LEVER = 0.01
 """A point moves if joints at 1 rad/s or m/s give it this speed [m/s]."""
 NO_INERTIA = 1e-14
-"""What a joint moves [kg m² or kg] if it moves nothing."""
+"""Inertia [kg m² or kg] that is taken as zero."""
 SINGULAR = 1e-12
 """Least eigenvalue of the mass matrix, scaled to ones on its diagonal, that is not taken for zero."""
 CLEAR = 1e-3
-"""Contacts that could touch later are this far away at the touch, in parts of the robot's size."""
+"""Distance of other possible contacts at impact, relative to the robot's size."""
 STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
-"""Of springs in the joints of a free base, in its weight times its size per rad and √(size/g); g [m/s²]."""
+"""Of springs in the joints of a free base, in weight times size per rad and √(size/g); g [m/s²]."""
 FLOOR = 0.1
 """What is so far above the lowest foot, in parts of the robot's size, is a hand."""
 LEAST_STEADY = 0.2
@@ -60,15 +60,15 @@ NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """A demo that has been run.
+    """The result of a demo.
 
     Attributes:
         robot: The robot, without the joints of `frozen`.
-        contacts: What may touch the table; the first one strikes.
+        contacts: Contacts with the table; the first one collides.
         trajectory: The motion, with the impact.
-        frozen: Joints that move no inertia, so that nothing can be said of their motion; they are held.
+        frozen: Joints without inertia, whose motion is undetermined; they are fixed.
         stopped: Why the motion after the impact could not continue, or None.
-        turned: Whether the table faces another way than up, since what strikes cannot move down.
+        turned: Whether the normal of the table is not vertical, because the contact point cannot move down.
     """
 
     robot: pin.RobotWrapper
@@ -80,7 +80,7 @@ class Demo:
 
     @property
     def contact(self) -> Contact:
-        """The contact that strikes."""
+        """The contact that collides."""
         return self.contacts[0]
 
     @property
@@ -88,7 +88,7 @@ class Demo:
         """The first impact of the contact on the table.
 
         Raises:
-            SimulationError: It never struck.
+            SimulationError: There was no impact.
         """
         for impact in self.trajectory.impacts:
             if impact.source == self.contact.label:
@@ -101,11 +101,11 @@ class Demo:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """The instant at which a point strikes the table.
+    """The instant at which a point collides with the table.
 
     Attributes:
-        joint: The joint that carries the point.
-        contact: The contact that strikes, with its table.
+        joint: The joint of the point.
+        contact: The contact, with its table.
         q: (nq,) configuration.
         v: (nv,) velocity.
     """
@@ -127,25 +127,26 @@ def run_demo(
     restitution: float | None = None,
     law: str = "poisson",
 ) -> Demo:
-    """Let a robot of example-robot-data (or of the bundled models, or of a file) strike a table.
+    """Simulate an impact of a robot (of example-robot-data, a bundled model, or a file) with a table.
 
-    The configuration and velocity at the touch are chosen, and the motion is taken back from there. A fixed
-    base holds its joints' speeds by a control that cancels gravity and inertia; a free base falls. Limits,
-    damping and dry friction of the joints play no part.
+    The configuration and velocity at the impact are chosen, and the motion starts some time before. With a
+    fixed base a control that compensates gravity and inertia keeps the joints at constant speed; a free base
+    falls. Limits, damping and dry friction of the joints are ignored.
 
     Args:
-        name: Of the robot, or the path of its file.
-        frame: What strikes; None for a hand or a foot that suggests itself.
+        name: Name of the robot, or the path of its file.
+        frame: Frame of the contact point; None for a suggested hand or foot.
         speed: Speed of the contact point at impact [m/s].
-        direction: Of its motion, (3,) in world axes, of any length. What a frame cannot do is left out.
-        normal: Of the table, (3,) in world axes, of any length; None for z or, where the frame cannot move
-            that way, against the way in which it can.
+        direction: Direction of its motion, (3,) in world axes, of any length. Components that the frame
+            cannot produce are left out.
+        normal: Normal of the table, (3,) in world axes, of any length; None for z or, if the frame cannot
+            move down, opposite to a direction in which it can move.
         friction: Coulomb coefficient.
-        restitution: Coefficient of the law.
-        law: Of restitution.
+        restitution: Coefficient of restitution.
+        law: Restitution law.
 
     Raises:
-        PinimpactError: An unknown robot, or one that cannot strike as it should; the message says why.
+        PinimpactError: An unknown robot, or one that cannot make this impact; the message says why.
     """
     robot, frozen = _movable(load_robot(name), name)
     model, body = robot.model, Body(robot)
@@ -184,7 +185,7 @@ def run_demo(
 
 
 def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tuple[str, ...]]:
-    """Return the robot without the joints that move no inertia, and the names of these."""
+    """Return the robot without the joints that have no inertia, and their names."""
     model = robot.model
     if model.nv == 0:
         raise ModelError(
@@ -204,7 +205,7 @@ def _movable(robot: pin.RobotWrapper, name: str) -> tuple[pin.RobotWrapper, tupl
 
 
 def _idle_joints(model: pin.Model, q: Array) -> set[int]:
-    """Return joints without which the mass matrix is regular: they move no inertia, or with others none."""
+    """Return joints without which the mass matrix is regular: they move no inertia, alone or with others."""
     joint_of = [j for j in range(1, model.njoints) for _ in range(model.nvs[j])]
     mass = pin.crba(model, model.createData(), q).reshape(model.nv, model.nv)
     mass = np.triu(mass) + np.triu(mass, 1).T
@@ -235,7 +236,7 @@ def _touch(
     normal: Sequence[float] | None,
     law: tuple[float, float, str],
 ) -> Touch:
-    """Return how the robot strikes: with the first frame that can move towards the table."""
+    """Return the impact of the robot: with the first frame that can move towards the table."""
     model = body.model
     free = free_base(model)
     keys: list[str | int]
@@ -303,13 +304,13 @@ def _touch(
 
 
 def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[int, Strike]:
-    """Return the frame that strikes, and its posture and point.
+    """Return the frame that collides, and its posture and point.
 
     Args:
         body: The robot.
-        q0: (nq,) where it comes.
-        i: The frame that is to strike; a free base lands on what is lowest unless `exact`.
-        exact: Whether the origin of the frame strikes, not what is lowest around it.
+        q0: (nq,) initial configuration.
+        i: The frame; a free base lands on its lowest point unless `exact`.
+        exact: Whether the origin of the frame collides, instead of the lowest point around it.
         axes: (3, 3) of the table.
     """
     model = body.model
@@ -330,7 +331,7 @@ def _strike(body: Body, q0: Array, i: int, exact: bool, axes: Array) -> tuple[in
 
 
 def _jacobian(body: Body, strike: Strike, i: int) -> Array:
-    """Return the (3, n) Jacobian of the striking point; a free base moves as a whole, n = 3."""
+    """Return the (3, n) Jacobian of the contact point; a free base moves as a whole, n = 3."""
     body.at(strike.q)
     whole = pin.computeFrameJacobian(body.model, body.data, strike.q, i, pin.LOCAL_WORLD_ALIGNED)
     whole = whole.reshape(6, body.model.nv)
@@ -339,7 +340,7 @@ def _jacobian(body: Body, strike: Strike, i: int) -> Array:
 
 
 def _place(body: Body, point: Array, i: int, number: int = 1) -> dict[str, Any]:
-    """Return frame, offset and name of a contact at a point (3,) in world axes, where the robot is now."""
+    """Return frame, offset and name of a contact at a point (3,) in world axes, at this configuration."""
     model, key = body.model, frame_label(body.model, i)
     label = (key if isinstance(key, str) else f"{model.frames[i].name} (frame {key})") + " on table"
     offset = body.data.oMf[i].actInv(point)
@@ -352,7 +353,7 @@ def _place(body: Body, point: Array, i: int, number: int = 1) -> dict[str, Any]:
 
 
 def _other_feet(body: Body, touch: Touch) -> list[Contact]:
-    """Return contacts at the other feet of a free base, and at other points of the one that strikes."""
+    """Return contacts at the other feet of a free base, and at other points of the foot that collides."""
     model, first = body.model, touch.contact
     found = []
     own = {int(model.frames[i].parentJoint): i for i in suggested_frames(model)}
@@ -365,7 +366,7 @@ def _other_feet(body: Body, touch: Touch) -> list[Contact]:
 
 
 def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | None) -> list[Array]:
-    """Return the axes (3, 3) of the tables to try: what is asked for, or z and what can be moved along."""
+    """Return the axes (3, 3) of the tables to try: the given one, or z and possible directions of motion."""
     if axes is not None:
         return [axes]
     tables = [contact_axes((0.0, 0.0, 1.0))]
@@ -378,10 +379,10 @@ def _tables(body: Body, q0: Array, i: int, axes: Array | None, along: Array | No
 
 
 def _steadiness(body: Body, q: Array) -> float:
-    """Return how firmly a free base stands, from `LEAST_STEADY` to 1.
+    """Return how stable a free base stands, from `LEAST_STEADY` to 1.
 
-    It is the width of what stands on the floor, as far as the centre of mass is in its middle, in parts of
-    the height of that centre.
+    It is the width of the support, as far as the centre of mass is in its middle, relative to the height of
+    the centre of mass.
     """
     axes, feet = np.eye(3), {int(body.model.frames[k].parentJoint) for k in suggested_frames(body.model)}
     points = np.reshape([point for foot in feet for point in soles(body, q, foot, axes)], (-1, 3))
@@ -395,7 +396,7 @@ def _steadiness(body: Body, q: Array) -> float:
 
 
 def _tilted(model: pin.Model, q: Array, part: float) -> Array:
-    """Return a configuration with its free base turned by a part of `TILT`."""
+    """Return a configuration with its free base tilted by a part of `TILT`."""
     root, q = model.jointPlacements[1].rotation, q.copy()
     tilt = pin.rpy.rpyToMatrix(*(part * np.array(TILT)))
     q[3:7] = pin.Quaternion(root.T @ tilt @ root @ pin.XYZQUATToSE3(q[:7]).rotation).coeffs()
@@ -405,9 +406,9 @@ def _tilted(model: pin.Model, q: Array, part: float) -> Array:
 def _take_back(
     model: pin.Model, contacts: Sequence[Contact], touch: Touch, before: float
 ) -> tuple[Array, Array, float]:
-    """Return the state from which the motion leads to the touch, and how long before it that is [s].
+    """Return a state from which the motion leads to the impact, and the time until then [s].
 
-    Joints move at their speeds, and a free base falls; so long that nothing touches before.
+    Joints move at constant speed, and a free base falls; nothing touches before.
     """
     data = model.createData()
     fall = model.jointPlacements[1].rotation.T @ model.gravity.linear if free_base(model) else np.zeros(3)
@@ -435,7 +436,7 @@ def _hold_speeds(model: pin.Model) -> Control:
 
 
 def _hold_posture(body: Body, q: Array) -> JointPD:
-    """Return springs that hold the joints as well as the robot's weight at a fifth of its size asks for."""
+    """Return springs that hold the joints against the robot's weight to a fifth of its size."""
     model = body.model
     single = [model.idx_vs[j] for j in range(2, model.njoints) if model.nvs[j] == model.nqs[j] == 1]
     gains = np.zeros(model.nv)

@@ -1,4 +1,4 @@
-"""The folder that a command writes to: made, or refused, before anything is computed."""
+"""The output folder of a command: created, or an error raised, before the computation."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ DEFAULT = Path("out")
 
 
 def make_folder(out: Path | None, names: Sequence[str], force: bool = False) -> Path:
-    """Return the folder to write to, which exists then.
+    """Return the output folder, created if necessary.
 
     Args:
-        out: The folder that is asked for; None for "out" or, where that has such files already, "out-2" and
-            so on.
-        names: What will be written.
-        force: Whether files of these names may be written over.
+        out: The folder given; None for "out" or, if that contains such files, "out-2" and so on.
+        names: Names of the files to write.
+        force: Whether to overwrite files of these names.
 
     Raises:
-        InputError: It cannot be made, or it has such files already.
+        InputError: It cannot be created, or it contains such files.
     """
     if out is None:
         out = DEFAULT
@@ -55,7 +54,7 @@ def table_files(output: Path, force: bool = False) -> dict[Literal["samples", "i
     """Return the files of a run's tables.
 
     Raises:
-        InputError: They cannot be written, have another suffix than those known, or exist already.
+        InputError: They cannot be written, have an unknown suffix, or exist already.
     """
     output = check_table_path("output", output)
     impacts = output.with_stem(f"{output.stem}-impacts")

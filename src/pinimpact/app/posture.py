@@ -46,11 +46,11 @@ FLAT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Strike:
-    """A posture, and what touches the table in it.
+    """A posture, and its contact point.
 
     Attributes:
         q: (nq,) the configuration.
-        point: (3,) what strikes, in world axes.
+        point: (3,) the contact point, in world axes.
     """
 
     q: Array
@@ -62,11 +62,11 @@ class Body:
 
     Attributes:
         model: The robot's.
-        data: Its work space, with placements of the last posture that was asked for.
-        size: Diagonal of the box around it [m].
+        data: Its data, with placements of the last posture.
+        size: Diagonal of its bounding box [m].
         solids: Joint of each shape, and its corners (k, 3) in the joint's axes [m].
         bare: Whether it has no shapes.
-        hulls: The same shapes as Coal has them, and their places in the joints' axes.
+        hulls: The same shapes as coal objects, and their placements in the joints' axes.
     """
 
     def __init__(self, robot: pin.RobotWrapper) -> None:
@@ -91,11 +91,11 @@ class Body:
         return [points @ places[j].rotation.T + places[j].translation for j, points in self.solids]
 
     def part(self, joint: int) -> set[int]:
-        """Return a joint and those that it carries."""
+        """Return a joint and its descendants."""
         return set(self.model.subtrees[joint])
 
     def lowest(self, corners: list[Array], normal: Array, joints: Collection[int]) -> Array | None:
-        """Return the middle of what is lowest on some joints, None if they carry no shape."""
+        """Return the middle of the lowest points on some joints, None if they have no shape."""
         own = [points for (joint, _), points in zip(self.solids, corners, strict=True) if joint in joints]
         if not own:
             return None
@@ -106,16 +106,16 @@ class Body:
         return middle + (heights.min() - middle @ normal) * normal
 
     def height(self, q: Array, point: Array, axes: Array) -> float:
-        """Return how high the lowest corner over a plate as large as the robot is [m]."""
+        """Return the height of the lowest corner over a plate as large as the robot [m]."""
         across = (np.vstack(self.at(q)) - point) @ axes.T
         inside = np.linalg.norm(across[:, :2], axis=1) < 0.5 * self.size
         return float(across[inside, 2].min(initial=self.size))
 
     def clearance(self, point: Array, axes: Array, reach: float, own: Collection[int]) -> float:
-        """Return how far shapes of other joints stay from a plate [m]; < 0 in it.
+        """Return the distance of the shapes of other joints from a plate [m]; < 0 in it.
 
         Args:
-            point: In the middle of the plate.
+            point: Middle of the plate.
             axes: (3, 3) its directions and its normal, as rows.
             reach: From its middle to its sides [m].
             own: Joints that may touch it.
@@ -132,7 +132,7 @@ class Body:
 
 
 def _hull(geometry: Any) -> Any:
-    """Return a shape of Coal's, of a mesh its convex hull if it is not flat."""
+    """Return a coal shape, for a mesh its convex hull if it is not flat."""
     if not hasattr(geometry, "buildConvexHull"):
         return geometry
     try:  # Coal ends the process at one that Qhull refuses
@@ -151,7 +151,7 @@ def _corners(shape: pin.GeometryObject) -> Array:
 
 
 def bent(robot: pin.RobotWrapper) -> Array:
-    """Return the posture in which a robot comes, with straight knees and elbows bent."""
+    """Return the initial posture of a robot, with straight knees and elbows bent."""
     model, q = robot.model, np.array(robot.q0, dtype=float)
     low, high = bounds(model)
     given = not np.allclose(q, pin.neutral(model))
@@ -167,18 +167,18 @@ def bent(robot: pin.RobotWrapper) -> Array:
 
 
 def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Array, reach: float) -> Strike:
-    """Return a posture in which a part comes down on a table and all others stay clear of it.
+    """Return a posture in which a part touches a table from above and all others stay clear of it.
 
-    Of many postures it is the one with the best sum of lever arm, distance and upright hand, and little
-    motion from where the robot comes.
+    It maximizes the sum of lever arm, distance and upright hand over many postures, with little motion from
+    the initial one.
 
     Args:
         body: The robot.
-        q0: (nq,) where it comes.
-        joint: The joint whose part strikes.
-        local: (3,) the point that strikes, in the joint's axes; None for the lowest one.
+        q0: (nq,) initial configuration.
+        joint: The joint of the part.
+        local: (3,) the contact point, in the joint's axes; None for the lowest one.
         axes: (3, 3) of the table, its normal last.
-        reach: How far the plate reaches from the point [m].
+        reach: Half the size of the plate [m].
     """
     model, normal, own = body.model, axes[2], body.part(joint)
     low, high = bounds(model)
@@ -235,11 +235,11 @@ def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Ar
 
 
 def landing(body: Body, tilted: Sequence[Array], feet: Sequence[int], normal: Array) -> tuple[Strike, int]:
-    """Return how a free base comes down, on a foot if it can, and the joint that carries what is lowest.
+    """Return the posture of a landing free base, on a foot if possible, and the joint of its lowest point.
 
     Args:
         body: The robot.
-        tilted: Its postures to try, the best first.
+        tilted: Postures to try, in order of preference.
         feet: Joints of its feet.
         normal: (3,) of the table.
     """

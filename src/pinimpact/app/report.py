@@ -32,7 +32,7 @@ WIDE = 160
 
 
 def wide_console() -> Console:
-    """Return the console of stdout; a file or a pipe has room for long names."""
+    """Return the console of stdout; files and pipes have a width for long names."""
     console = Console()
     return console if console.is_terminal else Console(width=max(WIDE, console.width))
 
@@ -110,11 +110,11 @@ def impact_facts(model: pin.Model, contact: Contact, impact: ImpactRecord) -> di
 
 
 def run_report(trajectory: Trajectory, every: bool = False) -> RenderableType:
-    """Return a run as tables: its impacts, its modes, its energy, what there is to remark, and how it ended.
+    """Return a run as tables: its impacts, modes, energy, notes, and how it ended.
 
     Args:
         trajectory: The run.
-        every: Whether all impacts, modes and notes are shown, not the first ones and notes in groups.
+        every: Whether to show all impacts, modes and notes, instead of the first ones and groups of notes.
     """
     impacts, modes = trajectory.impacts, trajectory.modes
     shown = None if every else LONGEST
@@ -177,8 +177,8 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
     """Return `robot_facts` as tables.
 
     Args:
-        facts: Of the robot.
-        every: Whether all frames are listed.
+        facts: The facts.
+        every: Whether to list all frames.
     """
     base = "free" if facts["free_base"] else "fixed"
     heading = (
@@ -223,7 +223,7 @@ def robot_report(facts: dict[str, Any], every: bool = False) -> RenderableType:
 
 
 def _energy_changes(trajectory: Trajectory) -> list[tuple[Any, ...]]:
-    """Return what changed the energy; the residual is given as small as it is."""
+    """Return the changes of energy by cause; the residual is given however small it is."""
     energy = trajectory.energy
     values = [energy.total[-1] - energy.total[0], *(getattr(energy, name)[-1] for name in WORKS)]
     names = ["kinetic and potential", *(f"work of {name}" for name in WORKS)]
@@ -282,11 +282,11 @@ def _energy(model: pin.Model, impact: ImpactRecord) -> Table:
 
 
 def rounded(values: Any, size: float = 0.0) -> list[float]:
-    """Return numbers (n,) with zeros for those that are nothing but rounding.
+    """Return numbers (n,) with zeros for those within rounding.
 
     Args:
         values: The numbers.
-        size: Of what they were formed from; at least that of the largest of them.
+        size: Size of the terms of which they are sums; at least that of the largest of them.
     """
     found = np.asarray(values, dtype=float)
     least = ROUNDING * max(size, float(np.abs(found).max(initial=0.0)))
@@ -294,7 +294,7 @@ def rounded(values: Any, size: float = 0.0) -> list[float]:
 
 
 def _columns(title: str, head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> Table:
-    """Return a table; numbers are set to the right and stay whole, names are folded where room is short."""
+    """Return a table; numbers are aligned to the right and not split, names are wrapped if necessary."""
     lines = [tuple(cell if isinstance(cell, str) else _number(cell) for cell in row) for row in rows]
     table = Table(title=Text(title), title_justify="left", min_width=min(len(title), 80))  # titles stay whole
     for k, name in enumerate(head):

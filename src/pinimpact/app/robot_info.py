@@ -1,4 +1,4 @@
-"""What one wants to know of a robot before it strikes: its joints, its frames, which of them may touch."""
+"""Information about a robot: joints, frames, and suggested contact frames."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ SENSORS = (
 
 
 def suggested_frames(model: pin.Model) -> list[int]:
-    """Return the ids of frames that may touch something, what most likely does first.
+    """Return the ids of suggested contact frames, the most likely first.
 
-    They are the outermost ones: of each joint that carries no other the frame that is called a tool, a foot
-    or a tip, or else the one farthest from the joint, but no sensor; and tools further inside. A link that
-    ends a chain counts as what it is fixed to: the end of a hand is a tool. A free base has its feet first,
-    a fixed one its tools.
+    These are the outermost ones: for each joint without children the frame that is called a tool, a foot or a
+    tip, or else the one farthest from the joint, but no sensor; and tools further inside. A link at the end
+    of a chain is classified by what it is fixed to: the end of a hand is a tool. A free base has its feet
+    first, a fixed one its tools.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
@@ -61,14 +61,14 @@ def suggested_frames(model: pin.Model) -> list[int]:
 
 
 def end_frames(model: pin.Model) -> list[int]:
-    """Return the ids of frames that may touch something: those that suggest themselves, then other ends."""
+    """Return the ids of possible contact frames: the suggested ones, then other ends."""
     suggested = suggested_frames(model)
     ends = [i for i in _chain_ends(model) if np.any(model.frames[i].placement.translation)]
     return [*suggested, *(i for i in ends if i not in suggested)]
 
 
 def _chain_ends(model: pin.Model) -> list[int]:
-    """Return the ids of links that move and to which nothing is fixed or jointed; sensors are left out."""
+    """Return the ids of moving links without children; sensors are left out."""
     parents = {frame.parentFrame for frame in model.frames}
     return [
         i
@@ -82,7 +82,7 @@ def _chain_ends(model: pin.Model) -> list[int]:
 
 
 def _words(name: str) -> str:
-    """Return a name in small letters with spaces between its words."""
+    """Return a name in lower case with spaces between its words."""
     return re.sub(r"[^a-z]+", " ", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
@@ -91,7 +91,7 @@ def _kind_of_frame(name: str, order: tuple[str, ...]) -> int:
 
 
 def free_base(model: pin.Model) -> bool:
-    """Return whether the robot's base flies freely."""
+    """Return whether the robot has a free base."""
     return model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer"
 
 
@@ -102,7 +102,7 @@ def frame_label(model: pin.Model, i: int) -> str | int:
 
 
 def robot_facts(name: str, robot: pin.RobotWrapper) -> dict[str, Any]:
-    """Return what there is to know of a robot, as plain data: lists, numbers [SI] and text."""
+    """Return information about a robot as plain data: lists, numbers [SI] and text."""
     model = robot.model
     low, high = bounds(model)
     joints = []
@@ -172,6 +172,6 @@ _KINDS = (
 
 
 def _kind(shortname: str) -> str:
-    """Return what a joint of Pinocchio's is called in a URDF."""
+    """Return the name of a Pinocchio joint type in URDF."""
     kind = shortname.removeprefix("JointModel")
     return next((word for start, word in _KINDS if kind.startswith(start)), kind.lower())

@@ -1,4 +1,4 @@
-"""What a scene file may say: robots, surfaces, contacts, the start, what is computed and what is written."""
+"""The schema of scene files: robots, surfaces, contacts, initial state, control and output."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FrameKey = str | int
 
 
 class _Table(BaseModel):
-    """A table of the file: unknown keys are refused, and nothing is converted silently.
+    """A table of the file: unknown keys raise an error, and values are not converted.
 
     The docstrings of keys are also in docs/scene-files.md; ``python -m tools.scene_keys`` writes them.
     """
@@ -271,15 +271,15 @@ def bundled_scenes() -> dict[str, Path]:
 
 
 def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> SceneFile:
-    """Return the checked tables of a scene file; paths in it are as they stand there.
+    """Return the checked tables of a scene file; paths in it are not resolved.
 
     Args:
         path: The file.
-        control: Keys of its table ``[control]`` to put in the place of those in the file.
+        control: Keys of its table ``[control]`` that replace those in the file.
 
     Raises:
-        InputError: No such file, no TOML, a key with a bad value; the message names the key.
-        UnknownNameError: A key that does not exist; near matches are offered.
+        InputError: No such file, invalid TOML, an invalid value; the message names the key.
+        UnknownNameError: An unknown key; the message suggests similar ones.
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -325,7 +325,7 @@ _TABLES: dict[tuple[str, ...], type[_Table]] = {
 
 
 def _first_error(error: ValidationError, path: Path) -> PinimpactError:
-    """Return pydantic's first complaint as an error that names the key."""
+    """Return pydantic's first error as an `InputError` that names the key."""
     complaints = error.errors()
     # a table in place of a list is why other keys seem to be missing
     complaint = next((one for one in complaints if one["type"] == "list_type"), complaints[0])

@@ -1,4 +1,4 @@
-"""Scene files made ready to run: robots put together, the start, contacts by name, control and output."""
+"""Scenes from scene files: robots, initial state, contacts by name, control and output."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Array = NDArray[np.float64]
 
 
 class JointControl:
-    """The control that ``[control]`` asks for: control(t, q, v) -> (nv,) generalized forces [N, N m].
+    """The control of ``[control]``: control(t, q, v) -> (nv,) generalized forces [N, N m].
 
     Args:
-        table: What the motors do.
+        table: The table ``[control]``.
         model: The robot.
-        start: (nq,) configuration towards which stiffness draws.
+        start: (nq,) reference configuration of the stiffness.
     """
 
     def __init__(self, table: ControlTable, model: pin.Model, start: Array) -> None:
@@ -58,14 +58,14 @@ class JointControl:
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene file made ready to run.
+    """A scene file that is ready to run.
 
     Attributes:
-        file: What the file says.
+        file: The content of the file.
         robot: The robot, or all of them in one.
         scene: The scene.
-        q: (nq,) configuration at the start.
-        v: (nv,) velocity at the start.
+        q: (nq,) initial configuration.
+        v: (nv,) initial velocity.
     """
 
     file: SceneFile
@@ -91,7 +91,7 @@ class LoadedScene:
         )
 
     def write(self, trajectory: Trajectory, folder: Path) -> Iterator[tuple[str, Path]]:
-        """Write what ``[output]`` asks for, and yield what each file is and its path."""
+        """Write the files of ``[output]``, and yield a description and the path of each."""
         from ..visual.html_replay import replay
         from ..visual.plots import energy_figure, forces_figure, impact_figure, save_figure
 
@@ -111,7 +111,7 @@ class LoadedScene:
                 strongest = max(impacts, key=lambda impact: float(impact.solution.impulse[2]))
                 title = f"{strongest.source}, t = {strongest.time:.4f} s: the largest impulse"
                 figure = impact_figure(strongest.problem, strongest.solution, title)
-                yield "Strongest impact", save_figure(figure, folder / "impact.png")
+                yield "Impact plot", save_figure(figure, folder / "impact.png")
         if output.replay:
             page = folder / "replay.html"
             speed = output.replay_speed
@@ -122,12 +122,12 @@ def load_scene(path: str | Path, control: Mapping[str, Any] | None = None) -> Lo
     """Read a scene file. Paths in it are relative to the file.
 
     Args:
-        path: The file, or the name of a scene that comes with pinimpact, such as "falling_rod".
-        control: Keys of its table ``[control]`` to put in the place of those in the file.
+        path: The file, or the name of a scene of the package, such as "falling_rod".
+        control: Keys of its table ``[control]`` that replace those in the file.
 
     Raises:
-        InputError: No such file, no TOML, a key with a bad value; the message names the key.
-        UnknownNameError: A key, surface, joint, frame or robot that does not exist; near matches are offered.
+        InputError: No such file, invalid TOML, an invalid value; the message names the key.
+        UnknownNameError: An unknown key, surface, joint, frame or robot; the message suggests similar ones.
         ModelError: A robot that cannot be used.
     """
     path = bundled_scenes().get(str(path), Path(path))
@@ -171,7 +171,7 @@ def _control(table: ControlTable | None, model: pin.Model, start: Array) -> dict
 
 
 def _law(table: ControlTable, model: pin.Model, start: Array) -> JointPD | JointControl:
-    """Return the control: a `JointPD` where it can be one."""
+    """Return the control: a `JointPD` if possible."""
     limited = table.largest_effort is not None
     if limited and table.cancel_gravity:
         raise InputError(
@@ -262,7 +262,7 @@ def _quantity(key: str, value: float | str, kind: str) -> float:
 
 
 class _Linked(NamedTuple):
-    """What of links meets a surface, with its coefficients, and where in the file that stands."""
+    """Links whose shapes make contact with a surface, with coefficients, and their key in the file."""
 
     key: str
     surface: Surface
@@ -271,7 +271,7 @@ class _Linked(NamedTuple):
 
 
 def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked]]:
-    """Return the contacts, whether each is held, and what of links meets a surface, with its coefficients.
+    """Return the contacts, whether each is held, and the contacts of links with their coefficients.
 
     A contact without a name is called "frame on surface", by the names in the file.
     """
@@ -310,7 +310,7 @@ def _contacts(file: SceneFile) -> tuple[list[tuple[bool, Contact]], list[_Linked
 
 
 def _check_shape_table(key: str, table: ContactTable) -> None:
-    """Refuse keys that a collision shape does not take."""
+    """Raise an error for keys that do not apply to a collision shape."""
     for name in ("held", "offset", "radius", *(("name",) if table.links is not None else ())):
         if name in table.model_fields_set:
             raise InputError(
@@ -338,7 +338,7 @@ def _surface(key: str, name: str, file: SceneFile) -> Surface:
 
 @contextmanager
 def _at(key: str) -> Iterator[None]:
-    """Say where in the file an error comes from."""
+    """Add the key in the file to an error."""
     try:
         yield
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Compile all kernels beforehand: for an image, a cluster, or a first run that must not wait."""
+"""Compile all kernels in advance: for a container image, a cluster, or a first run without delay."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from ..contact_space.solve import solve_impact
 
 
 def warm_up() -> str | None:
-    """Compile all kernels that impacts and scenes can call for, or find them compiled.
+    """Compile or load all kernels that impacts and scenes can call.
 
     Returns:
-        The folder in which their caches stand, as far as they have one in common; None where no folder is
-        writable, so that every process compiles its own.
+        The common folder of their caches, if they have one; None if no folder is writable, so that every
+            process
+        compiles its own.
     """
     modules = [
         importlib.import_module(module.name)

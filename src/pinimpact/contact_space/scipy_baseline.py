@@ -150,7 +150,7 @@ def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> 
                 "newton": -e * start[2],
             }
             if law not in goals:
-                raise LawError(f'law: "solve_ivp" does not know {law!r}', field="law", value=law)
+                raise LawError(f'law: "solve_ivp" does not support {law!r}', field="law", value=law)
             goal = goals[law]
             if e == 0.0:
                 break

@@ -1,4 +1,4 @@
-"""Convex shapes: a polytope, or a polytope with a ball rolled around it, made from what coal knows."""
+"""Convex shapes: a polytope, or a polytope with a swept sphere, computed from coal geometries."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COPLANAR = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ConvexShape:
-    """A polytope, its core, and the radius by which a ball makes it round; all in the shape's own axes.
+    """A polytope, its core, and the radius of a swept sphere; all in the shape's own axes.
 
     A sphere is a point and its radius, a capsule a segment and its radius, a box or a hull a polytope and
     no radius.
@@ -30,8 +30,8 @@ class ConvexShape:
         vertices: (n, 3) of the core [m].
         faces: The corners of each face of the core, numbers of vertices, counter-clockwise from outside.
         edges: (m, 2) numbers of vertices.
-        normals: (f, 3) unit normals of the faces, out of the core.
-        radius: That is rolled around the core [m].
+        normals: (f, 3) outward unit normals of the faces of the core.
+        radius: Radius of the swept sphere [m].
         collision: The same shape in coal.
     """
 
@@ -69,7 +69,7 @@ class ConvexShape:
 
 
 class PlacedShape:
-    """A convex shape somewhere.
+    """A convex shape at a placement.
 
     Attributes:
         shape: The shape.
@@ -101,7 +101,7 @@ class PlacedShape:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return a × b (…, 3), as `numpy.cross` does in ten times the time."""
+    """Return a × b (…, 3), in a tenth of the time of `numpy.cross`."""
     (a1, a2, a3), (b1, b2, b3) = a.T, b.T
     return np.array([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1]).T
 
@@ -160,7 +160,7 @@ def capsule(radius: float, half_length: float) -> ConvexShape:
 
 
 def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
-    """Return the convex hull of (n, 3) points, which errors call by a name.
+    """Return the convex hull of (n, 3) points; errors have the name.
 
     Raises:
         InputError: Points that span no volume, or that are not finite.
@@ -204,13 +204,13 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
 
 
 def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
-    """Return the convex shape of what coal calls a geometry; of a mesh its convex hull.
+    """Return the convex shape of a coal geometry; for a mesh its convex hull.
 
     Raises:
-        InputError: A kind that is none of box, sphere, capsule, convex hull and mesh.
+        InputError: A kind other than box, sphere, capsule, convex hull and mesh.
 
     Warns:
-        UserWarning: A mesh that is not convex: its hull is taken.
+        UserWarning: A mesh that is not convex: its hull is used.
     """
     kind = type(geometry).__name__
     if kind == "Box":
@@ -246,7 +246,7 @@ NOT_CONVEX = 1e-3
 
 
 def _deepest(found: ConvexShape, points: Array) -> float:
-    """Return how far inside the hull the points lie at most [m]."""
+    """Return the largest depth of the points inside the hull [m]."""
     offsets = np.array([found.normals[k] @ found.vertices[face[0]] for k, face in enumerate(found.faces)])
     return float((offsets[:, None] - found.normals @ points.T).min(axis=0).max())
 

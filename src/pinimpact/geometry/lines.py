@@ -1,4 +1,4 @@
-"""Lines that are surfaces: edges of convex shapes and axes of capsules, where other shapes touch them."""
+"""Lines as surfaces: edges of convex shapes and axes of capsules in contact with other shapes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .surfaces import Surface, Vector, contact_axes
 
 @dataclass(frozen=True)
 class Line(Surface):
-    """A line, round to a radius, that a point or a sphere meets; n points away from it.
+    """A line with a radius as a surface for a point or a sphere; n points away from it.
 
     Attributes:
-        point: A point of it [m], in the axes of what carries it, as all vectors.
+        point: A point of it [m], in the axes of its body, like all vectors.
         line: Its unit direction.
-        normal: A unit vector at right angles to it, along which the contact axes start.
-        radius: Of what is round about it [m].
-        body: Id of the frame that carries it; None for the world.
-        name: How reports call it.
+        normal: A unit vector perpendicular to it, the initial normal of the contact axes.
+        radius: Radius about the line [m].
+        body: Id of the frame to which it is attached; None for the world.
+        name: Name in reports.
     """
 
     code: ClassVar[int] = LINE
@@ -56,11 +56,11 @@ class Line(Surface):
         return self.line
 
     def distance(self, point: ArrayLike) -> float:
-        """Return the distance of a point from what is round about the line, negative inside [m]."""
+        """Return the distance of a point from the cylinder about the line, negative inside [m]."""
         return float(np.linalg.norm(np.cross(np.subtract(point, self.point), self.line))) - self.radius
 
     def departure(self) -> str | None:
-        """It keeps to its place."""
+        """None: it does not move by itself."""
         return None
 
     def at_rest(self) -> Surface:
@@ -69,6 +69,6 @@ class Line(Surface):
 
 
 class Edge(Line):
-    """A line that another line meets: the tip's `axis` is its direction u, and u × line points along n."""
+    """A line as a surface for another line: the tip's `axis` is its direction u; u × line points along n."""
 
     code: ClassVar[int] = EDGE

@@ -282,15 +282,15 @@ def _front(
 
 
 def advance(fronts: Callable[[float], list[Front]], start: float, end: float, floor: float) -> Advance | None:
-    """Return where what faces each other first touches until a time; see `first_touch`.
+    """Return the first contact of features that face each other, until a time; see `first_touch`.
 
-    A gap below zero at the start is where all gaps are counted from: what has just parted is off by rounding.
+    A gap below zero at the start is the zero of all gaps: after a separation it is off by rounding.
 
     Args:
-        fronts: Returns what faces each other, along one normal or several that are as good at the time.
-        start: From when to look [s].
-        end: Until when [s].
-        floor: A gap below this is none [m].
+        fronts: Returns the features along one normal, or several that are equally good at the time.
+        start: Start of the search [s].
+        end: End of the search [s].
+        floor: A gap below this is taken as zero [m].
     """
     t, base = start, math.inf
     for _ in range(MAX_ADVANCES):
@@ -308,7 +308,7 @@ def advance(fronts: Callable[[float], list[Front]], start: float, end: float, fl
 
 
 def _step(now: Front, left: float, floor: float) -> float:
-    """Return for how long nothing touches along a normal; zero where it touches, closing."""
+    """Return the time without contact along a normal; zero if there is contact, closing."""
     if now.value <= floor:
         lowest = now.heights_a <= now.heights_a.min() + floor
         highest = now.heights_b >= now.heights_b.max() - floor

@@ -214,7 +214,7 @@ def impacts(
     e = None if e is None else _per_row("restitution", e, count)
     locked = joint_keys(locked)
     in_steps = bool(held or locked)
-    usable = np.ones(count, dtype=np.bool_)  # where nothing else is told, the kernel looks at q
+    usable = np.ones(count, dtype=np.bool_)  # without other information the kernel checks q
     if cache.tree is None or e is None or in_steps:
         usable = np.array(np.isfinite(q).all(axis=1))
         if cache.curved:

@@ -43,8 +43,8 @@ class Event:
         name: Name in the trajectory; None for the name of the guard.
 
     Raises:
-        InputError: A guard or callback that cannot be called, a direction that is no number, a terminal that
-            is neither a truth value nor a number above zero.
+        InputError: A guard or callback that cannot be called, a direction that is not a number, or a
+            terminal that is neither a truth value nor a number above zero.
     """
 
     guard: Guard

@@ -257,7 +257,7 @@ class Energy:
     def __repr__(self) -> str:
         works = ", ".join(f"{cause} {float(work[-1]):.6g}" for cause, work in self.by_cause().items())
         return (
-            f"Energy({float(self.total[0]):.6g} J to {float(self.total[-1]):.6g} J; works: {works}; "
+            f"Energy({float(self.total[0]):.6g} J to {float(self.total[-1]):.6g} J; work: {works}; "
             f"energy residual {float(self.residual[-1]):.2g} J)"
         )
 

@@ -152,7 +152,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
             raise ValueError(f"format {meta['format']}")
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(
-            f"path: {str(path)!r} is no readable trajectory ({error}); give a file that save() wrote",
+            f"path: {str(path)!r} is not a readable trajectory ({error}); give a file that save() wrote",
             field="path",
             value=path,
         ) from error

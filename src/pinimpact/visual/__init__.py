@@ -1,4 +1,4 @@
-"""Pictures and replays of impacts and motions; matplotlib and meshcat are imported only when used."""
+"""Plots and replays of impacts and motions; matplotlib and meshcat are imported only when used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A browser without a window, where there is one: it opens a page and hands back what became of it."""
+"""A headless browser, if there is one: it opens a page and returns its document."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ OPTIONS = (
 
 
 class Opened(NamedTuple):
-    """What a browser made of a page.
+    """The result of opening a page.
 
     Attributes:
-        dom: The page's elements as text, when it had come to rest.
+        dom: The document as text, after its scripts have run.
         console: The lines that it wrote to its console.
     """
 
@@ -42,7 +42,7 @@ class Opened(NamedTuple):
 
 
 def find_browser() -> str | None:
-    """Return a browser of this machine that can do without a window, or None."""
+    """Return a browser of this machine that can run headless, or None."""
     return next((found for name in BROWSERS if (found := shutil.which(name))), None)
 
 
@@ -58,12 +58,12 @@ def open_page(
     """Open a page from a file, without any network.
 
     Args:
-        browser: What `find_browser` found.
+        browser: The result of `find_browser`.
         page: The file.
-        fragment: What stands after the # of its address.
+        fragment: The part of its address after #.
         size: Width and height of the window [px].
-        screenshot: Where to write a picture (PNG) instead of the elements.
-        timeout: How long it may take [s].
+        screenshot: File for a picture (PNG), instead of the document.
+        timeout: Largest time [s].
 
     Raises:
         subprocess.CalledProcessError, subprocess.TimeoutExpired: The browser fails.

@@ -1,4 +1,4 @@
-"""Collada meshes in the form that meshcat's viewer shows whole."""
+"""COLLADA meshes in a form that meshcat's viewer shows completely."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ _PRIMITIVES = tuple(_TAG + name for name in ("triangles", "polylist", "polygons"
 
 
 def for_viewer(document: str) -> str:
-    """Return a Collada document as meshcat's viewer shows it whole.
+    """Return a COLLADA document in a form that meshcat's viewer shows completely.
 
-    Of a mesh with several materials the viewer drops all but one, with the triangles that wear them: meshes
-    are split by material. It fails where only some have texture coordinates: all get some. Numbers are
-    rounded to `DIGITS`.
+    For a mesh with several materials the viewer shows only one, with its triangles: meshes are split by
+    material. It fails if only some have texture coordinates: all get some. Numbers are rounded to `DIGITS`.
     """
     ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(document)

@@ -1,4 +1,4 @@
-"""When a replay has its frames: evenly spaced, closer where it slows down, twice at an impact."""
+"""Times of the frames of a replay: evenly spaced, closer where it slows down, twice at an impact."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ EXTRA = 30
 
 
 def width_of_slowness(duration: float, speed: float, slowdown: float) -> float:
-    """Return how long before and after an impact the film is slow [s of the motion].
+    """Return the time before and after an impact during which the replay is slow [s of the motion].
 
-    The film's time runs slower by 1 + (slowdown − 1) exp(−x²), x the distance in widths. The width gives
-    the film about one second more on either side.
+    The replay is slower by the factor 1 + (slowdown − 1) exp(−x²), x the distance in widths. The width adds
+    about one second to the replay on either side.
     """
     return min(speed / max(slowdown - 1.0, 10.0) / (0.5 * math.sqrt(math.pi)), 0.25 * duration)
 
 
 def slowed(stopped: Sequence[float]) -> list[bool]:
-    """Return at which impacts a film slows down.
+    """Return the impacts at which a replay slows down.
 
     Args:
-        stopped: What the compression of each takes [J].
+        stopped: Work of compression of each [J].
     """
     least = max(WEAK * max(stopped, default=0.0), 1e-300)
     hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
@@ -44,14 +44,14 @@ def slowed(stopped: Sequence[float]) -> list[bool]:
 def frame_times(
     start: float, end: float, speed: float, impacts: Sequence[float], slow: Sequence[float], width: float
 ) -> Array:
-    """Return the times of the frames, in order; that of an impact stands twice, before and after it.
+    """Return the times of the frames, in order; that of an impact occurs twice, before and after it.
 
     Args:
         start: Of the motion [s].
         end: Of the motion [s].
-        speed: Seconds of motion per second of film where nothing slows it down.
+        speed: Seconds of motion per second of replay, away from impacts.
         impacts: Times of all impacts.
-        slow: Times of those at which the film slows down.
+        slow: Times of those at which the replay slows down.
         width: See `width_of_slowness`.
     """
     count = math.ceil((end - start) * FRAMES_PER_SECOND / speed) + 1

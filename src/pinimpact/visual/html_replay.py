@@ -1,4 +1,4 @@
-"""Replays: a motion, or what happens within one impact, as one HTML file that opens offline."""
+"""Replays: a motion, or one impact, as one HTML file that opens offline."""
 
 from __future__ import annotations
 
@@ -283,7 +283,7 @@ def _page(
     lit: Sequence[dict[str, Any]] = (),
     solids: Sequence[Surface] = (),
 ) -> str:
-    """Return the page of what happens at times (m,), in configurations of the same number."""
+    """Return the page of a motion at times (m,), in configurations of the same number."""
     poses = joint_poses(model, configurations)
     ways = np.array([_way(model, configurations, contact) for contact in contacts])
     ways = ways.reshape(len(contacts), len(times), 3)
@@ -367,7 +367,7 @@ def _contacts(model: pin.Model, contacts: Sequence[Contact]) -> list[Contact]:
 
 
 def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
-    """Refuse a robot that cannot be the trajectory's."""
+    """Raise an error for a robot that cannot be the trajectory's."""
     ours, theirs = (model.nq, model.nv), (trajectory.q.shape[1], trajectory.v.shape[1])
     if ours != theirs:
         what = "it has {} coordinates and {} velocities, the trajectory {} and {}".format(*ours, *theirs)
@@ -383,7 +383,7 @@ def _check_robot(model: pin.Model, trajectory: Trajectory) -> None:
 
 
 def _way(model: pin.Model, configurations: Sequence[Array], contact: Contact) -> Array:
-    """Return where a contact's point goes, (frames, 3) in world axes."""
+    """Return the path of a contact's point, (frames, 3) in world axes."""
     data = data_of(model)
     return np.array([contact_geometry(model, data, q, contact).point for q in configurations])
 
@@ -403,7 +403,7 @@ def _forces(trajectory: Trajectory, name: str, times: Array) -> Array | None:
 
 
 def _counted(names: Iterable[str]) -> str:
-    """Return names with how often each occurs."""
+    """Return names with the number of their occurrences."""
     counts = Counter(names)
     if len(counts) > LISTED:
         return f"{sum(counts.values())} contacts"

@@ -1,4 +1,4 @@
-"""What a replay shows of an impact: at each contact that takes part the impulse and how the velocity goes."""
+"""Data of an impact for a replay: the impulse and the path of the velocity of each contact."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ EVERY = 3
 
 
 class OneImpact(Protocol):
-    """What a `Hit` and an `ImpactRecord` have in common."""
+    """The common interface of `Hit` and `ImpactRecord`."""
 
     @property
     def problem(self) -> ImpactProblem:
-        """What was solved."""
+        """The problem."""
 
     @property
     def solution(self) -> Solution:
-        """Its answer."""
+        """Its solution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMark:
-    """One contact's part in an impact, in contact axes where nothing else is said.
+    """One contact of an impact, in contact axes unless stated otherwise.
 
     Attributes:
-        name: Of the contact.
-        point: (3,) where it is, in world axes [m].
+        name: Name of the contact.
+        point: (3,) contact point, in world axes [m].
         axes: (3, 3) t₁, t₂, n as rows, in world axes.
         friction: μ.
-        delassus: (3, 3) W, or None where other contacts push too, so that slip has no flow of its own.
-        velocity: (m, 3) along the impact, before it first and after it last [m/s].
-        impulse: (m, 3) so far [N s].
+        delassus: (3, 3) W, or None for several contacts, where slip has no flow of its own.
+        velocity: (m, 3) along the impact, from before it to after it [m/s].
+        impulse: (m, 3) impulse up to then [N s].
         segments: Mode, phase, and P₃ at start and end of each.
-        clock: (m,) how much of the impact is over at each point, 0 to 1; None for as much as of its P₃.
+        clock: (m,) progress of the impact at each point, 0 to 1; None for that of its P₃.
     """
 
     name: str
@@ -60,7 +60,7 @@ class ContactMark:
     clock: Array | None = None
 
     def as_data(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return it as data for JSON."""
         p3, clock = self.impulse[:, 2], self.clock
         if clock is None:
             clock = p3 / p3[-1] if p3[-1] > 0.0 else np.linspace(0.0, 1.0, len(p3))
@@ -87,10 +87,10 @@ class ImpactMark:
     """An impact of a replay.
 
     Attributes:
-        time: When [s].
+        time: Time [s].
         source: Name of the contact, or of the joint limit.
-        law, restitution, friction: What it was solved with; None where its contacts differ.
-        lost: Kinetic energy that it took [J], < 0 where a moving surface gave some.
+        law, restitution, friction: Parameters of the problem; None if its contacts differ.
+        lost: Kinetic energy dissipated [J], < 0 if a moving surface adds energy.
         contacts: The contacts that take part, none for a joint limit.
         slow: Whether the replay slows down for it.
     """
@@ -116,7 +116,7 @@ class ImpactMark:
         return float(max(ends, default=0.0))
 
     def as_data(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return it as data for JSON."""
         return {
             "time": self.time,
             "source": self.source,
@@ -132,7 +132,7 @@ class ImpactMark:
 def contact_mark(
     name: str, point: Array, axes: Array, problem: ImpactProblem, solution: Solution, along: bool
 ) -> ContactMark:
-    """Return the mark of one contact; `along` wants the way between before and after too."""
+    """Return the data of one contact, with the path between before and after if `along`."""
     clock, whole = None, solution.part_of
     if along and (whole is None or solution.path is not None):
         path = smooth_path(problem, solution)
@@ -158,13 +158,13 @@ def impact_mark(
     time: float = 0.0,
     slow: bool = True,
 ) -> ImpactMark:
-    """Return what a replay shows of an impact.
+    """Return the data of an impact for a replay.
 
     Args:
         impact: A `Hit` or an `ImpactRecord`.
         source: Name of the contact or joint limit.
         places: Point (3,) and axes (3, 3) of each contact that takes part, by name.
-        time: When [s].
+        time: Time [s].
         slow: Whether the replay slows down for it; then it has the whole path.
     """
     problem, solution = impact.problem, impact.solution
@@ -184,13 +184,13 @@ def impact_mark(
 def group_mark(
     impacts: Sequence[ImpactRecord], places: Mapping[str, tuple[Array, Array]], slow: bool, source: str
 ) -> ImpactMark:
-    """Return what a replay shows of the records of an impact at several contacts at once.
+    """Return the data of an impact at several contacts for a replay.
 
     Args:
-        impacts: One record a contact.
-        places: As of `impact_mark`.
-        slow: As of `impact_mark`.
-        source: What takes part.
+        impacts: One record per contact.
+        places: As in `impact_mark`.
+        slow: As in `impact_mark`.
+        source: Names of the contacts.
     """
     problems = [impact.problem for impact in impacts]
     marks = [
@@ -211,7 +211,7 @@ def group_mark(
 
 
 def many_mark(hit: ManyHit) -> ImpactMark:
-    """Return what a replay shows of an impact at many contacts, in their order."""
+    """Return the data of an impact at many contacts for a replay, in their order."""
     contacts, problem, solution = hit.contacts, hit.problem, hit.solution
     path = many_path(problem, solution)
     clock, velocity, impulse = np.array([0.0, 1.0]), problem.velocity, solution.impulse

@@ -1,4 +1,4 @@
-"""A page of HTML that needs nothing but itself: the viewer, what it shows, and the player."""
+"""A self-contained HTML page: viewer, data and player."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGE = 10_000
 
 
 class Recorder:
-    """Stands where meshcat's Visualizer has its window to a server: it keeps what would be sent."""
+    """Replaces the window of meshcat's Visualizer: it stores the commands."""
 
     web_url = None
 
@@ -31,7 +31,7 @@ class Recorder:
         self._split: dict[str, str] = {}
 
     def send(self, command: Any) -> None:
-        """Keep a command, with its meshes as the viewer shows them whole."""
+        """Store a command, with its meshes in the form that the viewer shows completely."""
         import umsgpack  # with meshcat
 
         message = command.lower()
@@ -49,7 +49,7 @@ class Recorder:
         self.commands.append(umsgpack.packb(message))
 
     def _without_repeats(self, value: Any, pack: Callable[[Any], bytes]) -> Any:
-        """Return a message with numbers for its meshes and textures, which are sent once each."""
+        """Return a message with numbers for its meshes and textures, which are stored once each."""
         if isinstance(value, dict):
             return {name: self._without_repeats(part, pack) for name, part in value.items()}
         if isinstance(value, list):
@@ -66,9 +66,9 @@ def page(title: str, commands: list[bytes], motion: dict[str, Any]) -> str:
     """Return the HTML of a replay.
 
     Args:
-        title: Of the page.
-        commands: What the viewer is sent, as `Recorder` keeps it.
-        motion: What the player plays; see page/player.js.
+        title: Title of the page.
+        commands: The commands stored by a `Recorder`.
+        motion: Data of the player; see page/player.js.
     """
     import meshcat
 
@@ -91,7 +91,7 @@ def _shapes(commands: list[bytes]) -> str:
 
 
 def packed(numbers: Any, kind: type[np.floating[Any]] = np.float32) -> str:
-    """Return an array as the player reads it: its bytes, lowest first, in base64."""
+    """Return an array for the player: its little-endian bytes in base64."""
     array = np.ascontiguousarray(numbers, dtype=np.dtype(kind).newbyteorder("<"))
     return base64.b64encode(array.tobytes()).decode("ascii")
 

@@ -1,4 +1,4 @@
-"""A robot as what moves with each of its joints: its meshes, or lines where it has none."""
+"""The shapes of a robot by joint: its meshes, or lines if it has none."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VIEWERS_GRID = 0.5
 
 
 def send_meshes(model: pin.Model, shapes: pin.GeometryModel, recorder: Recorder) -> None:
-    """Have the viewer make each shape once, at its place in the axes of its joint ("robot/JOINT")."""
+    """Send each shape to the viewer once, at its place in the axes of its joint ("robot/JOINT")."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # meshcat imports a retired module of pyzmq
         import meshcat
@@ -67,7 +67,7 @@ def _colored(shapes: pin.GeometryModel) -> pin.GeometryModel:
 
 
 def outline(model: pin.Model, shapes: Any, configurations: Sequence[Array]) -> Array:
-    """Return points (k, 3) in world axes that hold a robot between them, at some of its configurations."""
+    """Return points (k, 3) in world axes whose hull contains a robot, at some of its configurations."""
     data, found = data_of(model), [np.zeros((0, 3))]
     solids = [] if shapes is None else list(shapes.geometryObjects)
     corners = [_moved(shape.placement, extreme(surface_points(shape.geometry))) for shape in solids]
@@ -90,19 +90,19 @@ def _moved(place: pin.SE3, points: Array) -> Array:
 
 
 def extreme(points: Array) -> Array:
-    """Return those of points (n, 3) that are outermost in one of `AROUND`."""
+    """Return the extreme points of (n, 3) in the directions of `AROUND`."""
     return points[np.unique((points @ AROUND.T).argmax(axis=0))]
 
 
 def grid_square(size: float) -> float:
-    """Return the length 1, 2 or 5 · 10ⁿ of a grid's squares for what has this size [m]."""
+    """Return the size 1, 2 or 5 · 10ⁿ of a grid's squares for an object of this size [m]."""
     least = 0.1 * size
     power = 10.0 ** np.floor(np.log10(least))
     return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= least))
 
 
 def send_background(recorder: Recorder, height: float, grid: float) -> None:
-    """Have the viewer show a light background, and a grid [m] at a height; none of zero."""
+    """Send a light background, and a grid [m] at a height, to the viewer; no grid if its size is zero."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         import meshcat
@@ -132,7 +132,7 @@ def joint_poses(model: pin.Model, configurations: Sequence[Array]) -> Array:
 
 
 def joints_as_data(poses: Array, wanted: Sequence[int]) -> dict[str, Any]:
-    """Return the poses of joints as the player reads them, those that move apart from those that do not."""
+    """Return the poses of joints for the player, moving and fixed joints separately."""
     moves = {joint: bool(np.ptp(poses[:, joint], axis=0).any()) for joint in wanted}
     return {
         "joints": {str(joint): packed(poses[:, joint]) for joint in wanted if moves[joint]},
@@ -144,8 +144,8 @@ def skeleton(model: pin.Model) -> tuple[list[tuple[int, int]], list[list[float]]
     """Return a robot without shapes as lines.
 
     Returns:
-        Pairs of joints, each with the one it hangs from, but for a base that moves away from the world's
-        origin; and each frame that is away from its joint as the joint and a point in its axes.
+        Pairs of joint and parent, except for a base that moves away from the world's origin; and each frame
+        that is away from its joint as the joint and a point in its axes.
     """
     links = [
         (int(model.parents[joint]), joint)

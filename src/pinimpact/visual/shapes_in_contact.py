@@ -1,4 +1,4 @@
-"""Collision shapes that touch: which of their contacts are drawn, and when a shape is lit."""
+"""Collision shapes in contact: which of their contacts are drawn, and when a shape is highlighted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROUND = 24
 def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> list[Contact]:
     """Return contacts without the points of collision shapes that never touch.
 
-    Of a surface that is met by such points alone, one of each shape is kept.
+    For a surface with such points only, one of each shape is kept.
     """
     touched = {mode.source for mode in trajectory.modes} | {impact.source for impact in trajectory.impacts}
     kept = [contact for contact in contacts if contact.shape is None or contact.label in touched]
@@ -34,19 +34,19 @@ def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> lis
 
 
 def bodies_of(contact: Contact) -> str:
-    """Return the name that all points of contact of the same two bodies share."""
+    """Return the common name of all contact points of the same two bodies."""
     if contact.pair is not None:
         return contact.pair.label
     return contact.label if contact.shape is None else f"{contact.shape} on {contact.plane.label}"
 
 
 def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) -> list[dict[str, Any]]:
-    """Return the collision shapes that touch, as the player draws them, and when they do.
+    """Return the collision shapes in contact as data for the player, with their times.
 
     Args:
-        robot: The robot; without its collision shapes none is lit.
+        robot: The robot; without collision shapes none is highlighted.
         trajectory: The motion.
-        contacts: Those that are drawn.
+        contacts: The contacts that are drawn.
     """
     shapes = getattr(robot, "collision_model", None)
     if not isinstance(shapes, pin.GeometryModel):
@@ -73,7 +73,7 @@ def lit_shapes(robot: Any, trajectory: Trajectory, contacts: Sequence[Contact]) 
 
 
 def _joined(intervals: list[tuple[float, float]]) -> list[list[float]]:
-    """Return intervals of time without those that lie within others or continue others."""
+    """Return intervals of time, with overlapping and adjacent ones merged."""
     joined: list[list[float]] = []
     for start, end in sorted(intervals):
         if joined and start <= joined[-1][1]:
@@ -84,7 +84,7 @@ def _joined(intervals: list[tuple[float, float]]) -> list[list[float]]:
 
 
 def _triangles(solid: Any) -> Array:
-    """Return the surface of a shape, of a mesh that of its convex hull, as corners of triangles (k, 3, 3)."""
+    """Return the surface of a shape, of the convex hull for a mesh, as corners of triangles (k, 3, 3)."""
     from scipy.spatial import ConvexHull, QhullError
 
     points = surface_points(solid)
@@ -96,7 +96,7 @@ def _triangles(solid: Any) -> Array:
 
 
 def surface_points(solid: Any) -> Array:
-    """Return points (n, 3) whose hull is a shape, or nearly so where it is round."""
+    """Return points (n, 3) whose hull is a shape, approximately for round shapes."""
     if hasattr(solid, "vertices"):
         return np.array(solid.vertices(), dtype=np.float64)
     if hasattr(solid, "points"):

@@ -19,8 +19,8 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
     """Return the path of an impact, with points close enough for straight lines between them.
 
     Args:
-        problem: What was solved.
-        solution: Its answer; one without a path is solved once more with ``record=True``, by "exact".
+        problem: The problem.
+        solution: Its solution; one without a path is solved again with ``record=True``, by "exact".
     """
     path = solution.path
     if path is None:
@@ -33,14 +33,14 @@ def smooth_path(problem: ImpactProblem, solution: Solution) -> Path:
 
 
 def many_path(problem: ImpactProblem, solution: ManySolution) -> ManyPath | None:
-    """Return the path of an impact at many contacts, None where its policy has none.
+    """Return the path of an impact at many contacts, None if its policy has none.
 
-    One that was solved without ``record=True`` is solved once more; what comes out then has to be the same,
-    for options of the policy are not known here.
+    A solution without ``record=True`` is solved again; the result must then be the same, since options of the
+    policy are not known here.
 
     Args:
-        problem: What was solved.
-        solution: Its answer.
+        problem: The problem.
+        solution: Its solution.
     """
     path = solution.path
     if path is None:
@@ -50,10 +50,10 @@ def many_path(problem: ImpactProblem, solution: ManySolution) -> ManyPath | None
 
 
 def invariant_directions(problem: ImpactProblem) -> Array:
-    """Return the angles at which slip keeps its direction, in (−π, π] [rad]; empty where all of them do.
+    """Return the invariant directions of slip as angles in (−π, π] [rad]; empty if all directions are.
 
     They are the roots of g(φ) = σ⊥ᵀ(b − μAσ), a trigonometric polynomial of degree two (theory.md, 3.1):
-    of z = e^{iφ}, a polynomial of degree four whose roots on the unit circle count.
+    in z = e^{iφ}, the roots on the unit circle of a polynomial of degree four.
     """
     w: Any = np.asarray(problem.delassus, dtype=float)
     mu = float(problem.friction)

@@ -1,4 +1,4 @@
-"""Surfaces as plates, balls and blocks that stand in the world or move with the body that carries them."""
+"""Surfaces as plates, balls and blocks, in the world or attached to a body."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REACH = 0.1
 
 
 def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
-    """Return the joint that a surface moves with, 0 for the world, and its axes' place in the joint's."""
+    """Return the joint to which a surface is attached, 0 for the world, and its placement there."""
     if surface.body is None:
         return 0, pin.SE3.Identity()
     frame = model.frames[frame_id(model, surface.body, "body")]
@@ -36,17 +36,17 @@ def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
 def surface_as_data(
     model: pin.Model, surface: Surface, poses: Array, points: Array, scale: float
 ) -> dict[str, Any]:
-    """Return a surface as the player draws it.
+    """Return a surface as data for the player.
 
-    Its material has the velocity "slide" in the middle of what is drawn and the angular velocity "spin", both
-    in the axes of what is drawn [m/s, rad/s].
+    Its material has the velocity "slide" in the middle of the drawn shape and the angular velocity "spin",
+    both in the axes of that shape [m/s, rad/s].
 
     Args:
         model: The robot.
-        surface: What is drawn.
+        surface: The surface.
         poses: (frames, joints, 7) of the joints.
-        points: (k, frames, 3) where the contacts that may meet it are, in world axes.
-        scale: The size of what is shown [m].
+        points: (k, frames, 3) positions of the contacts with it, in world axes.
+        scale: The size of the scene [m].
     """
     joint, place = carrier(model, surface)
     views = [
@@ -69,7 +69,7 @@ def surface_as_data(
 
 
 def _plate(plane: Plane, points: Array, scale: float) -> tuple[str, list[float], Array]:
-    """Return the part of a plane that the points come over, as a thin plate with a margin; its place."""
+    """Return the part of a plane near the points, as a thin plate with a margin, and its place."""
     axes = contact_axes(plane.normal)
     local = (points - np.asarray(plane.point)) @ axes.T
     near = local[np.abs(local[:, 2]) < REACH * scale]

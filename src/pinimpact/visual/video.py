@@ -1,4 +1,4 @@
-"""A replay as a picture that moves: GIF by Pillow, other films by ffmpeg."""
+"""Videos of replays: GIF by Pillow, other formats by ffmpeg."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ FILMS = (".mp4", ".webm", ".mkv", ".mov")
 def write_video(
     replay: Replay, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)
 ) -> Path:
-    """Write a replay's film from its start to its end.
+    """Write a replay as a video.
 
-    The frames are drawn by a browser without a window (Chromium, Chrome or Edge). Without one the page's own
-    button "video" does the same in any browser.
+    The frames are drawn by a headless browser (Chromium, Chrome or Edge). Without one the button "video" of
+    the page does the same in any browser.
 
     Args:
-        replay: What `pinimpact.replay` returned.
+        replay: The result of `pinimpact.replay`.
         path: Ends in .gif, .mp4, .webm, .mkv or .mov.
-        rate: Pictures per second, > 0; a GIF has 50 at most.
-        size: Width and height of the window that is drawn [px].
+        rate: Frames per second, > 0; at most 50 for a GIF.
+        size: Width and height of the window [px].
 
     Returns:
         The path.
@@ -80,7 +80,7 @@ def write_video(
 
 
 def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int], kind: str) -> list[bytes]:
-    """Return the pictures of a film as files of a kind."""
+    """Return the frames of a video as files."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
         page.write_text(replay.html, encoding="utf-8")

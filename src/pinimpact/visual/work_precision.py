@@ -16,14 +16,14 @@ ROUNDING = 1e-17
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Measurements of one way to solve one problem, and how they are drawn.
+    """Measurements of one method on one problem, and their style.
 
     Attributes:
         label: In the legend.
         seconds, errors: The points, joined by a line; those whose error is NaN are left out.
         marker: Matplotlib's name of it.
-        color: Matplotlib's name of it; None for the next of its own.
-        size: Of the markers [pt].
+        color: Matplotlib's name of it; None for the next of its cycle.
+        size: Size of the markers [pt].
     """
 
     label: str

@@ -58,7 +58,7 @@ def respond(lower, parents, y, delassus, response):
 
 
 COUPLED = 1e-12
-"""Part of what two contacts feel of themselves below which they do not feel each other."""
+"""Ratio of an off-diagonal block of W to the diagonal ones below which two contacts are not coupled."""
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)

@@ -1,7 +1,6 @@
 """Plots of impacts and motions, one function each; matplotlib is imported when one is called.
 
-Each takes ``ax=``, the axes to draw into, makes axes of its own without it, and returns them. Legends stand
-beside or below the axes.
+Each draws into the axes ``ax=``, or into new ones, and returns them. Legends are beside or below the axes.
 """
 
 from __future__ import annotations

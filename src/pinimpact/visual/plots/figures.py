@@ -1,4 +1,4 @@
-"""Whole figures, which need no pyplot: those that the command line writes."""
+"""Whole figures, without pyplot, as written by the command line."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def impact_figure(problem: ImpactProblem, solution: Solution | ManySolution, tit
 
 
 def _many_figure(impact: Solved, count: int, title: str) -> Figure:
-    """Return the figure of an impact at many contacts, a row each."""
+    """Return the figure of an impact at many contacts, one row per contact."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.5, 4.6 * count + 2.2), layout="constrained")

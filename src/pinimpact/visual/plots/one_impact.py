@@ -1,4 +1,4 @@
-"""Plots of one impact: the hodograph of slip, velocities and impulses over P₃, where the energy went."""
+"""Plots of one impact: hodograph, velocities and impulses over P₃, energy by cause."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
 
 
 class Solved(NamedTuple):
-    """An impact problem with its solution: an `OneImpact` of no robot."""
+    """An impact problem with its solution: a `OneImpact` without a robot."""
 
     problem: ImpactProblem
     solution: Any
 
 
 def solved(impact: Impact, contact: int | None = None) -> OneImpact:
-    """Return what is drawn; a problem is solved first.
+    """Return the impact to draw; a problem is solved first.
 
     Args:
         impact: The impact.
-        contact: Of an impact at many contacts the one that is drawn.
+        contact: Index of the contact to draw, for an impact at many contacts.
 
     Raises:
-        InputError: What is neither a problem nor an impact; no such contact; an impact at many contacts
-            whose policy has no path.
+        InputError: Neither a problem nor an impact; no such contact; an impact at many contacts whose policy
+            has no path.
     """
     if isinstance(impact, ImpactProblem):
         impact = Solved(impact, solve_impact(impact, record=True))
@@ -68,7 +68,7 @@ def solved(impact: Impact, contact: int | None = None) -> OneImpact:
 
 
 def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -> OneImpact:
-    """Return what an impact at many contacts was at one of them."""
+    """Return the part of one contact of an impact at many contacts."""
     count = len(solution.velocity)
     if not isinstance(contact, (int, np.integer)) or not 0 <= contact < count:
         raise InputError(
@@ -104,7 +104,7 @@ def _pathless(solution: ManySolution) -> InputError:
 
 
 def check_alone(impact: Impact, what: str) -> None:
-    """Refuse an impact at many contacts."""
+    """Raise an error for an impact at many contacts."""
     solution = getattr(impact, "solution", None)
     many = isinstance(impact, ImpactProblem) and np.ndim(impact.velocity) == 2
     if many or isinstance(solution, ManySolution) or getattr(solution, "part_of", None) is not None:
@@ -238,10 +238,10 @@ def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None
 
 
 def parts(path: Path, segments: tuple[Segment, ...]) -> list[tuple[Segment, slice]]:
-    """Return which points of a path each segment has; neighbours share the point between them.
+    """Return the points of a path in each segment; adjacent segments share a point.
 
-    Ends of segments and points of the path are sums of the same numbers in different orders, so the nearest
-    point counts.
+    Ends of segments and points of the path are sums of the same numbers in different orders, so the closest
+    point is taken.
     """
     p3 = path.normal_impulse
     found, start = [], 0

@@ -1,4 +1,4 @@
-"""What an impact comes to, over friction and the direction of slip, or over friction and restitution."""
+"""The regime of an impact over friction and direction of slip, or over friction and restitution."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def regime_map(
 def classified(
     status: NDArray[np.int64], flags: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[NDArray[np.bool_]]]:
-    """Return the place in `REGIMES` of each impact, and where each of `MARKED` holds.
+    """Return the index in `REGIMES` of each impact, and where each of `MARKED` applies.
 
     Args:
         status: (N,) values of `Status`.

@@ -1,4 +1,4 @@
-"""Routh's construction: the path of the impulse, the friction cone, where slip ends and compression ends."""
+"""Routh's diagram: the path of the impulse, the friction cone, the ends of slip and compression."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
 
 
 def _reach(problem: ImpactProblem, impulse: Array) -> tuple[float, float]:
-    """Return how high, and how far aside, the picture goes [N s]."""
+    """Return the height and the half-width of the picture [N s]."""
     top = 1.12 * float(impulse[-1, 2]) or 1.0
     aside = max(
         1.25 * float(np.abs(impulse[:, :2]).max()), min(float(problem.friction), 1.0) * top, 0.15 * top

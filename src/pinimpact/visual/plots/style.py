@@ -1,4 +1,4 @@
-"""Colours for colour-blind readers (Okabe and Ito's), axes on demand, and legends beside them."""
+"""Colours for colour-blind readers (Okabe and Ito), axes on demand, and legends beside them."""
 
 from __future__ import annotations
 
