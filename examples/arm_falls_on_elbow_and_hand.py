@@ -23,7 +23,7 @@ def scene() -> pinimpact.Scene:
     block = pinimpact.Box(size=(0.2, 0.4, 0.1), center=(0.83, 0.12, 0.05), name="block")
     rubber = {"friction": 0.5, "restitution": 0.2, "law": "energetic"}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # not all meshes are convex: their hulls are taken
+        warnings.simplefilter("ignore", UserWarning)  # meshes that are not convex are replaced by their hulls
         bare = pinimpact.Scene(robot)
         return bare.contacts_from_geometry(floor, **rubber).contacts_from_geometry(
             block, links=HAND, **rubber
@@ -31,7 +31,7 @@ def scene() -> pinimpact.Scene:
 
 
 def main() -> None:
-    """Print what touches when, draw it, and write a replay."""
+    """Print the first contacts, plot them, and write a replay."""
     fall = scene()
     print(fall.plan()["contact guards"].reason)
     q = np.array([0.0, -0.9, 0.9, 0.0, 0.0, 0.0])

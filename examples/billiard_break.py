@@ -12,7 +12,7 @@ import pinimpact
 
 
 def cradle(policy: str, count: int = 5, restitution: float = 0.97) -> np.ndarray:
-    """Return the speeds of a row of equal balls after the first one strikes."""
+    """Return the speeds of a row of equal balls after the impact of the first one."""
     jacobian = np.zeros((3 * (count - 1), count))
     for j in range(count - 1):
         jacobian[3 * j + 2, j : j + 2] = -1.0, 1.0
@@ -23,7 +23,7 @@ def cradle(policy: str, count: int = 5, restitution: float = 0.97) -> np.ndarray
 
 
 def rack() -> np.ndarray:
-    """Return the places (16, 2) of the cue ball and of fifteen balls in a triangle, in diameters."""
+    """Return the positions (16, 2) of the cue ball and of fifteen balls in a triangle, in diameters."""
     rows = [(np.sqrt(0.75) * k, j - 0.5 * k) for k in range(5) for j in range(k + 1)]
     return np.array([(-1.0, 0.0), *rows])
 
@@ -40,7 +40,7 @@ def strike(places: np.ndarray, side: float) -> tuple[np.ndarray, pinimpact.ManyS
         for ball, sign in ((i, -1.0), (j, 1.0)):
             jacobian[3 * k + 2, 3 * ball : 3 * ball + 2] = sign * normal
             jacobian[3 * k, 3 * ball : 3 * ball + 2] = sign * np.array([-normal[1], normal[0]])
-            jacobian[3 * k, 3 * ball + 2] = -0.5  # where they touch, both surfaces run against each other
+            jacobian[3 * k, 3 * ball + 2] = -0.5  # the surfaces move in opposite directions
     inverse = np.tile([1.0, 1.0, 10.0], 16)  # 1/m and 1/(2/5 m r²)
     start = np.zeros(48)
     start[:2] = np.cos(side), np.sin(side)

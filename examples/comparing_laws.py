@@ -1,4 +1,4 @@
-"""The three restitution laws on one contact: energy and bounce over e, with friction that turns the slip.
+"""The three restitution laws on one contact: energy and bounce over e, with slip that turns.
 
 python examples/comparing_laws.py
 
@@ -33,7 +33,7 @@ def sweep(robot, frame, q, v, friction, law):
 
 
 def main():
-    """Print the energies at e = 0.5 and draw all."""
+    """Print the energies at e = 0.5 and plot all."""
     figure, rows = plt.subplots(2, 2, sharex=True, figsize=(9, 6.5), layout="constrained")
     for row, (title, (name, frame, q, v, friction)) in zip(rows, CASES.items(), strict=True):
         robot = pinimpact.load_robot(name)

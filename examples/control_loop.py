@@ -25,7 +25,7 @@ def command(model, data, q, v, frame):
 
 
 def main():
-    """Run the loop and print what the touchdown did."""
+    """Run the loop and print the touchdowns."""
     model = pinimpact.load_robot("ur5").model
     data = model.createData()
     frame = model.getFrameId("tool0")
@@ -45,7 +45,7 @@ def main():
                     f"{step * DT:.3f} s: {approach:.3f} m/s, impulse {hit.impulse_world.round(3)} N s, "
                     f"{' '.join(hit.solution.flags.describe())}"
                 )
-            else:  # contact goes on
+            else:  # sustained contact
                 hit = pinimpact.impact(model, data, q, v, resting)
                 on_table += 1
             v = hit.v

@@ -1,7 +1,8 @@
 """A quadruped lands flat on four feet, and with a tilt of 0.001 rad.
 
-Its motors hold the legs. The flat landing is one impact at four contacts. Tilted, the feet touch one after
-another, half a millisecond apart: each is an impact of its own, at which the feet on the ground take part.
+Its motors hold the legs. The flat landing is one impact at four contacts. In the tilted landing the feet touch
+one after another, half a millisecond apart: these are separate impacts, in which the feet on the ground take
+part.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
 def land(roll: float, policy: str = "propagate") -> tuple[pinimpact.Trajectory, np.ndarray]:
-    """Return the motion of a drop from 5 cm and the velocity of the base 5 ms after the first touch."""
+    """Return the motion of a drop from 5 cm and the velocity of the base 5 ms after the first contact."""
     robot = pinimpact.load_robot("solo12")
     ground = pinimpact.Plane()
     contacts = [
@@ -35,7 +36,7 @@ def land(roll: float, policy: str = "propagate") -> tuple[pinimpact.Trajectory, 
 
 
 def draw(ax: plt.Axes, motion: pinimpact.Trajectory) -> None:
-    """Draw the velocities of the base in the milliseconds around the first touch."""
+    """Draw the velocities of the base in the milliseconds around the first contact."""
     first = motion.impacts[0].time
     t = np.linspace(first - 1e-3, first + 5e-3, 600)
     v = np.array([motion.at(time)[1][:6] for time in t])
@@ -49,7 +50,7 @@ def draw(ax: plt.Axes, motion: pinimpact.Trajectory) -> None:
 
 
 def main() -> None:
-    """Print both landings, and draw them side by side."""
+    """Print both landings, and plot them side by side."""
     figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, sharey=True)
     for row, policy in zip(axes, ("propagate", "sequence"), strict=True):
         for ax, (name, roll) in zip(row, (("flat", 0.0), ("rolled by 0.001 rad", 1e-3)), strict=True):

@@ -2,8 +2,8 @@
 
 python examples/gym_style_loop.py
 
-It does not need Gymnasium: `reset` and `step` return what Gymnasium's do, so a subclass of
-``gymnasium.Env`` has only to add its spaces. Impacts, slip and lift-off happen at their exact times within
+It does not need Gymnasium: `reset` and `step` return the values of Gymnasium's, so a subclass of
+``gymnasium.Env`` only adds its spaces. Impacts, slip and lift-off are located at their exact times within
 the steps.
 """
 
@@ -16,9 +16,9 @@ FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
 
 class Hop:
-    """A quadruped that is to get off the ground; the action is added to its posture [rad], in [-1, 1]."""
+    """A quadruped that is rewarded for jumping; the action is added to its posture [rad], in [-1, 1]."""
 
-    period, horizon = 0.02, 50  # of the policy [s], and how many of them
+    period, horizon = 0.02, 50  # of the policy [s], and their number
 
     def __init__(self):
         robot = pinimpact.load_robot("solo12")

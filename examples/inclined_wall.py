@@ -2,8 +2,8 @@
 
 python examples/inclined_wall.py [robot.urdf [tip_frame]]
 
-Without a file it is the arm beside this script. It comes in one posture and at one velocity, whatever the
-tilt; the picture inclined_wall.png shows impulse, work and what the slip does.
+Without a file it is the arm beside this script. Posture and velocity are the same for all tilts; the plot
+inclined_wall.png shows impulse, work and contact modes.
 """
 
 import sys
@@ -16,13 +16,13 @@ import pinocchio as pin
 import pinimpact
 
 FRICTION, RESTITUTION = 0.3, 0.4
-VELOCITY = np.array([0.8, 0.15, 0.1])  # of the tip at the touch, in world axes [m/s]
+VELOCITY = np.array([0.8, 0.15, 0.1])  # of the tip at impact, in world axes [m/s]
 TILTS = np.radians(np.linspace(-60.0, 60.0, 241))  # 0 is a vertical wall that faces the robot
 MODES = ("slips", "sticks", "stops and slips on")
 
 
 def strike(robot, frame, tilt):
-    """Return the impact of a frame on a wall of a tilt."""
+    """Return the impact of a frame on a tilted wall."""
     model, data = robot.model, robot.data
     q = robot.q0 if model.nq != 4 else np.array([0.3, 0.6, 1.2, 0.5])
     jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
@@ -33,7 +33,7 @@ def strike(robot, frame, tilt):
 
 
 def mode(solution):
-    """Return what the slip comes to, as a place in `MODES`."""
+    """Return the contact mode at the end, as an index in `MODES`."""
     if pinimpact.Flag.SLIP_RESUMED in solution.flags:
         return 2
     return int(pinimpact.Flag.STICK in solution.flags)

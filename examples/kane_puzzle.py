@@ -10,7 +10,7 @@ import pinimpact
 
 
 def main():
-    """Print the energy that each law leaves."""
+    """Print the energy after the impact for each law."""
     robot = pinimpact.load_robot("kane_double_pendulum")
     angles = np.deg2rad([20.0, 30.0])  # from the downward vertical
     q = np.array([angles[0], angles[1] - angles[0]])

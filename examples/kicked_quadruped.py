@@ -32,13 +32,13 @@ def kick() -> tuple[np.ndarray, pinimpact.ManyHit, pinimpact.Hit]:
     stiff = [name for name in model.names if name.endswith("KFE")]  # motors hold the knees
     free = pinimpact.impact(model, data, q, v, [trunk, *feet], locked=stiff)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pinimpact.HeldContactWarning)  # glue may pull: that is the point
+        warnings.simplefilter("ignore", pinimpact.HeldContactWarning)  # held feet may pull
         held = pinimpact.impact(model, data, q, v, trunk, held=feet, locked=stiff)
     return q, free, held
 
 
 def main() -> None:
-    """Print what each foot does, and draw the impulses."""
+    """Print the impulse of each foot, and plot the impulses."""
     _, free, held = kick()
     glued = held.held_impulses
     print(

@@ -1,4 +1,4 @@
-"""A running quadruped lands: its feet slip, then stick. An animated picture and a replay of it.
+"""A running quadruped lands: its feet slip, then stick; animated picture and replay.
 
 python examples/landing_movie.py [folder]
 

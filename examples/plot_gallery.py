@@ -70,7 +70,7 @@ def gallery() -> Iterator[tuple[str, Any]]:
 
 
 def replays(folder: Path) -> Iterator[Path]:
-    """Write a picture of a motion's replay and of one impact's, where a browser is there to draw them."""
+    """Write pictures of the replays of a motion and of an impact, if there is a browser."""
     browser = find_browser()
     if browser is None:
         return

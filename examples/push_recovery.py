@@ -46,7 +46,7 @@ def simulate_push():
 
 
 def main(out: Path) -> None:
-    """Print when which foot slipped, and write the figure."""
+    """Print when each foot slipped, and write the figure."""
     trajectory = simulate_push()
     for interval in trajectory.modes:
         if interval.mode == "slip" and interval.end - interval.start > 1e-3:

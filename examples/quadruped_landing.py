@@ -32,7 +32,7 @@ def landing():
 
 
 def main():
-    """Print loads and draw them."""
+    """Print the loads and plot them."""
     trajectory, model = landing()
     times = np.linspace(0.0, DURATION, 2001)
     for foot in FEET:

@@ -17,14 +17,14 @@ PANDA_Q = np.array([0.0, -0.6, 0.0, -2.3, 0.0, 3.3, 0.8, 0.02, 0.02])  # the han
 
 
 def place_of(model, q, frame):
-    """Return where a frame is."""
+    """Return the placement of a frame."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     return data.oMf[model.getFrameId(frame)]
 
 
 def both():
-    """Return one model of a UR5 and of a Panda that faces it, its hand at the UR5's tool."""
+    """Return one model of a UR5 and a Panda that faces it, with its hand at the UR5's tool."""
     ur5, panda = pinimpact.load_robot("ur5").model, pinimpact.load_robot("panda").model
     facing = pin.rpy.rpyToMatrix(0.0, 0.0, np.pi)
     tool, hand = place_of(ur5, UR5_Q, "tool0"), place_of(panda, PANDA_Q, "panda_hand_tcp")
@@ -33,7 +33,7 @@ def both():
 
 
 def main():
-    """Let them strike, with the Panda free and with its joints locked."""
+    """Compute the impact with a free Panda and with its joints locked."""
     model, split = both()
     data = model.createData()
     q, v = np.concatenate([UR5_Q, PANDA_Q]), np.concatenate([UR5_V, np.zeros(9)])

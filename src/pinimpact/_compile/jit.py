@@ -45,7 +45,7 @@ elif not numba.config.DISABLE_JIT:
 F = TypeVar("F", bound=Callable[..., Any])
 
 WORTH_HELP = 3.0
-"""A wait [s] in which helpers make up for the time that they take to start."""
+"""A compilation time [s] from which on helper processes are worth their start."""
 
 _OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy"}
 

@@ -32,7 +32,7 @@ from .numba_internals import (
 from .sources import stamp
 
 Kernel = tuple[str, str, tuple[Any, ...]]
-"""Module, name and argument types of a kernel that is compiled on its own."""
+"""Module, name and argument types of a separately compiled kernel."""
 
 
 def symbol_stamp(module: str) -> str:

@@ -18,10 +18,10 @@ from contextlib import suppress
 from pathlib import Path
 
 BEAT, STALE = 2.0, 20.0
-"""Time between two touches, and without one until the lock is taken over [s]."""
+"""Time between two updates of the lock, and without one until it is taken over [s]."""
 
 PAUSE = 0.1
-"""Time between looks at the lock [s]."""
+"""Time between checks of the lock [s]."""
 
 
 class CacheLock:

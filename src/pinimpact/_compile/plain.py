@@ -21,7 +21,7 @@ TRIED = (0, 61), (0, 68)
 """The oldest and the newest version of numba that the compiler of `linking` has been run with."""
 
 SECONDS = {"impacts": 40, "scenes": 150}
-"""How long plain numba takes for the kernels of a first impact and a first scene, about [s]."""
+"""Approximate time of plain numba for the kernels of a first impact and a first scene [s]."""
 
 
 def reason(version: tuple[int, ...] = numba.version_info[:2]) -> str:

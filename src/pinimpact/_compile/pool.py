@@ -34,10 +34,10 @@ from .waiting import COUNT, LOG
 T = TypeVar("T")
 
 MOST = 4
-"""Processes, at most: from there on, each would wait for the others; and each takes 0.5 GB."""
+"""Largest number of processes: more would wait for each other, and each takes 0.5 GB."""
 
 PAUSE = 0.005
-"""Time between looks at what others have done [s]."""
+"""Time between checks of the progress of others [s]."""
 
 _HELP = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from {} import help_out; help_out()"
 
@@ -146,7 +146,7 @@ class WorkerPool:
 
 
 present: WorkerPool | None = None
-"""The worker pool that this process compiles in."""
+"""The worker pool of this process."""
 
 
 def possible_helpers() -> int:

@@ -14,7 +14,7 @@ from ..checks import whole_number
 T = TypeVar("T")
 
 LEAST_SHARE = 32
-"""Rows that are worth a call of their own."""
+"""Smallest number of rows per call."""
 
 
 @functools.cache

@@ -18,16 +18,16 @@ from .sources import PACKAGE
 LOG = logging.getLogger(f"{PACKAGE}.compiling")
 
 IMPACTS, SCENES = "impacts", "scenes"
-"""What kernels are for."""
+"""Purposes of kernels."""
 
 COUNT = "compiling, once: %d of %d"
-"""What is said at the level INFO."""
+"""Message at the level INFO."""
 
 BYTES_PER_SECOND = 5500
-"""Of Python's own code of kernels, compiled on one core of a present machine, about."""
+"""Approximate rate of compilation, in bytes of Python's bytecode, on one core of a present machine."""
 
 SHORT = 1.0
-"""A wait [s] that needs no word."""
+"""A compilation time [s] without a message."""
 
 _announced: set[str] = set()
 

@@ -20,16 +20,16 @@ CONE = np.int64(3)
 """Size of the cones of friction."""
 
 MAX_ITERATIONS = 60
-"""What no program needs; badly scaled ones stop there."""
+"""Largest number of iterations; only badly scaled programs reach it."""
 
 FALLS_BACK = 1e-6
-"""Accuracy from which on what gets worse is at the end of what double precision gives."""
+"""Accuracy from which on an increase of the residual means that double precision is exhausted."""
 
 ROUNDING = 1e-13
-"""What the equations miss by below this is rounding, if they are of order one."""
+"""Residual of the equations, of order one, that is rounding."""
 
 STEP = 0.99
-"""Part of the way to the boundary of the cone that an iteration goes."""
+"""Step length relative to the distance to the boundary of the cone."""
 
 
 @inlined

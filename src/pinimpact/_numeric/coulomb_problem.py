@@ -30,33 +30,34 @@ SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS,
 """Types: W, u_free, velocities of slip, friction, least normal forces, held, bounds, and the forces."""
 
 ITERATIONS = 2000
-"""Of the method of multipliers, at most."""
+"""Largest number of iterations of the method of multipliers."""
 
 PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
-"""Its first penalty (of rows whose diagonal is one), and by what factor it changes where what is missed of
-f = y and of u differ by such a one."""
+"""Its first penalty (for rows with a diagonal of one), the factor of its changes, and the ratio of the
+residuals of f = y and of u from which on it changes."""
 
 COMPLIANCE = 1e-9
-"""What is added to the diagonal, so that it is definite, against the forces of the iteration before: it has
-no part in where the iterations end."""
+"""Added to the diagonal, so that it is definite, relative to the forces of the previous iteration; it does
+not change the fixed point."""
 
 NEAR = 1e-2
-"""Residual from which on Newton's method is tried."""
+"""Residual below which Newton's method is tried."""
 
 LONG = 500
-"""Iterations after which it is tried from anywhere."""
+"""Iterations after which it is tried at any residual."""
 
 POLISH = 8
-"""Steps of Newton's method after one."""
+"""Steps of Newton's method per trial."""
 
 ACCURATE, USABLE = 1e-11, 1e-10
-"""Residuals of forces: one at which to stop, and one that will do where it falls no more."""
+"""Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
 
 ROUNDING = 1e-15
 """A residual that is rounding."""
 
 SMALL = 1e-5
-"""A compliance that is small beside the largest of W: what it changes has its square left, 10⁻¹⁰."""
+"""A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
+10⁻¹⁰."""
 
 CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
 """Modes of a contact for the first iteration of `polish`."""

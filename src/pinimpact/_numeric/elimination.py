@@ -8,7 +8,7 @@ from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
 
 RANK = 1e-10
-"""Pivots and singular values below this part of the largest count as zero."""
+"""A pivot or singular value below this part of the largest is taken as zero."""
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float)

@@ -31,40 +31,41 @@ SYSTEM = (
 the impulses."""
 
 PROXIMAL = 3e-3
-"""The largest r, in parts of the largest of W: more of it takes more iterations, less of it longer ones."""
+"""The largest r, relative to the largest of W: larger values take more iterations, smaller ones longer
+iterations."""
 
 ITERATIONS = 40
-"""Of the proximal point method, at most."""
+"""Largest number of iterations of the proximal point method."""
 
 STEPS = 40
-"""Of Newton's method in an iteration, and of a line search, at most."""
+"""Largest number of steps of Newton's method in an iteration, and of a line search."""
 
 BALANCED = 1e-11
-"""Part of the largest momentum that M w − Jᵀf may be off after Newton's method."""
+"""Residual of M w − Jᵀf after Newton's method, relative to the largest momentum."""
 
 ACCURATE = 1e-9
-"""Part of u_free that f⁺ − f may change velocities by at the end, where rounding lets it."""
+"""Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
 
 STALLED = 1e-5
-"""The same, from which on the iterations end once `PATIENCE` of them have not halved it."""
+"""The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
 
 PATIENCE = 3
 
 FINER = 0.1
-"""Part of r that is used from there on, once: loads are shared by then."""
+"""Part of r that is used from there on, once: the distribution of loads has converged by then."""
 
 INEXACT = 0.03
-"""Part of what the iteration before has changed that Newton's method may be off."""
+"""Tolerance of Newton's method, relative to the change of the previous iteration."""
 
 FARTHEST = 5.0
-"""Of changes of s an extrapolation goes at most."""
+"""Largest extrapolation, in changes of s."""
 
 DRIFT, WAITS = 0.03, 8
-"""Part of the largest impulse by which an s that is off may change it in an iteration, along those that obey
-the law; else f stays, and s is improved first, `WAITS` times at most."""
+"""Part of the largest impulse by which an inaccurate s may change it in an iteration, along impulses that
+satisfy the law; else f does not change, and s is improved first, at most `WAITS` times."""
 
 SLOPE = 0.1
-"""Part of the slope at the start of a line search that may be left at its end."""
+"""Largest slope at the end of a line search, relative to that at its start."""
 
 
 @inlined

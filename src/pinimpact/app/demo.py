@@ -30,9 +30,9 @@ from .robot_info import frame_label, free_base, suggested_frames
 Array = NDArray[np.float64]
 
 BEFORE, AFTER = 0.15, 0.25
-"""How long the demo shows before and after the touch [s], for a robot of 1 m; less for smaller ones."""
+"""Simulated time before and after the impact [s], for a robot of 1 m; less for smaller ones."""
 SUNK = 0.01
-"""How far a part without contact may be in the table before the demo ends, in parts of the robot's size."""
+"""Depth of a part without contact in the table at which the demo ends, relative to the robot's size."""
 SLIDE = 0.2
 """How far the contact point moves along the table before and after the impact [m], of a robot of 1 m."""
 FRICTION, RESTITUTION = 0.3, 0.5
@@ -42,17 +42,17 @@ base with a small support (`_steadiness`)."""
 TILT = (-0.15, 0.25, 0.0)
 """Roll, pitch and yaw of a free base at impact [rad], so that one foot lands first; smaller likewise."""
 LEAST_LEVER = 0.01
-"""A point moves if joints at 1 rad/s or m/s give it this speed [m/s]."""
+"""A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s]."""
 NO_INERTIA = 1e-14
 """Inertia [kg m² or kg] that is taken as zero."""
 SINGULAR = 1e-12
-"""Least eigenvalue of the mass matrix, scaled to ones on its diagonal, that is not taken for zero."""
+"""Smallest eigenvalue of the mass matrix, scaled to a diagonal of ones, that is not taken as zero."""
 CLEAR = 1e-3
 """Distance of other possible contacts at impact, relative to the robot's size."""
 STIFFNESS, DAMPING, G = 1.0, 0.05, 9.81
 """Of springs in the joints of a free base, in weight times size per rad and √(size/g); g [m/s²]."""
 FLOOR = 0.1
-"""What is so far above the lowest foot, in parts of the robot's size, is a hand."""
+"""A frame this far above the lowest foot, relative to the robot's size, is a hand."""
 LEAST_STEADY = 0.2
 """With less tilt several points of a foot would touch at once."""
 NO_JOINT_EFFECTS = ("joint limits", "joint damping", "joint friction")

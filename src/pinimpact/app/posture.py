@@ -20,28 +20,29 @@ from ..visual.surface_shapes import THICKNESS
 Array = NDArray[np.float64]
 
 SAMPLES, SEED = 600, 28
-"""Postures that an arm tries, then steps from the best of them, and the seed of what they are drawn from."""
+"""Number of random postures of an arm, before steps from the best of them, and their seed."""
 STRAY, PLANAR = 0.15, 0.02
-"""What a radian away from where a robot comes costs; a lever arm, in parts of the size, that is none."""
+"""Cost of a radian away from the initial posture; a lever arm that is taken as zero, relative to the size."""
 BEND, ASIDE = 0.7, 0.75
-"""A joint whose middle is so many half ranges from zero is bent by this angle [rad], or to its middle."""
+"""A joint whose middle is this many half ranges from zero is bent by this angle [rad], or to its middle."""
 WIDEST = 2.0
-"""Joints move this far from where they come [rad or m], at most."""
+"""Largest distance of joints from their initial positions [rad or m]."""
 CLEAR, ROOM = 0.01, 0.1
-"""Least distance of other parts from the table, and one beyond which a posture is no better, in parts of the
-robot's size."""
+"""Smallest distance of other parts from the table, and one beyond which a posture is not better, relative to
+the robot's size."""
 HEIGHT = 0.2
-"""Of a table above the lowest part of the base, in parts of the size, at which it is high enough."""
+"""Sufficient height of a table above the lowest part of the base, relative to the size."""
 DEXTEROUS = 0.2
-"""A lever arm, in parts of the robot's size, beyond which a posture is no better."""
+"""A lever arm beyond which a posture is not better, relative to the robot's size."""
 TILTS = (1.0, 0.5, 0.2, 0.0)
-"""Parts of its tilt with which a free base tries to come down on a foot."""
+"""Parts of its tilt with which a free base tries to land on a foot."""
 SLOPE, APART = 0.6, 0.05
-"""Tilts at which a foot has another lowest point, and the least distance of two such in parts of the size."""
+"""Tilts at which a foot has another lowest point, and the smallest distance of two such relative to the
+size."""
 POINT = 1e-6
-"""Radius of what stands for a frame [m]."""
+"""Radius of a sphere in place of a frame [m]."""
 FLAT = 1e-3
-"""Points so close to the lowest one belong to the same edge or face, in parts of the robot's size."""
+"""Points this close to the lowest one belong to the same edge or face, relative to the robot's size."""
 
 
 @dataclass(frozen=True, eq=False)

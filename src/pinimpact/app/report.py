@@ -22,13 +22,13 @@ from ..status import Flag
 
 WORKS = ("control", "joints", "friction", "surface", "impacts")
 LONGEST = 40
-"""Rows that a table shows at most, unless all are asked for."""
+"""Largest number of rows of a table, unless all are requested."""
 ROUNDING = 32.0 * 2.0**-52
-"""Part of the numbers that a sum was formed from, below which it is zero to rounding."""
+"""A sum below this part of its terms is zero to rounding."""
 CONDITION = 1e3
-"""By how much M magnifies rounding in velocities after an impact, as a mass matrix of many bodies does."""
+"""Factor by which M magnifies rounding in velocities after an impact, for a mass matrix of many bodies."""
 WIDE = 160
-"""Columns that a page has which is not a terminal's."""
+"""Width of a page that is not a terminal [columns]."""
 
 
 def wide_console() -> Console:

@@ -13,7 +13,7 @@ UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
     "acceleration": {"m/s^2": 1.0},
 }
-"""The units of each kind of quantity, in SI units; the first is meant where a number stands alone."""
+"""The units of each kind of quantity, in SI units; the first applies to numbers without a unit."""
 
 
 def quantity(value: Any, kind: str) -> float:

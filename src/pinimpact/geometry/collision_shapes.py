@@ -200,7 +200,7 @@ def _with_points(tips: ShapeTips, count: int) -> ShapeTips:
 
 
 Remembered = dict[int, tuple[Any, dict[str, tuple[Array, Any]]]]
-"""By collision model: what was made of the vertices of its shapes."""
+"""By collision model: objects computed from the vertices of its shapes."""
 
 _hulls: Remembered = {}
 

@@ -23,19 +23,20 @@ COAL_ERROR = 1e-10
 """Part of the shapes' size by which coal's distance may be too large."""
 
 TOUCHING = 1e-9
-"""Part of the shapes' size up to which all edges are looked at."""
+"""Part of the shapes' size up to which all edges are tried."""
 
 LOCAL = 1e-5
-"""Part of a shape's size by which a corner may be behind the foremost one to be a part of what is nearest."""
+"""Part of a shape's size by which a corner may be behind the extreme one and belong to the closest
+feature."""
 
 TIE = 1e-13
-"""Part of the shapes' size to which two separations are the same."""
+"""Tolerance for equal separations, relative to the shapes' size."""
 
 FACING = 0.9
-"""Cosine of the angle within which a face looks along a direction."""
+"""Cosine of the angle within which a face faces a direction."""
 
 PARALLEL = 1e-9
-"""Sine of the angle below which two edges have no normal of their own."""
+"""Sine of the angle below which two edges do not determine a normal."""
 
 
 class Gap(NamedTuple):

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 COPLANAR = 1e-9
-"""Facets of a hull whose normals differ by less than this are one face."""
+"""Facets of a hull whose normals differ by less than this form one face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +242,7 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
 
 
 NOT_CONVEX = 1e-3
-"""Part of its size by which a vertex of a mesh may lie inside its hull before it counts as not convex."""
+"""Depth of a vertex of a mesh inside its hull, relative to its size, from which on the mesh is not convex."""
 
 
 def _deepest(found: ConvexShape, points: Array) -> float:

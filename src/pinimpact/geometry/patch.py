@@ -22,14 +22,14 @@ FACE = 1.0 - 1e-6
 wide enough for normals that GJK finds, and far below the angle between two faces."""
 
 NEAREST = 4e-12
-"""Part of the shapes' size by which points that are nearest together may differ."""
+"""Tolerance for equally close points, relative to the shapes' size."""
 
 
 PARALLEL = 1e-12
-"""Squared sine of the angle between edges below which any of their points are nearest."""
+"""Squared sine of the angle between edges below which they are parallel."""
 
 COINCIDE = 1e-9
-"""Part of a shape's size within which corners of a patch are one."""
+"""Distance below which corners of a patch coincide, relative to a shape's size."""
 
 
 class Patch(NamedTuple):

@@ -33,11 +33,11 @@ from .convex_shape import PlacedShape, cross
 Array = NDArray[np.float64]
 
 MAX_ADVANCES = 20_000
-"""Advances, after which a pair that neither touches nor parts is given up; one that parts at a thousandth of
-the acceleration that its bound allows takes some thousands."""
+"""Largest number of advances of a pair that neither touches nor separates; one that separates at a thousandth
+of the acceleration that its bound allows takes some thousands."""
 
 SAMPLES, SAFETY = 8, 1.5
-"""Samples of a step for its largest accelerations and their rates, and what they are taken times."""
+"""Number of samples of a step for its largest accelerations and their rates, and a safety factor."""
 
 
 class PairState(NamedTuple):
@@ -142,11 +142,11 @@ def first_touch(
 
 
 NEARLY = 1e-9
-"""Part of the shapes' size by which vertices that are as good as foremost may be behind."""
+"""Tolerance of extreme vertices, relative to the shapes' size."""
 
 
 FAR = 0.1
-"""Part of the shapes' size beyond which the normal need not turn with what is foremost."""
+"""Gap beyond which the normal need not follow the extreme features, relative to the shapes' size."""
 
 
 def _goes_with(state: PairState, value: float, normal: Array) -> Array:

@@ -37,7 +37,7 @@ from .names import frame_id, model_of
 Array = NDArray[np.float64]
 
 WORLD = np.eye(4)
-"""The placement that the kernels take where no body carries a surface."""
+"""The placement for kernels of a surface that is not attached to a body."""
 
 
 @dataclass(frozen=True, repr=False)

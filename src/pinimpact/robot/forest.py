@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LARGE = 60
-"""Velocities up to which a robot has one Data, and so have trees that stand together in one part."""
+"""Velocities up to which a robot has one Data, and a part several trees."""
 
 
 class Part(NamedTuple):

@@ -15,10 +15,11 @@ from .matrices import ContactGeometry
 Array = NDArray[np.float64]
 
 HELD_TOLERANCE = 1e-6
-"""How fast a held point may move before the impact, in parts of what the joints together could make of it."""
+"""Tolerance of the velocity of a held point before the impact, relative to the sum of the joints'
+contributions."""
 
 PULL = 1e-12
-"""A pull that is one, in parts of the impulse of the impact."""
+"""Smallest pull that is reported, relative to the impulse of the impact."""
 
 
 class HeldContactWarning(UserWarning):

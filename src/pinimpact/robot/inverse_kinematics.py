@@ -19,16 +19,17 @@ from .names import model_of
 Array = NDArray[np.float64]
 
 TOUCHING = 1e-12
-"""A gap is closed within this part of the robot's size and of its coordinates."""
+"""Tolerance of a closed gap, relative to the robot's size and its coordinates."""
 MAX_STEPS = 100
 SHORTEST_PART = 0.01
-"""Of a step that is cut short: beyond that there is nothing to be gained."""
+"""Smallest part of a step."""
 LONGEST_STEP = 0.5
-"""Of a coordinate in one step, but for the place of a free base, which makes the problem no less linear."""
+"""Largest change of a coordinate in one step, except for the position of a free base, in which the problem is
+linear."""
 STARTS = 8
-"""How often the search restarts, further and further away, where it comes to an end without contact."""
+"""Number of restarts, further and further away, of a search that ends without contact."""
 SETTLED = 1e-7
-"""A step shorter than this brings the configuration no closer to the given one."""
+"""Step length at which the search ends."""
 
 
 class _Found(NamedTuple):

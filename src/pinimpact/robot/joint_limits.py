@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..errors import JointLimitWarning
 
 NO_BOUND = 1e300
-"""A number at least this large is no bound."""
+"""A bound of at least this size is infinite."""
 
 SLACK = 1e-4
-"""How far [rad or m] a coordinate may be beyond a bound without a word: descriptions round, stops give."""
+"""Distance [rad or m] beyond a bound without a warning, for rounded descriptions and compliant stops."""
 
 
 @dataclass(frozen=True, slots=True)

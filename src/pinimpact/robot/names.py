@@ -69,7 +69,7 @@ _COORDINATES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "Planar": (("x", "y", "cos", "sin"), ("vx", "vy", "wz")),
     "Translation": (("x", "y", "z"), ("vx", "vy", "vz")),
 }
-"""Suffixes for the joints of Pinocchio with several coordinates that have names of their own."""
+"""Suffixes for Pinocchio's joints with several coordinates that have names."""
 
 
 def motion_signs(model: pin.Model, joint: int, other: int) -> np.ndarray:

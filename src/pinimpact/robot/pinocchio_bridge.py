@@ -55,11 +55,11 @@ Array = NDArray[np.float64]
 _WORLD = pin.Convention.WORLD
 
 AGREEMENT = 1e-6
-"""Relative difference up to which two ways agree. Another layout differs by as much as the numbers
-themselves; rounding stays far below, for the check gives every link a well-conditioned inertia."""
+"""Relative difference up to which results agree. Another layout differs by as much as the numbers themselves;
+rounding is far below, since the links of the check have well-conditioned inertias."""
 
 CLEARLY_POSITIVE = 1e-10
-"""Part of a joint's inertia that, left of it with all that it carries free to move, is no rounding."""
+"""Smallest effective inertia of a joint, relative to its inertia, that is not rounding."""
 
 
 class PinocchioLayoutWarning(UserWarning):

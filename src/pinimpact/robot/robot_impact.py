@@ -30,7 +30,7 @@ from .struck import Struck, strike
 from .touching import check_rims, touching_tips
 
 LOCKED = int(Status.LOCKED)
-"""The last status that is an answer."""
+"""The last status with a solution."""
 
 Array = NDArray[np.float64]
 _FLOAT = np.dtype(np.float64)

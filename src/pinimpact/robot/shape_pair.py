@@ -119,7 +119,7 @@ def _called(contact: Contact, name: str) -> Contact:
 
 
 FAR = 1e3
-"""Distance from its surface of a contact that is nowhere [m]."""
+"""Distance from its surface of a contact without a position [m]."""
 
 
 def shape_pair(robot: Any, contact: Contact) -> ShapePair:
@@ -251,7 +251,7 @@ def _along(placed: PlacedShape, edge: int) -> Array:
 
 
 TIE = 4e-12
-"""Part of the shapes' size by which features that touch together may differ."""
+"""Tolerance for features that touch together, relative to the shapes' size."""
 
 
 def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:

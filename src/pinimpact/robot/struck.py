@@ -14,7 +14,7 @@ from .data_cache import DataCache, outdated
 from .pinocchio_bridge import MassAndFrames, workspace_of
 
 MOST = 256
-"""Contacts that are remembered at once."""
+"""Largest number of cached contacts."""
 
 
 class Struck(NamedTuple):

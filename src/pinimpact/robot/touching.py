@@ -19,10 +19,10 @@ from .names import model_of
 Array = NDArray[np.float64]
 
 TIE = 4e-12
-"""Of 1 m and the largest coordinate: tips whose gaps differ by no more touch together."""
+"""Tips whose gaps differ by less than this part of 1 m and the largest coordinate touch together."""
 
 FLAT = 1e-12
-"""Sine of the angle between a rim and its plane that is none."""
+"""Sine of the angle between a rim and its plane that is taken as zero."""
 
 
 def touching_tips(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:

@@ -28,10 +28,10 @@ SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
     "adaptive": tuple({"rtol": 10.0**-k} for k in range(2, 14)),
     "solve_ivp": tuple({"rtol": 10.0**-k} for k in range(3, 13)),
 }
-"""What each method is measured at; a method without an entry is measured as it stands."""
+"""Settings of each method; a method without an entry is measured with its defaults."""
 
 TIGHTEST: dict[str, Any] = {"method": "adaptive", "rtol": 3e-14}
-"""What "exact" is compared with; every other method is compared with "exact"."""
+"""Reference of "exact"; that of every other method is "exact"."""
 
 STYLES: dict[str, dict[str, Any]] = {
     "exact": {"marker": "*", "color": "#d62728", "size": 12},
@@ -42,13 +42,13 @@ STYLES: dict[str, dict[str, Any]] = {
     "admm": {"marker": "P", "color": "#ff7f0e", "size": 6},
     "pgs": {"marker": "X", "color": "#ff7f0e", "size": 6},
 }
-"""How methods, and other models, are drawn."""
+"""Styles of methods and other models."""
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 """Errors for which a summary names the fastest method."""
 
 BATCH = 2e-4
-"""Seconds that one timing lasts at least; shorter calls are repeated."""
+"""Shortest duration of one timing [s]; shorter calls are repeated."""
 
 
 def problem_classes() -> dict[str, ImpactProblem]:

@@ -12,7 +12,7 @@ BROWSERS = (
     *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge"),
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
 )
-"""What is looked for, in this order."""
+"""Browsers, in the order of the search."""
 
 OPTIONS = (
     *(

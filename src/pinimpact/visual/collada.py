@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 NAMESPACE = "http://www.collada.org/2005/11/COLLADASchema"
 _TAG = f"{{{NAMESPACE}}}"
 DIGITS, NORMAL_DIGITS = 5, 3
-"""Of the numbers of a mesh and of its normals; a page shows no more, and most of its size is their text."""
+"""Digits of the numbers of a mesh and of its normals; a page shows no more, and most of its size is their
+text."""
 _PRIMITIVES = tuple(_TAG + name for name in ("triangles", "polylist", "polygons", "lines"))
 
 

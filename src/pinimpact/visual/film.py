@@ -12,13 +12,13 @@ Array = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 60
 MAX_FRAMES = 2000
-"""Of those that are evenly spaced; in a longer film they are spaced wider, to keep the file small."""
+"""Largest number of evenly spaced frames; longer replays have wider spacing, to limit the file."""
 SLOWED = 20
-"""At so many impacts, the hardest, a replay slows down."""
+"""Number of impacts with the largest work of compression at which a replay slows down."""
 WEAK = 1e-3
-"""At one whose compression takes less than this part of the hardest's it does not."""
+"""It does not slow down for impacts with less than this part of the largest work."""
 EXTRA = 30
-"""Additional frames on either side of an impact at which the film slows down."""
+"""Additional frames on either side of an impact at which the replay slows down."""
 
 
 def width_of_slowness(duration: float, speed: float, slowdown: float) -> float:

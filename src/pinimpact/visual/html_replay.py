@@ -49,18 +49,18 @@ from .surface_shapes import surface_as_data
 Array = NDArray[np.float64]
 
 HOLD = 1.5
-"""How long the film of a motion stands still within an impact [s]."""
+"""Duration of the pause within an impact [s]."""
 HOLD_WITHIN = 8.0
-"""How long the film of one impact takes [s]."""
+"""Duration of the replay of one impact [s]."""
 WITHIN = {"speed": 1.0, "slowdown": 2.0, "hold": HOLD_WITHIN, "width": 1.0, "within": True}
 """Settings of the player for one impact."""
 LISTED = 3
-"""Names of an impact at several contacts that are listed; more are counted."""
+"""Number of names of an impact at several contacts that are listed; more are counted."""
 LEVEL, NEAR = 0.99, 0.1
-"""A surface is the floor if its normal has this vertical part, at least, and it is this part of the size of
-what is shown above the lowest point, at most."""
+"""A surface is the floor if its normal has at least this vertical component, and it is at most this part of
+the size of the scene above the lowest point."""
 LONGEST_IMPULSE, LONGEST_VELOCITY, LONGEST_FORCE = 0.28, 0.22, 0.4
-"""Lengths of the longest arrows, in parts of the size of what is shown."""
+"""Lengths of the longest arrows, relative to the size of the scene."""
 
 
 class Replay(os.PathLike[str]):

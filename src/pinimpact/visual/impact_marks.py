@@ -18,7 +18,7 @@ from .smooth_path import invariant_directions, many_path, smooth_path
 Array = NDArray[np.float64]
 
 EVERY = 3
-"""Of so many points of a smooth path a page has one."""
+"""A page has one of this many points of a smooth path."""
 
 
 class OneImpact(Protocol):

@@ -17,7 +17,7 @@ import numpy as np
 from .collada import for_viewer
 
 LARGE = 10_000
-"""What is at least as long, a mesh or a texture, is sent once and then named by its number."""
+"""Meshes and textures of at least this length are stored once and referred to by number."""
 
 
 class Recorder:

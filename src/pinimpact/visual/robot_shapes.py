@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 NEUTRAL = (0.62, 0.64, 0.67)
 """Colour of shapes without any."""
 OUTLINES = 20
-"""Configurations of a motion that its outline is taken from."""
+"""Number of configurations of a motion for its outline."""
 COUNT = np.arange(200.0)
 TURN, RISE = np.pi * (1.0 + np.sqrt(5.0)) * COUNT, (2.0 * COUNT + 1.0) / len(COUNT) - 1.0
 AROUND = np.column_stack([np.sqrt(1.0 - RISE**2) * np.cos(TURN), np.sqrt(1.0 - RISE**2) * np.sin(TURN), RISE])
-"""Directions (200, 3) that are spread evenly: Fibonacci's spiral on a sphere."""
+"""Evenly spread directions (200, 3): Fibonacci's spiral on a sphere."""
 VIEWERS_GRID = 0.5
 """Length of the squares of the viewer's grid [m]."""
 

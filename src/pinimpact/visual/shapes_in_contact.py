@@ -18,7 +18,7 @@ from .page_file import packed
 Array = NDArray[np.float64]
 
 ROUND = 24
-"""Points that a circle is drawn with."""
+"""Number of points of a drawn circle."""
 
 
 def contacts_to_draw(trajectory: Trajectory, contacts: Sequence[Contact]) -> list[Contact]:

@@ -19,10 +19,10 @@ from .impact_marks import short
 Array = NDArray[np.float64]
 
 MARGIN, THICKNESS = 0.12, 0.015
-"""How far a plate reaches beyond the paths of the contacts, and how thick it is, in parts of the size of what
-is shown."""
+"""Margin of a plate beyond the paths of the contacts, and its thickness, relative to the size of the
+scene."""
 REACH = 0.1
-"""A plate reaches as far as points come within this distance of it, in parts of the size of what is shown."""
+"""A plate covers points within this distance of it, relative to the size of the scene."""
 
 
 def carrier(model: pin.Model, surface: Surface) -> tuple[int, pin.SE3]:
@@ -102,4 +102,4 @@ _SOLIDS: dict[type[Surface], Callable[[Any, Array, float], tuple[str, list[float
     Sphere: _ball,
     Box: _block,
 }
-"""What each kind of surface is drawn as: (surface, points in its axes, scale) -> kind, size, place."""
+"""Drawn shape of each kind of surface: (surface, points in its axes, scale) -> kind, size, place."""

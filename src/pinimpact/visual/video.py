@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from .html_replay import Replay
 
 COLORS = 128
-"""Of a GIF, as many that cover most of it as that differ most."""
+"""Number of colours of a GIF that cover most of it, and of those that differ most."""
 FILMS = (".mp4", ".webm", ".mkv", ".mov")
-"""What ffmpeg is asked for."""
+"""Formats written by ffmpeg."""
 
 
 def write_video(

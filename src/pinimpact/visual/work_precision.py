@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 COLUMNS = 4
 ROUNDING = 1e-17
-"""Where an error of zero is drawn."""
+"""Drawn value of an error of zero."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,16 +19,16 @@ FACE = 1.0 - 1e-6
 """Cosine of the angle between a normal and that of a face within which the face is the reference."""
 
 TIE = 1e-13
-"""Part of the boxes' size to which two separations are the same: faces then count before edges."""
+"""Tolerance for equal separations relative to the boxes' size; faces then precede edges."""
 
 PARALLEL = 1e-9
-"""Sine of the angle below which two edges have no normal of their own."""
+"""Sine of the angle below which two edges do not determine a normal."""
 
 NEAREST = 1e-9
-"""Part of the boxes' size by which points that are nearest together may differ."""
+"""Tolerance for equally close points, relative to the boxes' size."""
 
 COINCIDE = 1e-9
-"""Part of a box's size within which corners of a patch are one."""
+"""Distance below which corners of a patch coincide, relative to a box's size."""
 
 
 @inlined

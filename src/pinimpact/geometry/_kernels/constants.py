@@ -17,7 +17,7 @@ TIP, RADIUS, POINT, AXES, VELOCITY, SPIN, KIND, SIZE, RIM, RIM_AXIS, LINE_AXIS, 
 )
 
 PLANE, SPHERE, LINE, EDGE = range(4)
-"""The codes of kinds: a line is met by points and spheres, an edge by an edge, both with a size around."""
+"""The codes of kinds: a line is for points and spheres, an edge for edges, both with a radius."""
 
 SOLID = -1
-"""That of surfaces that no kernel knows."""
+"""Code of surfaces that kernels do not support."""

@@ -33,7 +33,7 @@ from ...geometry._kernels.contact_axes import contact_axes
 from .placement import cross, direction, place, pose, rotate, rotate_back
 
 LEAST_RISE = 1e-12
-"""Of 1 + a₃·n: next to n = −a₃ the carried axes mean nothing, but are numbers."""
+"""Lower bound of 1 + a₃·n: next to n = −a₃ the carried axes are arbitrary, but finite."""
 
 
 @inlined
@@ -185,7 +185,7 @@ def fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, out)
 
 
 SCREW = 8.0 * 2.0**-52
-"""Part of what a column is formed from up to which a motion along its axis is rounding."""
+"""A motion along the axis of a column below this part of its terms is rounding."""
 
 
 @inlined

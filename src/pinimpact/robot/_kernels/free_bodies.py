@@ -12,7 +12,7 @@ from ..._compile.jit import inlined, jit
 from .placement import cross, rotate, rotate_back
 
 MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
-"""Where numbers of a body stand: mass, centre, inertia about it and the inverse of that, placement."""
+"""Layout of the numbers of a body: mass, centre, inertia about it and its inverse, placement."""
 
 
 @inlined

@@ -33,9 +33,9 @@ from .tree import factor, solve, solve_transposed
 from .tree_matrices import BODY, placed, tree_matrices
 
 DELASSUS, VELOCITY, SURFACE, AXES, AFTER, SCALE, SINGULAR, SIZE = 0, 6, 9, 12, 21, 28, 29, 36
-"""Where `robot_impact` puts, after the nv post-impact velocities: W (upper triangle), v, the surface's own
-velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, and the factor of a W that
-is ill-conditioned (else 0)."""
+"""Layout of the results of `robot_impact` after the nv post-impact velocities: W (upper triangle), v, the
+surface's velocity, the contact axes, v⁺, P and the compression impulse, the scale of v, and the factor of an
+ill-conditioned W (else 0)."""
 
 SINGULAR_MASS = -1
 """Status: the mass matrix is not positive definite."""
@@ -44,7 +44,7 @@ NOT_NORMALIZED = -2
 """Status: a quaternion or a (cos, sin) pair is not of unit length."""
 
 CALL_RAISED, ALL_DONE = -2, -1
-"""Where a batch came to no velocity at which M is singular."""
+"""Results of a batch without a singular M."""
 
 
 @inlined

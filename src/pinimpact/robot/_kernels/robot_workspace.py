@@ -6,7 +6,7 @@ from ..._compile.workspace import Workspace, integer, integers, real, reals, siz
 from ...geometry._kernels.constants import CONSTANTS
 
 REVOLUTE, UNBOUNDED, PRISMATIC, FREE_FLYER, SPHERICAL, TRANSLATION, PLANAR = range(7)
-"""Kinds of joints: by angle, by its cosine and sine, by length; the others as Pinocchio has them."""
+"""Kinds of joints: by angle, by its cosine and sine, by length; others as in Pinocchio."""
 
 
 class RobotWorkspace(Workspace):

@@ -25,10 +25,10 @@ from .robot_workspace import (
 )
 
 BODY = 22
-"""Numbers of a joint that are kept: its placement, then mass, centre and inertia of all that it carries."""
+"""Numbers of a joint: its placement, then mass, centre and inertia of its composite body."""
 
 NORMALIZED = 1e-8
-"""How far a quaternion or a (cos, sin) pair may be from unit length."""
+"""Tolerance of the length of a quaternion or (cos, sin) pair."""
 
 
 @inlined

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POINTS = 800
-"""Drawn over a motion, at least."""
+"""Smallest number of points over a motion."""
 WORKS = (("control", RESTITUTION), ("joints", SKY), ("friction", RESUMED), ("surface", GREEN))
 MODES = {
     "slip": COMPRESSION,

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 Impact: TypeAlias = OneImpact | ManyHit | ImpactProblem
-"""What is drawn: of one contact or of many."""
+"""Impacts that can be drawn: at one contact or at many."""
 
 
 class Solved(NamedTuple):

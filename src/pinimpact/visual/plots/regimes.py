@@ -27,10 +27,10 @@ REGIMES = (
     ("comes to stick", "#f4d38a"),
     ("slip stops and resumes", "#e3b3cb"),
 )
-"""Names and colours; the last that holds counts."""
+"""Names and colours; the last one that applies is drawn."""
 
 MARKED = ((Flag.JAM, "jam", "////"), (Flag.SECOND_COMPRESSION, "second compression", "...."))
-"""What is hatched over them."""
+"""Hatched flags."""
 
 
 def regime_map(

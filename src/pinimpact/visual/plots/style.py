@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 COMPRESSION, RESTITUTION, STICK, RESUMED = "#d55e00", "#0072b2", "#e69f00", "#cc79a7"
 GREEN, SKY, BLACK, FLOW = "#009e73", "#56b4e9", "black", "#a3abb3"
 CYCLE = (RESTITUTION, COMPRESSION, GREEN, RESUMED, STICK, SKY, BLACK)
-"""Colours of things that are only counted."""
+"""Colours of items without a meaning of their own."""
 
 
 def axes_for(ax: Any, size: tuple[float, float] = (6.4, 4.4), **options: Any) -> Any:
