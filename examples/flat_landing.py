@@ -1,8 +1,8 @@
 """A quadruped lands flat on four feet, and with a tilt of 0.001 rad.
 
-Its motors hold the legs. The flat landing is one impact at four contacts. In the tilted landing the feet touch
-one after another, half a millisecond apart: these are separate impacts, in which the feet on the ground take
-part.
+Its motors hold the legs. The flat landing is one impact at four contacts. In the tilted landing the feet
+touch one after another, half a millisecond apart: these are separate impacts, in which the feet on the ground
+take part.
 """
 
 from __future__ import annotations
