@@ -38,7 +38,7 @@ def blocks(language: str) -> list[str]:
 def test_the_first_screen_says_what_for_whom_and_how() -> None:
     first = README[: README.index("```")]
     assert "computes rigid-body impacts with friction" in first  # what it does
-    assert "It is written for researchers" in first  # and for whom
+    assert "is written for researchers" in first  # and for whom
     assert len(blocks("python")) == 1
     assert len(blocks("python")[0].splitlines()) <= 11
 

@@ -467,4 +467,4 @@ def cost(
     report.save(figures)
     _print(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
     if not (as_json or quiet):
-        click.echo(f"Diagram: {picture}\nFigures: {figures}")
+        click.echo(f"Plot: {picture}\nMeasurements: {figures}")

@@ -193,7 +193,7 @@ class Report:
                 f"state by {min(off):.1e} to {max(off):.1e}"
             )
         lines.append(
-            f"{len(self.points)} points were measured; --all prints them, --target what reaches an error."
+            f"{len(self.points)} points were measured; --all prints them, --target the fastest for an error."
         )
         return "\n".join(lines)
 
