@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -159,6 +160,8 @@ def test_a_mass_that_is_no_number_is_named():
     [
         (".", "is a folder"),
         ("https://example.org/robot.urdf", "https://example.org/robot.urdf is a URL"),
+        (Path("https://example.org/robot.urdf"), "https://example.org/robot.urdf is a URL"),
+        ("", "'' is neither a robot's name"),
         (None, "NoneType given"),
     ],
 )
@@ -210,16 +213,24 @@ def test_degrees_are_noticed_before_anything_else():
         pinimpact.place_in_contact(arm.model, arm.data, degrees, table)
 
 
-def test_one_table_in_place_of_a_list_is_told(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[contact]\nframe = "tip"\n', r"\[contact\] in .*; write \[\[contact\]\]"),
+        ('robot = "rod"\nduration = 1\n', r"'rod' in .*; write \[\[robot\]\]"),
+    ],
+)
+def test_one_table_in_place_of_a_list_is_told(tmp_path, text, says):
     path = tmp_path / "scene.toml"
-    path.write_text('[contact]\nframe = "tip"\n')
-    with pytest.raises(InputError, match=r"write \[\[contact\]\]"):
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
         read_scene_file(path)
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (["demo", "rod", "--direction", "0", "0", "0"], "give the way it moves, of any length but zero"),
         (["robots", "zzz"], "no robot has 'zzz'"),
         (["cost", "--method", "eulr"], "did you mean 'euler'"),
         (["demo", "rod", "--direction", "0", "0", "1"], "does not point down to the table"),
@@ -285,6 +296,7 @@ def test_a_ball_falls_for_a_time_given_as_an_integer():
 
 PROBLEM = ImpactProblem(W, U, 0.3, 0.5)
 RUN = simulate(SCENE, Q, V, 0.05)
+ARM = pinimpact.load_robot("panda")
 RAGGED = [[1], [1, 2]]
 TWICE = np.array(["left", "right"])
 OF_ANOTHER_KIND = {
@@ -319,7 +331,38 @@ OF_ANOTHER_KIND = {
     "scheme: a list": ("scheme", lambda: simulate(SCENE, Q, V, 0.1, scheme=["event-driven"])),
     "path: a number": ("path", lambda: pinimpact.Trajectory.load(3)),
     "path: none": ("path", lambda: RUN.save(None)),
+    "progress: a number": ("progress", lambda: simulate(SCENE, Q, V, 0.1, progress=3)),
+    "dt: text, unused": ("dt", lambda: simulate(SCENE, Q, V, 0.1, scheme="event-driven", dt="1 ms")),
+    "dt: negative, unused": ("dt", lambda: simulate(SCENE, Q, V, 0.1, scheme="event-driven", dt=-1.0)),
+    "atol: infinite": ("atol", lambda: simulate(SCENE, Q, V, 0.1, atol=np.inf)),
+    "event: an array": ("events", lambda: pinimpact.Event(guard, direction=np.array([1, -1]))),
+    "event: a number as name": ("events", lambda: pinimpact.Event(guard, name=3)),
+    "guard: a truth value": ("events", lambda: watched(lambda t, q, v: q[0] > 0.1)),
+    "guard: a complex number": ("events", lambda: watched(lambda t, q, v: q[0] + 0j)),
+    "guard: text": ("events", lambda: watched(lambda t, q, v: "0.3")),
+    "guard: masked": ("events", lambda: watched(lambda t, q, v: np.ma.masked)),
+    "without: none": ("without", lambda: Scene(MODEL, without=None)),
+    "without: a list of arrays": ("without", lambda: Scene(MODEL, without=[TWICE])),
+    "surface: text": ("surface", lambda: Scene(ARM).contacts_from_geometry("floor")),
+    "links: none": ("links", lambda: Scene(ARM).contacts_from_geometry(Plane(), links=None)),
+    "contacts: a number": ("contacts", lambda: pinimpact.place_in_contact(MODEL, DATA, Q, 3)),
+    "package_dirs: none": ("package_dirs", lambda: pinimpact.load_robot("rod", package_dirs=None)),
+    "package_dirs: numbers": ("package_dirs", lambda: pinimpact.load_robot("rod", package_dirs=[3])),
+    "free_flyer: text": ("free_flyer", lambda: pinimpact.load_robot("rod", free_flyer="no")),
+    "mimic: a number": ("mimic", lambda: pinimpact.load_robot("rod", mimic=2)),
+    "exponent: an array": (
+        "exponent",
+        lambda: pinimpact.solve_impact(ImpactProblem(np.kron(np.eye(2), W), [U, U], 0, 0), exponent=TWICE),
+    ),
 }
+
+
+def guard(t, q, v):
+    return q[0] - 0.1
+
+
+def watched(asked):
+    return simulate(Scene(MODEL, events=[asked]), Q, V, 0.01)
 
 
 @pytest.mark.parametrize(("field", "call"), OF_ANOTHER_KIND.values(), ids=OF_ANOTHER_KIND)
@@ -328,3 +371,48 @@ def test_what_is_of_another_kind_is_refused(field, call):
         call()
     assert told.value.field == field
     assert len(str(told.value)) < 250
+
+
+class Long:
+    """Something whose repr takes many lines, as that of a model or an array may."""
+
+    def __repr__(self):
+        return "<a long\nrepr>" * 1000
+
+
+LONG = Long()
+TOLD_IN_SHORT = {
+    "contact": lambda: pinimpact.impact(MODEL, DATA, Q, V, LONG),
+    "contacts": lambda: pinimpact.place_in_contact(MODEL, DATA, Q, [LONG]),
+    "plane": lambda: Contact("tip", LONG),
+    "name": lambda: Contact("tip", Plane(), name=LONG),
+    "frame": lambda: Contact(LONG, Plane()),
+    "body": lambda: Plane(body=LONG),
+    "geometry": lambda: Scene(MODEL, geometry=LONG),
+    "shape": lambda: Contact(geometry=LONG, plane=Plane()),
+    "other shape": lambda: pinimpact.Shape(LONG),
+    "control": lambda: Scene(MODEL, control=LONG),
+    "guard": lambda: Scene(MODEL, events=[LONG]),
+    "event": lambda: pinimpact.Event(guard, terminal=LONG),
+    "without": lambda: Scene(MODEL, without=[LONG]),
+    "simultaneous": lambda: Scene(MODEL, simultaneous=LONG),
+    "locked": lambda: Scene(MODEL, locked=[LONG]),
+    "links": lambda: Scene(ARM).contacts_from_geometry(Plane(), links=[LONG]),
+    "of forces": lambda: RUN.forces(LONG, 0.01),
+    "source": lambda: RUN.mode_at(LONG, 0.01),
+    "side": lambda: RUN.at(0.01, side=LONG),
+    "motion": lambda: pinimpact.replay(MODEL, LONG),
+    "path": lambda: RUN.save(LONG),
+    "impact": lambda: plots.hodograph(LONG),
+    "contact of a plot": lambda: plots.hodograph(PROBLEM, contact=LONG),
+    "solver's rtol": lambda: pinimpact.solve_impact(PROBLEM, "adaptive", rtol=LONG),
+}
+
+
+@pytest.mark.parametrize("call", TOLD_IN_SHORT.values(), ids=TOLD_IN_SHORT)
+def test_messages_hold_no_long_reprs(call):
+    with pytest.raises(PinimpactError) as told:
+        call()
+    assert "<a long repr>" in str(told.value)
+    assert len(str(told.value)) < 400
+    assert "\n" not in str(told.value)

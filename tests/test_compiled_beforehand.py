@@ -146,7 +146,7 @@ import numpy as np
 from numba.core import event
 import pinimpact as p
 from pinimpact.app.warmup import warm_up
-from tests.scene_models import UP, ball
+from tests.scene_models import UP, ball, pendulum
 
 warm_up()
 W = np.array([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]])
@@ -170,6 +170,16 @@ with event.install_recorder("numba:compile") as record:
     p.impacts(model, model.createData(), q[None], v[None], floor, friction=np.broadcast_to(0.3, 1))
     p.impact(model, model.createData(), q, v, floor)
     p.simulate(p.Scene(model, [floor]), q, v, 0.1)
+    hits = p.impacts(model, model.createData(), np.tile(q, (3, 1)), np.tile(v, (3, 1)), floor)
+    assert np.isfinite(hits.work.total).all()
+    hinged = pendulum()
+    tip = p.Contact("tip", p.Plane((0, 0, -0.5)), friction=0.3)
+    at = p.place_in_contact(hinged, hinged.createData(), [0.3], tip)
+    p.impact(hinged, hinged.createData(), at, [-1.0], tip)
+    p.contact_matrices(hinged, hinged.createData(), at, tip)
+    for scheme in ("auto", "time-stepping"):
+        p.simulate(p.Scene(hinged, [tip]), [1.4], [0.0], 0.5, scheme=scheme)
+    p.Stepper(p.Scene(hinged, [tip]), [1.4], [0.0]).step([0.1], 0.1)
 print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer if one.is_start} or {})
 """
 

@@ -339,7 +339,7 @@ def zero_division(t, q, v):
             "ZeroDivisionError in the guard of 'zero_division' at t = .* s: division by zero",
         ),
         (Event(lambda t, q, v: math.nan, name="bad"), "nan returned by the guard of 'bad' at t = 0 s"),
-        (Event(lambda t, q, v: None, name="bad"), "TypeError in the guard of 'bad'"),
+        (Event(lambda t, q, v: None, name="bad"), "InputError in the guard of 'bad' .*None given"),
         (Event(height(0.9), zero_division), "ZeroDivisionError in the callback of 'guard' at t = 0.14"),
         (Event(height(0.9), lambda t, q, v: [1.0, 2.0]), "InputError in the callback of 'guard' .*shape"),
         (Event(height(0.9), lambda t, q, v: [1.0, 2.0, math.inf]), "InputError in the callback of 'guard'"),

@@ -505,7 +505,7 @@ def test_whoever_waits_is_told_once_and_nobody_else(package: Path) -> None:
     edit(package / "_compile" / "waiting.py", "SHORT = 1.0", "SHORT = 0.0")
     told = python(package).stderr
     assert told.count("\n") == 1
-    assert told.startswith("pinimpact: compiling kernels for scenes, once per machine")
+    assert told.startswith("pinimpact: compiling kernels for impacts and scenes, which are kept")
     assert python(package).stderr == ""
     shutil.rmtree(package.parent / "cache")
     quiet = "import logging; logging.getLogger('pinimpact.compiling').setLevel('ERROR')\n"

@@ -96,6 +96,13 @@ def test_free_flight_is_of_second_order():
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
+@pytest.mark.parametrize("dt", [0.2, 1e12])
+def test_a_run_shorter_than_a_step_is_one_step(dt):
+    motion = step(Scene(ball()), [0, 0, 1.0, *UP], np.zeros(6), 0.1, dt)
+    assert motion.t.tolist() == [0.0, 0.1]
+    assert motion.q[-1, 2] == pytest.approx(1.0 - 0.5 * G * 0.1**2, rel=1e-12)
+
+
 def test_driven_and_damped_joints_follow_the_other_scheme():
     model = pendulum()
     model.damping = np.array([0.2])

@@ -38,7 +38,7 @@ def real_numbers(field: str, value: Any, expected: str = "an array of real numbe
     except (TypeError, ValueError):
         pass
     raise InputError(
-        f"{field}: {_short(value)} given; {expected} is expected",
+        f"{field}: {in_short(value)} given; {expected} is expected",
         field=field,
         value=value,
     )
@@ -69,7 +69,7 @@ def real_number(field: str, value: Any) -> float:
     return float(array.reshape(()))
 
 
-def _short(value: Any) -> str:
+def in_short(value: Any) -> str:
     """Return a value as text of at most one line, for messages."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
@@ -78,9 +78,7 @@ def _short(value: Any) -> str:
 def file_path(field: str, path: Any) -> Path:
     """Return a path, or raise `InputError`."""
     if not isinstance(path, (str, Path)):
-        raise InputError(
-            f"{field}: {_short(path)} given, the path of a file expected", field=field, value=path
-        )
+        raise InputError(f"{field}: {in_short(path)} given, a path expected", field=field, value=path)
     return Path(path)
 
 
@@ -165,10 +163,26 @@ def choice(field: str, value: Any, names: Iterable[str], what: str) -> str:
     names = tuple(names)
     if not isinstance(value, str) or value not in names:
         raise UnknownNameError(
-            f"{field}: {_short(value)} is not {what}; {near_matches(value, names)}",
+            f"{field}: {in_short(value)} is not {what}; {near_matches(value, names)}",
             field=field,
             value=value,
         )
+    return value
+
+
+def truth_value(field: str, value: Any) -> bool:
+    """Return `value` as a bool if it is True or False, or raise `InputError`."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(
+            f"{field}: {in_short(value)} given, True or False expected", field=field, value=value
+        )
+    return bool(value)
+
+
+def function(field: str, value: Any, what: str) -> Any:
+    """Return `value` if it can be called, or raise `InputError`: that it is not `what`."""
+    if not callable(value):
+        raise InputError(f"{field}: {in_short(value)} is not {what}", field=field, value=value)
     return value
 
 
@@ -178,7 +192,7 @@ def whole_number(field: str, value: Any, low: int, high: int | None = None) -> i
     if not number or value < low or (high is not None and value > high):
         to = "" if high is None else f" to {high}"
         raise InputError(
-            f"{field}: {_short(value)} given, a whole number from {low}{to} expected",
+            f"{field}: {in_short(value)} given, a whole number from {low}{to} expected",
             field=field,
             value=value,
         )
@@ -193,7 +207,9 @@ def as_tuple(field: str, value: Any, one: type | tuple[type, ...], what: str) ->
         return tuple(value)
     except TypeError:
         raise InputError(
-            f"{field}: {_short(value)} given, {what} or a sequence of them expected", field=field, value=value
+            f"{field}: {in_short(value)} given, {what} or a sequence of them expected",
+            field=field,
+            value=value,
         ) from None
 
 

@@ -17,7 +17,7 @@ from .sources import PACKAGE
 
 LOG = logging.getLogger(f"{PACKAGE}.compiling")
 
-IMPACTS, SCENES = "impacts", "scenes"
+IMPACTS, SCENES = "impacts", "impacts and scenes"
 """Purposes of kernels."""
 
 COUNT = "compiling, once: %d of %d"
@@ -53,7 +53,7 @@ def announce(kernels: Sequence[Any], kept: bool, processes: int = 1) -> None:
         return
     _announced.update((purpose, IMPACTS))  # scenes need those of impacts
     often = (
-        "once per machine (`pinimpact warmup` compiles all)"
+        "which are kept and not compiled again on this machine (`pinimpact warmup` compiles all others too)"
         if kept
         else "in every process, because no cache folder is writable (see NUMBA_CACHE_DIR)"
     )

@@ -45,6 +45,9 @@ LEAST_LEVER = 0.01
 """A point counts as movable if joints at 1 rad/s or m/s give it this speed [m/s]."""
 NO_INERTIA = 1e-14
 """Inertia [kg m² or kg] that is taken as zero."""
+WEAK, LEAST_RANK = 0.1, 1e-3
+"""Lever arms relative to the longest one below which a direction is left out: by default, and where the user
+gives the direction."""
 SINGULAR = 1e-12
 """Smallest eigenvalue of the mass matrix, scaled to a diagonal of ones, that is not taken as zero."""
 CLEAR = 1e-3
@@ -250,7 +253,7 @@ def _touch(
     default = np.array(FREE_BASE if free else FIXED_BASE)
     default[:2] *= _steadiness(body, q0) if free else 1.0
     size = float(np.linalg.norm(default)) if speed is None else above_zero("speed", speed)
-    along = None if direction is None else np.array(unit_vector("direction", direction))
+    along = None if direction is None else np.array(unit_vector("direction", direction, "the way it moves"))
     if axes is not None and along is not None and float(axes[2] @ along) >= 0.0:
         raise InputError(
             f"direction: {tuple(direction or ())} points away from the table with the normal "
@@ -272,7 +275,8 @@ def _touch(
             jacobian = _jacobian(body, strike, i)
             wanted = along if along is not None else tried.T @ default
             v = np.zeros(model.nv)
-            v[: jacobian.shape[1]] = np.linalg.pinv(jacobian, rcond=1e-3) @ wanted
+            least = WEAK if along is None else LEAST_RANK
+            v[: jacobian.shape[1]] = np.linalg.pinv(jacobian, rcond=least) @ wanted
             reached = jacobian @ v[: jacobian.shape[1]]
             rate = float(np.linalg.norm(reached))
             if rate <= 1e-3 or rate < LEAST_LEVER * float(np.linalg.norm(v)):

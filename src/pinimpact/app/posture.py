@@ -30,8 +30,9 @@ WIDEST = 2.0
 CLEAR, ROOM = 0.01, 0.1
 """Smallest distance of other parts from the table, and one beyond which a posture is not better, relative to
 the robot's size."""
-HEIGHT = 0.2
-"""Sufficient height of a table above the lowest part of the base, relative to the size."""
+HEIGHT, HIGHEST = 0.2, 0.4
+"""Sufficient height of a table above the lowest part of the base, and one above which the arm would reach
+over itself, relative to the size."""
 DEXTEROUS = 0.2
 """A lever arm beyond which a posture is not better, relative to the robot's size."""
 TILTS = (1.0, 0.5, 0.2, 0.0)
@@ -216,6 +217,7 @@ def arm_posture(body: Body, q0: Array, joint: int, local: Array | None, axes: Ar
         score = 2.0 * min(float(levers[usable].min(initial=np.inf)) / DEXTEROUS, 1.0) + 1.5 * upright
         score += min(clear / ROOM, 1.0) if clear > CLEAR else 20.0 * clear - 10.0
         score -= 10.0 if height < CLEAR else max(1.0 - height / HEIGHT, 0.0)
+        score -= max(height / HIGHEST - 1.0, 0.0)
         score -= STRAY * float(np.abs(pin.difference(model, q0, q)).sum())
         return score, Strike(q, point), levers
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from ..checks import near_matches
+from ..checks import in_short, near_matches
 from ..errors import InputError, PinimpactError, UnknownNameError
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
@@ -338,9 +338,10 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
             field=key,
             value=complaint["input"],
         )
-    if complaint["type"] == "list_type" and isinstance(complaint["input"], dict):
+    if complaint["type"] == "list_type" and (key,) in _TABLES:
+        given = f"[{key}]" if isinstance(complaint["input"], dict) else in_short(complaint["input"])
         return InputError(
-            f"{key}: [{key}] in {path.name} must be a list of tables; write [[{key}]]",
+            f"{key}: {given} in {path.name} must be a list of tables; write [[{key}]]",
             field=key,
             value=complaint["input"],
         )
@@ -348,5 +349,7 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
         return InputError(f"{key}: {path.name}: required key missing", field=key)
     message = complaint["msg"].removeprefix("Value error, ")
     return InputError(
-        f"{key}: {complaint['input']!r} given in {path.name}; {message}", field=key, value=complaint["input"]
+        f"{key}: {in_short(complaint['input'])} given in {path.name}; {message}",
+        field=key,
+        value=complaint["input"],
     )

@@ -5,11 +5,33 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
+import numpy as np
+import pinocchio as pin
+
 import pinimpact
 
 from .._compile.jit import compile_all, is_declared, kept_in
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
+from ..geometry.plane import Plane
+from ..robot.contact import Contact
+from ..robot.inverse_kinematics import place_in_contact
+from ..robot.matrices import contact_matrices
+from ..robot.robot_impact import impact
+
+
+def _one_joint() -> None:
+    """Compile for a robot with one velocity: its (6, 1) Jacobian is of a type of its own for numba."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(
+        joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3(np.eye(3), np.array([0, 1.0, 0]))
+    )
+    model.addJointFrame(joint)
+    data, contact = model.createData(), Contact("hinge", Plane(), offset=(0.0, 1.0, 0.0))
+    q = place_in_contact(model, data, [0.1], contact)
+    contact_matrices(model, data, q, contact)
+    impact(model, data, q, [-1.0], contact)
 
 
 def warm_up() -> str | None:
@@ -29,4 +51,5 @@ def warm_up() -> str | None:
     compile_all(*((kernel,) for kernel in kernels))
     problem = ImpactProblem([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]], (1, 0.5, -1), 0.3, 0.5)
     solve_impact(problem, "rk4")  # whose table no signature declares
+    _one_joint()
     return kept_in(list(kernels))

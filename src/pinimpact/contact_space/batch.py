@@ -163,4 +163,6 @@ def solve_factored(
     work: bool = False,
 ) -> BatchSolution:
     """Do what `solve_impacts` does, for arrays with one row for each problem and factors (N, FACTOR) of W."""
-    return BatchSolution((delassus, velocity, mu, e, law_code(law), scales, factors), threads, work)
+    # views that are no whole arrays are copied, or the kernel would be compiled for them too
+    w, v, mu, e, scales = map(np.ascontiguousarray, (delassus, velocity, mu, e, scales))
+    return BatchSolution((w, v, mu, e, law_code(law), scales, factors), threads, work)

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..checks import finite_array
+from ..checks import finite_array, in_short
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
@@ -177,7 +177,9 @@ class ManySolution:
         """
         low, high = factors_of(stiffness)
         if not isinstance(draws, int) or draws < 0:
-            raise InputError(f"draws: {draws!r} given, an integer ≥ 0 expected", field="draws", value=draws)
+            raise InputError(
+                f"draws: {in_short(draws)} given, an integer ≥ 0 expected", field="draws", value=draws
+            )
         assert self.story.again is not None  # every answer of `solve_impact` has it
         n = len(self.velocity)
         corners = itertools.product((low, high), repeat=n) if n <= MOST_CORNERS else ()
@@ -233,7 +235,8 @@ def factors_of(stiffness: tuple[float, float]) -> tuple[float, float]:
     low, high = given.tolist()
     if not 0.0 < low <= high:
         raise InputError(
-            f"stiffness: {stiffness!r} given, the least and the largest factor expected, such as (0.1, 10)",
+            f"stiffness: {in_short(stiffness)} given, the least and the largest factor expected, such as "
+            "(0.1, 10)",
             field="stiffness",
             value=stiffness,
         )

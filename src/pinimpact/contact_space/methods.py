@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import choice, whole_number
+from ..checks import choice, in_short, whole_number
 from ..errors import InputError, PinimpactError
 from ..status import Status
 from .inputs import Array, Inputs
@@ -98,7 +98,7 @@ def _checked_rtol(rtol: Any) -> float:
     """Return `rtol` as a float, or raise `InputError`."""
     if not isinstance(rtol, (int, float, np.floating)) or not 3e-14 <= float(rtol) <= 0.1:
         raise InputError(
-            f"rtol: {rtol!r} given, a number from 3e-14 to 0.1 expected", field="rtol", value=rtol
+            f"rtol: {in_short(rtol)} given, a number from 3e-14 to 0.1 expected", field="rtol", value=rtol
         )
     return float(rtol)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import choice, finite_array, real_numbers
+from ..checks import choice, finite_array, in_short, real_number, real_numbers
 from ..errors import (
     BoundReachedWarning,
     InputError,
@@ -188,15 +188,15 @@ MOST_STEPS = 5000
 def _propagate(inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = 1e-16) -> ManySolution:
     from ._kernels.propagation import propagate
 
-    if exponent not in (1.0, 1.5):
+    if real_number("exponent", exponent) not in (1.0, 1.5):
         raise InputError(
-            f"exponent: {exponent!r} given, 1 (linear) or 1.5 (Hertz) expected",
+            f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected",
             field="exponent",
             value=exponent,
         )
     if not isinstance(rtol, (int, float)) or not 1e-17 <= rtol <= 0.1:
         raise InputError(
-            f"rtol: {rtol!r} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
+            f"rtol: {in_short(rtol)} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
         )
     n = len(inputs.velocity)
     velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import near_matches, whole_number
+from ..checks import as_tuple, in_short, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
 
 Array = NDArray[np.float64]
@@ -272,12 +272,12 @@ def shapes_of_links(
     found = [(model.frames[shape_frame(model, shape)].name, shape) for shape in shapes.geometryObjects]
     if isinstance(links, str) and links == "all":
         return [shape for _, shape in found]
-    wanted = (links,) if isinstance(links, str) else tuple(links)
+    wanted = as_tuple("links", links, str, 'the name of a link, "all"')
     names = [name for name, _ in found]
     for link in wanted:
         if link not in names:
             raise UnknownNameError(
-                f"links: no link {link!r} has a collision shape; {near_matches(str(link), names)}",
+                f"links: no link {in_short(link)} has a collision shape; {near_matches(link, names)}",
                 field="links",
                 value=link,
             )

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
+from ..checks import finite_array, in_short
 from ..errors import InputError
 
 Vector = tuple[float, float, float]
@@ -124,7 +124,7 @@ def check_frame_key(field: str, value: object, *, optional: bool = False) -> Non
         return
     if isinstance(value, bool) or not isinstance(value, (str, int, np.integer)):
         raise InputError(
-            f"{field}: {value!r} is neither the name nor the id of a frame", field=field, value=value
+            f"{field}: {in_short(value)} is neither the name nor the id of a frame", field=field, value=value
         )
 
 

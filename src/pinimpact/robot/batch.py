@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from .._compile.threads import in_threads, thread_count
-from ..checks import counted, float_array, real_numbers
+from ..checks import counted, float_array, in_short, real_numbers
 from ..contact_space.batch import BatchSolution, solve_factored, status_counts
 from ..contact_space.inputs import FACTOR
 from ..contact_space.solution import CAUSES, Work
@@ -93,7 +93,7 @@ class Hits:
         try:
             i = range(len(self))[row]
         except (TypeError, IndexError):
-            what = f"row: {row!r} given, a whole number from 0 to {len(self) - 1} expected"
+            what = f"row: {in_short(row)} given, a whole number from 0 to {len(self) - 1} expected"
             raise (IndexError if isinstance(row, (int, np.integer)) else TypeError)(what) from None
         asked = self._rows
         if self._data is None:

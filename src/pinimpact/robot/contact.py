@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero, as_tuple, at_least_zero, coefficient
+from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short
 from ..contact_space.laws import law_code
 from ..display import changed_fields
 from ..errors import InputError
@@ -133,11 +133,10 @@ class Contact:
         """Check the surface, and that there is either a frame or a collision shape."""
         check_frame_key("frame", self.frame)
         if not isinstance(self.name, (str, type(None))):
-            raise InputError(f"name: {self.name!r} given; text is expected", field="name", value=self.name)
-        if not isinstance(self.plane, Surface):
             raise InputError(
-                f"plane: {self.plane!r} is not a Plane, Sphere, Box or Shape", field="plane", value=self.plane
+                f"name: {in_short(self.name)} given; text is expected", field="name", value=self.name
             )
+        check_surface("plane", self.plane)
         if self.geometry is None and self.plane.code == SOLID:
             raise InputError(
                 f"plane: only a collision shape can make contact with a {self.plane.kind}; give "
@@ -150,11 +149,12 @@ class Contact:
             if self.rim_points is not None:
                 what = "rim_points applies to a geometry only"
         elif self.frame != "":
-            what = f"the frame {self.frame!r} and the geometry {self.geometry!r} given"
+            what = f"the frame {in_short(self.frame)} and the geometry {in_short(self.geometry)} given"
         elif self.radius or self.rim or np.any(self.offset):
             what = "offset, radius and rim apply to a frame only"
         else:
-            what = "" if isinstance(self.geometry, str) else (f"{self.geometry!r} is not the name of a shape")
+            named = isinstance(self.geometry, str)
+            what = "" if named else f"{in_short(self.geometry)} is not the name of a shape"
             check_rim_points(self.rim_points)
         if what:
             raise InputError(
@@ -280,10 +280,18 @@ def shape_contacts(model: pin.Model, shapes: pin.GeometryModel, contact: Contact
     return tuple(contacts)
 
 
+def check_surface(field: str, value: Any) -> None:
+    """Refuse what is no surface."""
+    if not isinstance(value, Surface):
+        raise InputError(
+            f"{field}: {in_short(value)} is not a Plane, Sphere, Box or Shape", field=field, value=value
+        )
+
+
 def check_contact(field: str, value: Any) -> None:
     """Raise an error for anything but a `Contact` of one point."""
     if not isinstance(value, Contact):
-        raise InputError(f"{field}: {value!r} is not a Contact", field=field, value=value)
+        raise InputError(f"{field}: {in_short(value)} is not a Contact", field=field, value=value)
     if value.geometry is not None:
         raise InputError(
             f"{field}: {value.label!r} is a contact of a collision shape, which has no single "

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import as_tuple
 from ..errors import InputError
 from .contact import Contact, check_contact
 from .data_cache import checked_configuration, data_cache
@@ -73,7 +74,7 @@ def place_in_contact(
     low, high = cache.bounds
     if any(degrees_hint(at) for at in given[(given < low) | (given > high)]):
         cache.warn_of_limits(given, stacklevel=3)
-    wanted = (contacts,) if isinstance(contacts, (Contact, str)) else tuple(contacts)
+    wanted = as_tuple("contacts", contacts, (Contact, str), "a Contact")
     if not wanted:
         raise InputError("contacts: none given; give those to be closed", field="contacts", value=contacts)
     for contact in wanted:

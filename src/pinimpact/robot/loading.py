@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from example_robot_data.robots_loader import ROBOTS
 
-from ..checks import near_matches
+from ..checks import as_tuple, file_path, near_matches, truth_value
 from ..errors import InputError, ModelError, UnknownNameError
 from .mjcf import load_mjcf
 
@@ -66,22 +67,29 @@ def load_robot(
             field="robot",
             value=robot,
         )
-    for folder in package_dirs if not isinstance(package_dirs, (str, Path)) else (package_dirs,):
-        if not Path(folder).expanduser().is_dir():
+    package_dirs = as_tuple("package_dirs", package_dirs, (str, Path), "the path of a folder")
+    for folder in package_dirs:
+        if not file_path("package_dirs", folder).expanduser().is_dir():
             raise InputError(f"package_dirs: there is no folder {folder}", field="package_dirs", value=folder)
-    package_dirs = (package_dirs,) if isinstance(package_dirs, (str, Path)) else package_dirs
+    for field, flag in (("free_flyer", free_flyer), ("mimic", mimic)):
+        if flag is not None:
+            truth_value(field, flag)
     models = bundled_models()
     name = str(robot)
-    if "://" in name:
+    if re.match(r"[a-z]{2,}:/", name):  # a Path leaves out one of two slashes
         raise InputError(
-            f"robot: {name} is a URL; download the file, and give its path", field="robot", value=name
+            f"robot: {re.sub(':/+', '://', name, count=1)} is a URL; download the file, and give its path",
+            field="robot",
+            value=name,
         )
     if isinstance(robot, str) and name in models:
         path, wrapper = models[name], _from_file(models[name], bool(free_flyer), ())
     elif isinstance(robot, str) and name in ROBOTS:
         path, wrapper = _from_example_robot_data(name, free_flyer)
         mimic = bool(mimic)
-    elif isinstance(robot, Path) or Path(name).suffix or Path(name).name != name or Path(name).is_dir():
+    elif name and (
+        isinstance(robot, Path) or Path(name).suffix or Path(name).name != name or Path(name).is_dir()
+    ):
         path = Path(name).expanduser()
         wrapper = _from_file(path, bool(free_flyer), package_dirs)
     else:

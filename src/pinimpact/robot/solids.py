@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero
+from ..checks import above_zero, in_short
 from ..display import changed_fields
 from ..errors import InputError
 from ..geometry._kernels.constants import SOLID
@@ -219,7 +219,7 @@ class Shape(Solid):
     def __post_init__(self) -> None:
         if not isinstance(self.geometry, str) or not self.geometry:
             raise InputError(
-                f"geometry: {self.geometry!r} is not the name of a collision shape",
+                f"geometry: {in_short(self.geometry)} is not the name of a collision shape",
                 field="geometry",
                 value=self.geometry,
             )

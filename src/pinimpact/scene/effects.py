@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ..checks import counted, near_matches
+from ..checks import as_tuple, counted, in_short, near_matches
 from ..display import html_table
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
@@ -112,22 +112,21 @@ class Plan:
 
 def check_names(without: Sequence[str]) -> tuple[str, ...]:
     """Return the effects to leave out, or raise for one that is unknown or cannot be."""
-    if isinstance(without, str):
-        without = (without,)
+    without = as_tuple("without", without, str, "the name of an effect")
     for name in without:
-        if name in DERIVED:
+        if isinstance(name, str) and name in DERIVED:
             raise InputError(
                 f"without: {name!r} depends on each impact and cannot be switched off",
                 field="without",
                 value=name,
             )
-        if name not in SWITCHABLE:
+        if not isinstance(name, str) or name not in SWITCHABLE:
             raise UnknownNameError(
-                f"without: unknown effect {name!r}; {near_matches(name, SWITCHABLE)}",
+                f"without: unknown effect {in_short(name)}; {near_matches(name, SWITCHABLE)}",
                 field="without",
                 value=name,
             )
-    return tuple(without)
+    return without
 
 
 def _in_words(contacts: Iterable[Contact]) -> str:

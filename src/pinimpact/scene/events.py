@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
+from ..checks import finite_array, in_short, real_number
 from ..display import changed_fields
 from ..errors import InputError, SimulationError
 from .crossing import crossing
@@ -19,7 +19,7 @@ from .records import EventRecord
 
 Array = NDArray[np.float64]
 Guard = Callable[[float, Array, Array], float]
-"""guard(t, q, v) -> a number whose sign counts."""
+"""guard(t, q, v) -> a number whose sign counts; truth values have none."""
 Callback = Callable[[float, Array, Array], ArrayLike | None]
 """callback(t, q, v) -> (nv,) velocity after the event, or None to keep it."""
 
@@ -65,8 +65,11 @@ class Event:
             raise _refused(
                 "terminal", self.terminal, "True, False or how often the event may happen expected"
             )
-        if isinstance(self.direction, bool) or self.direction not in (-1, 0, 1):
+        plain = isinstance(self.direction, (int, float, np.number)) and not isinstance(self.direction, bool)
+        if not plain or self.direction not in (-1, 0, 1):
             raise _refused("direction", self.direction, "1 (rising), -1 (falling) or 0 (both) expected")
+        if not isinstance(self.name, (str, type(None))):
+            raise _refused("name", self.name, "text expected")
 
     @property
     def label(self) -> str:
@@ -75,7 +78,7 @@ class Event:
 
 
 def _refused(field: str, value: Any, expected: str) -> InputError:
-    return InputError(f"events: {field}={value!r} given; {expected}", field="events", value=value)
+    return InputError(f"events: {field}={in_short(value)} given; {expected}", field="events", value=value)
 
 
 def as_events(events: Any) -> tuple[Event, ...]:
@@ -91,7 +94,7 @@ def as_events(events: Any) -> tuple[Event, ...]:
         if not isinstance(item, Event):
             if not callable(item):
                 raise InputError(
-                    f"events: {item!r} is neither an Event nor a function of (t, q, v)",
+                    f"events: {in_short(item)} is neither an Event nor a function of (t, q, v)",
                     field="events",
                     value=item,
                 )
@@ -226,7 +229,7 @@ class EventWatch:
     def _value(self, i: int, t: float, q: Array, v: Array) -> float:
         event = self._events[i]
         try:
-            value = float(event.guard(t, q, v))
+            value = real_number("guard", event.guard(t, q, v))
         except Exception as error:
             raise _failure(event, "guard", t, error) from error
         if math.isnan(value):

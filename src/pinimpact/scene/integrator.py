@@ -111,7 +111,7 @@ def check_numbers(**numbers: float) -> None:
     """
     for name, value in numbers.items():
         number = real_number(name, value)
-        if not number > 0.0 or (name in ("duration", "dt") and not math.isfinite(number)):
+        if not number > 0.0 or (name in ("duration", "dt", "atol") and not math.isfinite(number)):
             raise InputError(f"{name}: {number!r} given, a number > 0 expected", field=name, value=value)
         if name == "rtol" and number > LARGEST_RTOL:
             raise InputError(

@@ -13,13 +13,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted
+from ..checks import above_zero, as_tuple, at_least_zero, coefficient, counted, in_short
 from ..contact_space.simultaneous import find_policy
 from ..display import changed_fields
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, shapes_of_links
 from ..geometry.surfaces import Surface
-from ..robot.contact import Contact, check_contact
+from ..robot.contact import Contact, check_contact, check_surface
 from ..robot.joint_limits import JointLimit
 from ..robot.names import ShapedRobot, frame_id, free_velocities, joint_keys, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
@@ -99,12 +99,13 @@ class Scene:
             assign(self, "geometry", getattr(self.model, "collision_model", None))
         elif not isinstance(self.geometry, pin.GeometryModel):
             raise InputError(
-                f"geometry: {self.geometry!r} is not a pinocchio GeometryModel",
+                f"geometry: {in_short(self.geometry)} is not a pinocchio GeometryModel",
                 field="geometry",
                 value=self.geometry,
             )
         assign(self, "model", model_of(self.model))
         check_numbers(self.model)
+        assign(self, "without", check_names(self.without))
         assign(self, "contacts", self._tips(self.contacts))
         contacts, held = (
             _contacts(field, getattr(self, field), self.model) for field in ("contacts", "held")
@@ -115,13 +116,12 @@ class Scene:
         self._check_names([contact.label for contact in named])
         assign(self, "locked", joint_keys(self.locked))
         free_velocities(self.model, self.locked)
-        assign(self, "without", check_names(self.without))
         assign(self, "events", as_events(self.events))
         if isinstance(self.control, JointPD):
             self.control.drives(self.model)
         elif self.control is not None and not callable(self.control):
             raise InputError(
-                f"control: {self.control!r} is neither a function of (t, q, v) nor a JointPD",
+                f"control: {in_short(self.control)} is neither a function of (t, q, v) nor a JointPD",
                 field="control",
                 value=self.control,
             )
@@ -165,6 +165,7 @@ class Scene:
             InputError: A robot without collision shapes, or a shape that is not supported.
             UnknownNameError: A link that has no shape.
         """
+        check_surface("surface", surface)
         model = self.model
         robot = ShapedRobot(model, self.geometry) if self.geometry is not None else model
         shapes = shapes_of_links(model, collision_model(robot), links)

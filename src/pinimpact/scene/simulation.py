@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from ..checks import choice
+from ..checks import choice, function
 from ..errors import PinimpactError
 from .alternating import Alternating
 from .integrator import Integrator, Progress, check_numbers
@@ -64,6 +64,8 @@ def simulate(
             instants with impacts, an impact without a solution.
     """
     check_numbers(duration=duration)
+    if progress is not None:
+        function("progress", progress, "a function of the time and the duration")
     integrator = integrator_of(scheme, scene, q0, v0, rtol, atol, max_step, max_impacts, dt)
     return _run(integrator, float(duration), progress)
 
@@ -81,9 +83,9 @@ def integrator_of(
 ) -> Integrator:
     """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
+    check_numbers(dt=dt)
     if scheme == "event-driven":
         return Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
-    check_numbers(dt=dt)
     if scheme == "auto":
         return Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
     return TimeStepping(scene, q0, v0, float(dt), max_impacts)

@@ -190,13 +190,14 @@ class TimeStepping(Integrator):
         # what rests needs no steps, but functions of the user's are to be asked
         longest = math.inf if self._rest.complete and not self.events else self._dt
         left, struck = min(longest, stop - state.t), 0
-        if stop - state.t - left < SHORTEST * self._dt:
+        none = SHORTEST * min(left, self._dt)
+        if stop - state.t - left < none:
             left = stop - state.t
         end = state.t + left
-        while left > SHORTEST * self._dt and self.ended_by is None:
+        while left > none and self.ended_by is None:
             struck += self._take(left, struck < MOST_IMPACTS)
             left = end - state.t
-        if self.ended_by is None and abs(end - state.t) <= SHORTEST * self._dt:
+        if self.ended_by is None and abs(end - state.t) <= none:
             state.t = self.dense_steps[-1].end = stop if end == stop else end
         self.steps += 1
         self._sample()

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import choice, counted, near_matches, real_number, real_numbers
+from ..checks import choice, counted, in_short, near_matches, real_number, real_numbers
 from ..contact_space.solution import CAUSES
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
@@ -220,7 +220,7 @@ class Trajectory:
         if self.sources is None or name in self.sources:
             return None
         raise UnknownNameError(
-            f"contact: no contact is called {name!r}; {near_matches(name, self.sources)}",
+            f"contact: no contact is called {in_short(name)}; {near_matches(name, self.sources)}",
             field="contact",
             value=name,
         )
@@ -265,7 +265,7 @@ class Trajectory:
         t = self._covered(t)
         if self.sources is not None and source not in self.sources:
             raise UnknownNameError(
-                f"source: no contact, joint limit or joint is called {source!r}; "
+                f"source: no contact, joint limit or joint is called {in_short(source)}; "
                 f"{near_matches(source, self.sources)}",
                 field="source",
                 value=source,
@@ -288,7 +288,7 @@ class Trajectory:
         slack = TIME_ROUNDING * max(abs(start), abs(end))
         if not start - slack <= time <= end + slack:
             raise InputError(
-                f"t: {t!r} lies outside the trajectory, from {start:.6g} s to {end:.6g} s",
+                f"t: {in_short(t)} lies outside the trajectory, from {start:.6g} s to {end:.6g} s",
                 field="t",
                 value=t,
             )
@@ -481,7 +481,9 @@ class Trajectory:
 
 def _check_side(side: str) -> None:
     if not isinstance(side, str) or side not in ("left", "right"):
-        raise InputError(f'side: {side!r} given, "left" or "right" expected', field="side", value=side)
+        raise InputError(
+            f'side: {in_short(side)} given, "left" or "right" expected', field="side", value=side
+        )
 
 
 def _in_axes(forces: Forces | None, i: int | None) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero, finite_array, output_file
+from ..checks import above_zero, finite_array, in_short, output_file
 from ..errors import InputError
 from ..geometry.collision_shapes import extreme_points
 from ..geometry.plane import Plane
@@ -159,7 +159,9 @@ def replay(
         output_file("path", path)  # before anything is computed
     if not math.isfinite(slowdown) or slowdown < 1.0:
         raise InputError(
-            f"slowdown: {slowdown!r} given, a number of at least 1 expected", field="slowdown", value=slowdown
+            f"slowdown: {in_short(slowdown)} given, a number of at least 1 expected",
+            field="slowdown",
+            value=slowdown,
         )
     if isinstance(motion, ManyHit):
         text = _many_page(robot, motion, q)
@@ -169,7 +171,7 @@ def replay(
         text = _motion_page(robot, motion, contacts, speed, float(slowdown))
     else:
         raise InputError(
-            f"motion: {motion!r} is neither a trajectory nor an impact", field="motion", value=motion
+            f"motion: {in_short(motion)} is neither a trajectory nor an impact", field="motion", value=motion
         )
     shown = Replay(text, None)
     if path is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import in_short
 from ...contact_space.many_solution import ManySolution
 from ...contact_space.problem import ImpactProblem
 from ...contact_space.solution import CAUSES, Path, Segment, Solution, Work
@@ -53,14 +54,16 @@ def solved(impact: Impact, contact: int | None = None) -> OneImpact:
         return _part(impact.problem, solution, contact)
     if not isinstance(solution, Solution):
         raise InputError(
-            f"impact: {impact!r} given; a Hit, a ManyHit, an impact of a trajectory or an ImpactProblem "
-            "expected",
+            f"impact: {in_short(impact)} given; a Hit, a ManyHit, an impact of a trajectory or an "
+            "ImpactProblem expected",
             field="impact",
             value=impact,
         )
     if contact not in (None, 0):
         raise InputError(
-            f"contact: {contact!r} given, but the impact is at one contact", field="contact", value=contact
+            f"contact: {in_short(contact)} given, but the impact is at one contact",
+            field="contact",
+            value=contact,
         )
     if solution.part_of is not None and solution.path is None:
         raise _pathless(solution.part_of)
@@ -72,7 +75,7 @@ def _part(problem: ImpactProblem, solution: ManySolution, contact: int | None) -
     count = len(solution.velocity)
     if not isinstance(contact, (int, np.integer)) or not 0 <= contact < count:
         raise InputError(
-            f"contact: {contact!r} given; the impact has {count} contacts: give the number of "
+            f"contact: {in_short(contact)} given; the impact has {count} contacts: give the number of "
             f"one, 0 to {count - 1}",
             field="contact",
             value=contact,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import in_short
 from ...contact_space.batch import solve_impacts
 from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
@@ -64,7 +65,7 @@ def regime_map(
     speed = float(np.hypot(v[0], v[1]))
     if against not in ("slip angle", "restitution"):
         raise InputError(
-            f'against: {against!r} given, "slip angle" or "restitution" expected',
+            f'against: {in_short(against)} given, "slip angle" or "restitution" expected',
             field="against",
             value=against,
         )
