@@ -11,6 +11,7 @@ from .._compile.threads import in_threads, thread_count
 from ..checks import real_numbers
 from ..errors import InputError
 from ..status import Status
+from .derivatives import Derivatives, differentiate, empty_slopes, named_derivatives
 from .inputs import FACTOR, Array
 from .laws import law_code
 from .solution import Work
@@ -26,15 +27,25 @@ class BatchSolution:
         status: (N,) integer values of `Status`; rows without a solution are NaN.
         flags: (N,) integer values of `Flag`.
         iterations: (N,) numbers of steps.
+        derivatives: `Derivatives` with a first axis (N,), or None without ``derivatives=True``.
     """
 
     def __init__(
-        self, inputs: tuple[Array, Array, Array, Array, int, Array, Array], threads: int, work: bool = False
+        self,
+        inputs: tuple[Array, Array, Array, Array, int, Array, Array],
+        threads: int,
+        work: bool = False,
+        derivatives: bool = False,
     ) -> None:
         self._inputs = inputs
         self._threads = threads
-        numbers, codes, works = self._solve(work)
-        self._works = works if work else None
+        self._works: Array | None = None
+        self.derivatives: Derivatives | None = None
+        if derivatives:
+            numbers, codes = self._differentiate()
+        else:
+            numbers, codes, works = self._solve(work)
+            self._works = works if work else None
         self.velocity = numbers[:, 0:3]
         self.impulse = numbers[:, 3:6]
         self.compression_impulse = numbers[:, 6]
@@ -59,6 +70,20 @@ class BatchSolution:
 
         in_threads(solve, count, self._threads)
         return result
+
+    def _differentiate(self) -> tuple[Array, NDArray[np.int64]]:
+        count = len(self._inputs[1])
+        slopes, boundaries = empty_slopes(count)
+        outputs = np.empty((count, 7)), np.empty((count, 3), dtype=np.int64), slopes, boundaries
+        matrices, velocities, mu, e, law, scales, factors = self._inputs
+
+        def solve(rows: slice) -> None:
+            given = matrices[rows], velocities[rows], mu[rows], e[rows], law, scales[rows], factors[rows]
+            differentiate(*given, tuple(part[rows] for part in outputs))
+
+        in_threads(solve, count, self._threads)
+        self.derivatives = named_derivatives(slopes, boundaries)
+        return outputs[:2]
 
     @cached_property
     def work(self) -> Work:
@@ -91,6 +116,7 @@ def solve_impacts(
     velocity_scale: ArrayLike | None = None,
     threads: int = 1,
     work: bool = False,
+    derivatives: bool = False,
 ) -> BatchSolution:
     """Solve N frictional impacts with the method "exact".
 
@@ -104,6 +130,7 @@ def solve_impacts(
             `ImpactProblem`.
         threads: Number of threads. The results do not depend on it.
         work: Whether to compute the work at once; otherwise it is computed on first access, by solving again.
+        derivatives: Whether to compute ``batch.derivatives``; rows without a solution are NaN.
 
     Returns:
         A `BatchSolution`. A row with invalid numbers has its status and NaN, and does not affect other rows.
@@ -148,7 +175,7 @@ def solve_impacts(
     mu, e, scales = coefficients
     none = np.empty((0, FACTOR))
     inputs = matrices, velocities, mu, e, law_code(law), scales, none
-    return BatchSolution(inputs, thread_count(threads), work)
+    return BatchSolution(inputs, thread_count(threads), work, derivatives)
 
 
 def solve_factored(

@@ -12,6 +12,7 @@ import numpy as np
 from ..checks import counted
 from ..display import html_lines, html_table, in_a_line
 from ..status import EFFECTS, Flag, Status
+from .derivatives import Derivatives
 from .inputs import NO_ROWS, Array, Inputs
 from .methods import load_method
 
@@ -103,6 +104,8 @@ class Solution:
         """The `ManySolution` that this is one contact's part of, or None."""
         self.path: Path | None = path
         """The recorded `Path`, or None where ``record=True`` was not asked for."""
+        self.derivatives: Derivatives | None = None
+        """The `Derivatives`, or None where ``derivatives=True`` was not asked for."""
 
     @cached_property
     def velocity(self) -> Array:

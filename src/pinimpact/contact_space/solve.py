@@ -7,6 +7,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..errors import InputError
+from .derivatives import check_derivatives, derivatives_of
 from .many_solution import ManySolution
 from .one_contact import solve_inputs
 from .problem import ImpactProblem, contact_inputs, single_precision_hint
@@ -16,7 +17,13 @@ from .solution import Solution
 
 @overload
 def solve_impact(
-    problem: ImpactProblem, method: str = ..., record: bool = ..., *, simultaneous: None = ..., **options: Any
+    problem: ImpactProblem,
+    method: str = ...,
+    record: bool = ...,
+    *,
+    simultaneous: None = ...,
+    derivatives: bool = ...,
+    **options: Any,
 ) -> Solution: ...
 
 
@@ -32,6 +39,7 @@ def solve_impact(
     record: bool = False,
     *,
     simultaneous: str | None = None,
+    derivatives: bool = False,
     **options: Any,
 ) -> Solution | ManySolution:
     """Solve a frictional impact.
@@ -41,6 +49,7 @@ def solve_impact(
         method: Name of a registered method for one contact; ``"exact"`` is accurate to rounding.
         record: Whether to record the path.
         simultaneous: Policy for n contacts, by default ``"propagate"``; see `POLICIES`.
+        derivatives: Whether to compute ``solution.derivatives``, for one contact and ``"exact"``.
         **options: Options of the method or policy, such as ``steps=`` of ``"euler"``.
 
     Returns:
@@ -65,12 +74,18 @@ def solve_impact(
                 field="velocity",
                 value=problem.velocity,
             )
+        check_derivatives(derivatives, "n contacts")
         return solve_many(problem, simultaneous or "propagate", record, **options)
+    if method != "exact":
+        check_derivatives(derivatives, f"the method {method!r}")
     inputs = contact_inputs(problem)
     try:
-        return solve_inputs(inputs, method, record, problem.surface_velocity, **options)
+        solution = solve_inputs(inputs, method, record, problem.surface_velocity, **options)
     except InputError as error:
         hint = single_precision_hint(problem.delassus) if error.field == "delassus" else ""
         if not hint:
             raise
         raise InputError(f"{error}{hint}", field="delassus", value=problem.delassus) from None
+    if derivatives:
+        solution.derivatives = derivatives_of(inputs)
+    return solution

@@ -16,12 +16,28 @@ from .recording import TRACE_ROWS
 
 
 @inlined
-def _asymmetry(w):
+def asymmetry(w):
+    """Whether W (3, 3) is further from symmetric than rounding."""
     largest = max(
         max(abs(w[0, 0]), abs(w[1, 1]), abs(w[2, 2])), max(abs(w[0, 1]), abs(w[0, 2]), abs(w[1, 2]))
     )
     most = max(abs(w[0, 1] - w[1, 0]), abs(w[0, 2] - w[2, 0]), abs(w[1, 2] - w[2, 1]))
     return most > ZERO * largest
+
+
+@inlined
+def write_result(i, result, numbers, codes):
+    """Write a `Result` into row i of (N, 7) v⁺, P, compression impulse and of (N, 3) status, flags, iterations."""
+    numbers[i, 0] = result.v1
+    numbers[i, 1] = result.v2
+    numbers[i, 2] = result.v3
+    numbers[i, 3] = result.p1
+    numbers[i, 4] = result.p2
+    numbers[i, 5] = result.p3
+    numbers[i, 6] = result.compression_impulse
+    codes[i, 0] = result.status
+    codes[i, 1] = result.flags
+    codes[i, 2] = result.iterations
 
 
 @declared(
@@ -72,18 +88,9 @@ def solve_rows(
                 path,
             )
         )
-        if _asymmetry(w):
+        if asymmetry(w):
             result = no_result(INDEFINITE_DELASSUS, 0.0)
-        numbers[i, 0] = result.v1
-        numbers[i, 1] = result.v2
-        numbers[i, 2] = result.v3
-        numbers[i, 3] = result.p1
-        numbers[i, 4] = result.p2
-        numbers[i, 5] = result.p3
-        numbers[i, 6] = result.compression_impulse
-        codes[i, 0] = result.status
-        codes[i, 1] = result.flags
-        codes[i, 2] = result.iterations
+        write_result(i, result, numbers, codes)
         if works.shape[0] > 0:
             works[i, :] = 0.0 if result.status <= LOCKED else math.nan
             if result.status <= LOCKED:

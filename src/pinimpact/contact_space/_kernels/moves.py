@@ -123,6 +123,8 @@ class Move(NamedTuple):
         span: Its normal impulse.
         work, friction_work: Works of the normal and the tangential impulse.
         rate: dv₃/dP₃ at its end.
+        length, root: Of turning slip, how far it goes along its series, and the half-angle tangent of the
+            invariant direction that this is around; there length is L. Else 0.
     """
 
     event: np.int64
@@ -130,6 +132,8 @@ class Move(NamedTuple):
     work: float
     friction_work: float
     rate: float
+    length: float
+    root: float
 
 
 @inlined
@@ -320,7 +324,7 @@ def straight_move(problem, omega, course, state, phase, left):
     if until < span or together:
         span, event = until, NO_EVENT
     if span == math.inf:
-        return Move(NEVER, span, 0.0, 0.0, rate), state
+        return Move(NEVER, span, 0.0, 0.0, rate, 0.0, 0.0), state
     v3_end = v3 + rate * span
     speed_end = speed + gain * span
     if span == until and ends_slip:
@@ -338,7 +342,7 @@ def straight_move(problem, omega, course, state, phase, left):
     if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
         v3_end = 0.0
     return (
-        Move(event, span, work, friction_work, rate),
+        Move(event, span, work, friction_work, rate, 0.0, 0.0),
         State(s1, s2, speed_end, v3_end, turn, p1, p2, p3),
     )
 

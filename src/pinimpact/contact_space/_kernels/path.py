@@ -37,7 +37,7 @@ from .moves import (
     straight_move,
     tangential_velocity,
 )
-from .recording import record_move, record_point
+from .recording import MOVE, record_course, record_move, record_point
 from .slip_equations import TERMS
 from .slip_works import WORK_SCRATCH
 from .turning_slip import turning_move
@@ -67,6 +67,7 @@ def solve_into(
         factor: `FACTOR` numbers of a factor of W, or none.
         scratch: SCRATCH floats.
         trace: (m, 6) rows mode, phase, P₃ at start and end, normal work, friction work; m = 0: not wanted.
+            (m, MOVE): a row for every move, see `record_course`.
         path: (m, 6) rows P₃, v₁, v₂, v₃, P₁, P₂; m = 0: not wanted.
 
     Returns:
@@ -84,7 +85,8 @@ def solve_into(
     units = slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
     nodes = scratch[2 * TERMS + 6 :]
-    traced = trace.shape[0] > 0
+    each = trace.shape[1] == MOVE
+    traced = trace.shape[0] > 0 and not each
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
     course = frictionless_course(problem)
@@ -111,6 +113,7 @@ def solve_into(
                 )
                 flags |= jams(course.rate)
                 turns = not straight
+        before = state
         if turns:
             flags |= SLIP_TURNS
             move, state, new_flags, points = turning_move(
@@ -135,6 +138,8 @@ def solve_into(
                 trace, rows, course.mode, ledger.phase, state.p3 - move.span, state.p3, move.work,
                 move.friction_work,
             )  # fmt: skip
+        if each:
+            rows = record_course(trace, rows, course.mode, ledger.phase, before, state, move)
         ledger, event, new_flags = close_move(
             ledger, problem, move.event, move.span, move.work, move.rate, left, state.p3
         )

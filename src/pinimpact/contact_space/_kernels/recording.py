@@ -8,6 +8,9 @@ from .slip_series import SETTLED, point
 TRACE_ROWS = 32
 """Rows of a trace that hold every impact: its mode changes once or twice, its phase at most three times."""
 
+MOVE = 16
+"""Columns of a trace that has a row for every move, for derivatives; see `record_course`."""
+
 POINTS = 64
 """Points recorded on one series of turning slip, so that straight lines between them look smooth; four times
 as many on one around an invariant direction, which spans `SETTLED` e-folds."""
@@ -36,6 +39,48 @@ def record_move(trace, rows, mode, phase, start, end, normal_work, friction_work
         trace[rows, 5] = friction_work
         return rows + 1
     return rows
+
+
+@inlined
+def record_course(trace, row, mode, phase, start, end, move):
+    """Write a move into its row of a trace with MOVE columns, and the state after it into the next.
+
+    Args:
+        trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it; σ₁, σ₂, speed and p₀ at
+            its start; length, root and rate of the `Move`; P₁, P₂ at its start.
+        row: Which row; the last one is used again if there is none after it.
+        start, end: `State` before and after it.
+        move: The `Move`.
+
+    Returns:
+        the next row.
+    """
+    trace[row, 0] = mode
+    trace[row, 1] = phase
+    trace[row, 2] = start.p3
+    trace[row, 3] = end.p3
+    trace[row, 4] = move.work
+    trace[row, 5] = 0.0
+    trace[row, 6] = move.event
+    trace[row, 11] = move.length
+    trace[row, 12] = move.root
+    trace[row, 13] = move.rate
+    record_state(trace, row, start)
+    if row + 1 < trace.shape[0]:
+        record_state(trace, row + 1, end)
+        return row + 1
+    return row
+
+
+@inlined
+def record_state(trace, row, state):
+    """Write a `State` into a row of a trace with MOVE columns."""
+    trace[row, 7] = state.s1
+    trace[row, 8] = state.s2
+    trace[row, 9] = state.speed
+    trace[row, 10] = state.turn
+    trace[row, 14] = state.p1
+    trace[row, 15] = state.p2
 
 
 @inlined

@@ -25,7 +25,7 @@ def _collocation() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np
     return 0.5 * (x + 1.0), 0.5 * w, values[:, :NODES] * (np.arange(NODES) + 0.5) @ rising.T
 
 
-_ABSCISSAE, _WEIGHTS, _INTEGRALS = _collocation()
+ABSCISSAE, WEIGHTS, INTEGRALS = _collocation()
 
 
 WORK_SCRATCH = 5 * NODES
@@ -56,8 +56,8 @@ def _collocated(values, v3, size):
         s0 = s1 = s2 = s3 = 0.0
         for j in range(NODES):
             term = values[NODES + j]
-            s0, s1 = s0 + _INTEGRALS[j, i] * term, s1 + _INTEGRALS[j, i + 1] * term
-            s2, s3 = s2 + _INTEGRALS[j, i + 2] * term, s3 + _INTEGRALS[j, i + 3] * term
+            s0, s1 = s0 + INTEGRALS[j, i] * term, s1 + INTEGRALS[j, i + 1] * term
+            s2, s3 = s2 + INTEGRALS[j, i + 2] * term, s3 + INTEGRALS[j, i + 3] * term
         k = 3 * NODES + i
         values[k], values[k + 1] = values[i] * (v3 + size * s0), values[i + 1] * (v3 + size * s1)
         values[k + 2], values[k + 3] = values[i + 2] * (v3 + size * s2), values[i + 3] * (v3 + size * s3)
@@ -67,7 +67,7 @@ def _collocated(values, v3, size):
 @always_inlined
 def _places(i, x):
     """Return four nodes of (0, x), from the i-th on."""
-    return x * _ABSCISSAE[i], x * _ABSCISSAE[i + 1], x * _ABSCISSAE[i + 2], x * _ABSCISSAE[i + 3]
+    return x * ABSCISSAE[i], x * ABSCISSAE[i + 1], x * ABSCISSAE[i + 2], x * ABSCISSAE[i + 3]
 
 
 @always_inlined
@@ -91,7 +91,7 @@ def _kept(values, i, x, s, u, h, j0, j1, j2):
     slope = _product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
     rate = _raised(_raised((j2, j2, j2, j2), t, j1), t, j0)
     whole, part = _product(slope, chord), _product(slope, rate)
-    w0, w1, w2, w3 = _WEIGHTS[i], _WEIGHTS[i + 1], _WEIGHTS[i + 2], _WEIGHTS[i + 3]
+    w0, w1, w2, w3 = WEIGHTS[i], WEIGHTS[i + 1], WEIGHTS[i + 2], WEIGHTS[i + 3]
     values[i], values[i + 1], values[i + 2], values[i + 3] = _product(whole, (w0, w1, w2, w3))
     k = NODES + i
     values[k], values[k + 1], values[k + 2], values[k + 3] = _product(part, (w0, w1, w2, w3))

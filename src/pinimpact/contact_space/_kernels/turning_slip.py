@@ -66,7 +66,7 @@ def turning_move(
     span = along = across = ratio = t = v3_end = work = rubbed = 0.0
     jam0, jam1, jam2 = rate, -2.0 * mu * bp, c + mu * bl
     scale = speed * units.per
-    d1, d2, n1, x = s1, s2, 0.0, 0.0
+    d1, d2, n1, x, root = s1, s2, 0.0, 0.0, 0.0
     restoring = phase == RESTITUTION
     around_invariant = whole_series = event != NO_EVENT  # False, but no literal: see `codes`
     last, terms, count = 0.0, 1.0, 0
@@ -188,7 +188,7 @@ def turning_move(
                 x = seek(series, nodes, counts, left, -left, total - left, x, rate)
                 endless = False
         if endless:
-            return Move(NEVER, span, 0.0, 0.0, rate), state, flags, points
+            return Move(NEVER, span, 0.0, 0.0, rate, 0.0, 0.0), state, flags, points
 
     if event != NO_EVENT:
         span, along, across, dv3, ratio, t, _, _ = point(series, x)
@@ -223,4 +223,5 @@ def turning_move(
     else:
         turn *= (1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))) / (chord * chord)
     state = State(s1, s2, speed, v3_end, turn, p1, p2, p3)
-    return Move(event, span, work, rubbed, rate), state, flags, points
+    root = root if around_invariant else 0.0
+    return Move(event, span, work, rubbed, rate, shape.sign * x, root), state, flags, points

@@ -1,0 +1,492 @@
+"""Derivatives of an impact by the moves of "exact". (derivatives.md, whose equations are cited as D n)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.jit import external, inlined, released
+from .batch import asymmetry, write_result
+from .codes import (
+    COMPRESSION,
+    COMPRESSION_ENDS,
+    IMPULSE,
+    INDEFINITE_DELASSUS,
+    IN_RESUMED_SLIP,
+    IN_SLIP,
+    LAW_MET,
+    LOCKED,
+    LOCKS,
+    NO_EVENT,
+    NO_FLAG,
+    NO_IMPACT,
+    NONE_YET,
+    SINGULAR_DELASSUS,
+    SLIP_RESUMED,
+    STICKS,
+    VELOCITY,
+    WORK,
+)
+from .contact_problem import Problem, View, prepare
+from .ending import Result, no_result
+from .moves import Units, slip_units
+from .path import MAX_MOVES, SCRATCH, VANISHED, solve_into
+from .recording import MOVE
+from .slip_derivatives import DATA, NODE_ROWS, PATH, STOP, VT1, VT2, Slip, cross_move
+from .slip_works import ABSCISSAE, NODES, WEIGHTS
+
+INPUTS = 11
+"""v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e: columns of the derivatives. Rows are those of v⁺ and P."""
+
+V1, V2, V3, W11, W12, W13, W22, W23, W33, MU, E = range(INPUTS)
+ALL, ALL_BUT_E = np.int64(INPUTS), np.int64(E)
+
+START_AT_REST, STICK_THRESHOLD, EVENTS_COINCIDE, JUMP, GRAZING, BOUND, RANK = (
+    np.int64(1 << i) for i in range(7)
+)
+
+NORMAL, WORK_DONE, COMPRESSED, END = 0, 1, 2, 3
+"""Rows of what is differentiated by all inputs: v₃ and its work at fixed P₃, the law's sum over compression,
+and the P₃ at which an event is."""
+
+COINCIDENT = 1e-11
+"""Distance of two events, over all of P₃, up to which rounding decides their order."""
+
+AT_THRESHOLD = 1e-11
+"""Distance of μ from the stick threshold, over μ, up to which rounding decides."""
+
+FLAT = 1e-7
+"""Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
+
+
+@inlined
+def _spread(problem, found, row, out, target):
+    """Write a row of sensitivities by the columns of `DATA` into one by those of `INPUTS`."""
+    alpha, delta, chi = found[row, 4], found[row, 5], found[row, 6]
+    out[target, V1], out[target, V2], out[target, V3] = found[row, 0], found[row, 1], 0.0
+    out[target, W11], out[target, W12], out[target, W22] = 0.5 * (alpha + delta), chi, 0.5 * (alpha - delta)
+    out[target, W13], out[target, W23], out[target, W33] = found[row, 2], found[row, 3], 0.0
+    out[target, MU], out[target, E] = found[row, 7], 0.0
+    if problem.mu > 0.0:  # slip knows b and μA only
+        mean, half = 0.5 * (problem.a11 + problem.a22), 0.5 * (problem.a11 - problem.a22)
+        out[target, MU] = (alpha * mean + delta * half + chi * problem.a12) / problem.mu
+
+
+@inlined
+def _add_identity(problem, out, row, t, p1, p2, p3):
+    """Add what v₃ = v₃° + κ·(v_t − v_t°) + s P₃ changes by at fixed v_t, or its integral. (D4)
+
+    Args:
+        t: 1, or its integral over P₃,
+        p1, p2, p3: and P, or its integral.
+    """
+    k1, k2 = problem.k1, problem.k2
+    out[row, V1] -= k1 * t
+    out[row, V2] -= k2 * t
+    out[row, V3] += t
+    out[row, W11] -= k1 * p1
+    out[row, W12] -= k1 * p2 + k2 * p1
+    out[row, W22] -= k2 * p2
+    out[row, W13] += p1 - k1 * p3
+    out[row, W23] += p2 - k2 * p3
+    out[row, W33] += p3
+
+
+@inlined
+def _integral_of_direction(x, y, rho, x0, rho0):
+    """Return ∫σ over a straight line of v_t, of the part along it and across, from x₀ to x at the distance y."""
+    along = (x - x0) * (x + x0) / (rho + rho0)
+    if y == 0.0:
+        return along, 0.0
+    if x * x0 > 0.0:
+        part = (x - x0) * (x + x0) / (x * rho0 + x0 * rho)
+    else:
+        part = (x * rho0 - x0 * rho) / (y * y)
+    return along, y * math.asinh(part)
+
+
+@inlined
+def _without_friction(problem, p3, found):
+    """Fill the sensitivities where μ = 0, on the side μ > 0, at P₃ from the start. (D12)"""
+    b1, b2, v1, v2 = problem.b1, problem.b2, problem.v1, problem.v2
+    k1, k2 = problem.k1, problem.k2
+    for j in range(DATA):
+        found[VT1, j] = found[VT2, j] = found[PATH, j] = 0.0
+    found[VT1, 0] = found[VT2, 1] = 1.0
+    found[PATH, 0], found[PATH, 1] = k1 * p3, k2 * p3
+    found[VT1, 2] = found[VT2, 3] = p3
+    found[PATH, 2], found[PATH, 3] = 0.5 * k1 * p3 * p3, 0.5 * k2 * p3 * p3
+    size = math.sqrt(b1 * b1 + b2 * b2)
+    i1 = i2 = m1 = m2 = 0.0
+    if size * p3 <= 0.25 * problem.speed or size == 0.0:
+        # a short part of the line: 1/|v_t| is a polynomial
+        for i in range(NODES):
+            q = p3 * ABSCISSAE[i]
+            u1, u2 = v1 + b1 * q, v2 + b2 * q
+            r = math.sqrt(u1 * u1 + u2 * u2)
+            w = p3 * WEIGHTS[i] / r if r > 0.0 else 0.0
+            i1, i2 = i1 + w * u1, i2 + w * u2
+            m1, m2 = m1 + w * u1 * (p3 - q), m2 + w * u2 * (p3 - q)
+    else:
+        e1, e2 = b1 / size, b2 / size
+        x0, y = e1 * v1 + e2 * v2, e1 * v2 - e2 * v1
+        x = x0 + size * p3
+        rho0, rho = math.hypot(x0, y), math.hypot(x, y)
+        along, across = _integral_of_direction(x, y, rho, x0, rho0)
+        swept = 0.5 * (x * rho - x0 * rho0 - y * across) - x0 * along  # ∫(x − x₀) σ dx along
+        swept_across = y * along - x0 * across
+        a, c = along / size, across / size
+        s, d = p3 * a - swept / (size * size), p3 * c - swept_across / (size * size)
+        i1, i2 = a * e1 - c * e2, a * e2 + c * e1
+        m1, m2 = s * e1 - d * e2, s * e2 + d * e1
+    x1, x2 = problem.a11 * i1 + problem.a12 * i2, problem.a12 * i1 + problem.a22 * i2
+    y1, y2 = problem.a11 * m1 + problem.a12 * m2, problem.a12 * m1 + problem.a22 * m2
+    found[VT1, 7], found[VT2, 7], found[PATH, 7] = -x1, -x2, -(k1 * y1 + k2 * y2)
+
+
+@inlined
+def _resume(problem, s1, s2, gain, start, end, found):
+    """Bring the sensitivities of resumed slip from `start` to `end`, counted from v_t = 0. (D13)
+
+    Args:
+        s1, s2, gain: σ and λ.
+    """
+    mu, k1, k2 = problem.mu, problem.k1, problem.k2
+    u1, u2 = problem.a11 * s1 + problem.a12 * s2, problem.a12 * s1 + problem.a22 * s2
+    across = s1 * (problem.a22 * s1 - problem.a12 * s2) - s2 * (problem.a12 * s1 - problem.a11 * s2)
+    skew = mu * (s1 * u2 - s2 * u1)
+    for j in range(DATA - 1):
+        x1 = x2 = 0.0
+        if j == 2:
+            x1 = 1.0
+        elif j == 3:
+            x2 = 1.0
+        elif j == 4:
+            x1, x2 = -mu * s1, -mu * s2
+        elif j == 5:
+            x1, x2 = -mu * s1, mu * s2
+        elif j == 6:
+            x1, x2 = -mu * s2, -mu * s1
+        angle = (s1 * x2 - s2 * x1) / (gain + mu * across)
+        rise = s1 * x1 + s2 * x2 - skew * angle
+        d1, d2 = rise * s1 - gain * angle * s2, rise * s2 + gain * angle * s1
+        e1, e2 = gain * s1 * found[STOP, j], gain * s2 * found[STOP, j]
+        found[VT1, j], found[VT2, j] = d1 * end - e1, d2 * end - e2
+        middle = 0.5 * (start + end)
+        found[PATH, j] += (end - start) * (k1 * (d1 * middle - e1) + k2 * (d2 * middle - e2))
+
+
+@inlined
+def _tangential_rate(problem, mode, s1, s2, gain):
+    """Return dv_t/dP₃."""
+    mu = problem.mu
+    if mode == IN_SLIP:
+        return (
+            problem.b1 - mu * (problem.a11 * s1 + problem.a12 * s2),
+            problem.b2 - mu * (problem.a12 * s1 + problem.a22 * s2),
+        )
+    if mode == IN_RESUMED_SLIP:
+        return gain * s1, gain * s2
+    return 0.0, 0.0
+
+
+@inlined
+def _at_event(problem, works, found, out, p1, p2, p3, q1, q2):
+    """Fill rows NORMAL and, if wanted, WORK_DONE at fixed P₃; q is ∫P_t dP₃. (D4)"""
+    k1, k2 = problem.k1, problem.k2
+    _spread(problem, found, VT1, out, NORMAL)
+    _spread(problem, found, VT2, out, WORK_DONE)
+    for j in range(INPUTS):
+        out[NORMAL, j] = k1 * out[NORMAL, j] + k2 * out[WORK_DONE, j]
+    _add_identity(problem, out, NORMAL, 1.0, p1, p2, p3)
+    if works:
+        _spread(problem, found, PATH, out, WORK_DONE)
+        _add_identity(problem, out, WORK_DONE, p3, q1, q2, 0.5 * p3 * p3)
+
+
+@inlined
+def _to_user(view, out):
+    """Turn and scale the derivatives back from the `View`."""
+    lean1, lean2 = view.lean1, view.lean2
+    if not view.leaning:
+        lean1, lean2 = 0.0, 1.0
+    r11, r12, r21, r22 = lean2 * view.sign1, -lean1 * view.sign2, lean1 * view.sign1, lean2 * view.sign2
+    if view.swapped:
+        r11, r12, r21, r22 = -lean1 * view.sign1, lean2 * view.sign2, lean2 * view.sign1, lean1 * view.sign2
+    for j in range(INPUTS):
+        for i in (0, 3):
+            x, y = out[i, j], out[i + 1, j]
+            out[i, j], out[i + 1, j] = r11 * x + r21 * y, r12 * x + r22 * y
+    per_v, per_w = math.ldexp(1.0, -view.scale_v), math.ldexp(1.0, -view.scale_w)
+    for i in range(6):
+        for j in (V1, W13):
+            k = V2 if j == V1 else W23
+            x, y = out[i, j], out[i, k]
+            out[i, j], out[i, k] = r11 * x + r21 * y, r12 * x + r22 * y
+        x, y, z = out[i, W11], out[i, W12], out[i, W22]
+        out[i, W11] = r11 * r11 * x + r11 * r21 * y + r21 * r21 * z
+        out[i, W12] = 2.0 * r11 * r12 * x + (r11 * r22 + r12 * r21) * y + 2.0 * r21 * r22 * z
+        out[i, W22] = r12 * r12 * x + r12 * r22 * y + r22 * r22 * z
+        unit = math.ldexp(1.0, view.scale_v if i < 3 else view.scale_v - view.scale_w)
+        for j in range(INPUTS):
+            out[i, j] *= unit
+            if j <= V3:
+                out[i, j] *= per_v
+            elif j <= W33:
+                out[i, j] *= per_w
+
+
+@inlined
+def _close(problem, found, columns, rate1, rate2, rate, p1, p2, p3, out):
+    """Fill the derivatives at the end, where P₃ changes by row END. (D15)
+
+    Args:
+        rate1, rate2, rate: dv/dP₃ there.
+        p1, p2, p3: P.
+    """
+    _spread(problem, found, VT1, out, 0)
+    _spread(problem, found, VT2, out, 1)
+    a11, a12, a22 = problem.a11, problem.a12, problem.a22
+    det = a11 * a22 - a12 * a12
+    trace = a11 + a22
+    i11, i12, i22 = a22 / det, -a12 / det, a11 / det
+    if problem.flat:
+        i11, i12, i22 = a11 / (trace * trace), a12 / (trace * trace), a22 / (trace * trace)
+    for j in range(INPUTS):
+        end = columns[END, j]
+        out[0, j] += rate1 * end
+        out[1, j] += rate2 * end
+        out[2, j] = columns[NORMAL, j] + rate * end
+        out[5, j] = end
+        x, y = out[0, j] - problem.b1 * end, out[1, j] - problem.b2 * end
+        if j == V1:
+            x -= 1.0
+        elif j == V2:
+            y -= 1.0
+        elif j == W11:
+            x -= p1
+        elif j == W12:
+            x, y = x - p2, y - p1
+        elif j == W22:
+            y -= p2
+        elif j == W13:
+            x -= p3
+        elif j == W23:
+            y -= p3
+        out[3, j], out[4, j] = i11 * x + i12 * y, i12 * x + i22 * y
+
+
+@inlined
+def _ending(problem, columns, restored, rate, v3, total):
+    """Fill row END: how the P₃ at the end changes. (D14)
+
+    Args:
+        restored: Whether there was restitution.
+        rate, v3: dv₃/dP₃ and v₃ there.
+        total: The sum that the law counts over compression.
+    """
+    e = problem.e
+    for j in range(INPUTS):
+        if problem.counts == IMPULSE:
+            columns[END, j] = (1.0 + e) * columns[COMPRESSED, j]
+        elif problem.counts == VELOCITY or not restored:
+            columns[END, j] = -columns[NORMAL, j] / rate
+        else:
+            columns[END, j] = ((1.0 - e * e) * columns[COMPRESSED, j] - columns[WORK_DONE, j]) / v3
+    if problem.counts == IMPULSE:
+        columns[END, E] += total
+    elif problem.counts == VELOCITY:
+        columns[END, V3] -= e / rate
+        columns[END, E] -= problem.v3 / rate
+    elif restored:
+        columns[END, E] -= 2.0 * e * total / v3
+    else:
+        columns[END, E] = math.sqrt(-2.0 * total / rate)
+
+
+@inlined
+def _fill(out, first, last, value):
+    for i in range(6):
+        for j in range(first, last):
+            out[i, j] = value
+
+
+@inlined
+def _without_impact(v3, out):
+    _fill(out, 0, INPUTS, 0.0)
+    out[0, V1] = out[1, V2] = out[2, V3] = 1.0
+    if v3 > 0.0:
+        return NO_FLAG
+    _fill(out, V3, V3 + 1, math.nan)
+    return GRAZING
+
+
+@inlined
+def _cross(problem, units, move, after, start, end, rest_at, values, found):
+    """Bring the sensitivities to the end of a move.
+
+    Args:
+        move, after: Its row and the next of the trace.
+        start, end: P₃ at its ends,
+        rest_at: and where v_t = 0.
+
+    Returns:
+        −∫∫dP_t dP₃ (2) over the move, and the rate λ of resumed slip.
+    """
+    s1, s2, span = move[7], move[8], end - start
+    half, mu, k1, k2 = 0.5 * span * span, problem.mu, problem.k1, problem.k2
+    if mu == 0.0:
+        _without_friction(problem, end, found)
+        return 0.0, 0.0, 0.0
+    if move[0] == IN_SLIP:
+        n1, n2 = cross_move(
+            *(units, Slip(s1, s2, move[9], move[10]), move[11], move[12], units.omega * span, after[9]),
+            *(mu, k1, k2, problem.counts == WORK, values, found),
+        )
+        square = mu * units.per * units.per
+        return square * n1, square * n2, 0.0
+    if move[0] == IN_RESUMED_SLIP:
+        gain = after[9] / (end - rest_at) if end > rest_at else 0.0
+        _resume(problem, s1, s2, gain, start - rest_at, end - rest_at, found)
+        return mu * s1 * half, mu * s2 * half, gain
+    return k1 * half, k2 * half, 0.0
+
+
+@inlined
+def _book(problem, columns, event, rate, p3):
+    """Add to row COMPRESSED what an event at P₃ does to the law's sum, and return what the sum gains. (D14)"""
+    sign = 1.0 if event == COMPRESSION_ENDS else -1.0
+    for j in range(INPUTS):
+        change = columns[WORK_DONE, j] if problem.counts == WORK else -columns[NORMAL, j] / rate
+        columns[COMPRESSED, j] += sign * change
+    return sign * p3
+
+
+@declared(Problem, Units, View, *5 * [FLOAT_ROWS], int, float)
+@external
+def _follow(problem, units, view, moves, values, found, columns, out, rows, after3):
+    """Go through the moves and fill `out`, in the `View`.
+
+    Args:
+        problem, units, view: The impact.
+        moves: (m, MOVE) trace of it,
+        rows: of which so many are filled.
+        values, found, columns: (NODE_ROWS, NODES), (4, DATA), (4, INPUTS) scratch, the last two zero.
+        out: (6, INPUTS).
+        after3: v₃⁺.
+
+    Returns:
+        flags of `Boundary`, and how many columns have no derivative, from the first on.
+    """
+    boundary, unknown = NO_FLAG, NONE_YET
+    at_rest = problem.speed <= VANISHED
+    works = problem.counts == WORK
+    unit, work_unit = math.ldexp(1.0, view.scale_w - view.scale_v), math.ldexp(1.0, view.scale_w - 2 * view.scale_v)
+    whole = unit * moves[rows - 1, 3]
+    steepest = problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2))
+    q1 = q2 = rest_at = total = 0.0
+    if not at_rest:
+        found[VT1, 0] = found[VT2, 1] = 1.0
+    for i in range(rows):
+        move, after = moves[i], moves[i + 1]
+        event, rate, last = move[6], move[13], i == rows - 1
+        start, p3 = unit * move[2], unit * move[3]
+        n1, n2, gain = _cross(problem, units, move, after, start, p3, rest_at, values, found)
+        q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
+        if move[0] == IN_SLIP and after[9] == 0.0 and problem.mu > 0.0:
+            rest_at = p3
+        if works and move[1] == COMPRESSION:
+            total += work_unit * move[4]
+        if event == NO_EVENT:
+            continue
+        if rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole:
+            boundary, unknown = boundary | EVENTS_COINCIDE, ALL if last else max(unknown, ALL_BUT_E)
+        _at_event(problem, works, found, columns, after[14], after[15], p3, q1, q2)
+        turns = event != LAW_MET
+        if turns:
+            gained = _book(problem, columns, event, rate, p3)
+            total += 0.0 if works else gained
+        steep = turns or problem.counts == VELOCITY
+        if steep and abs(rate) <= FLAT * steepest or rate < 0.0 and last and after3 <= FLAT * steepest * whole:
+            boundary, unknown = boundary | JUMP, ALL
+        if last:
+            _ending(problem, columns, not turns, rate, after3, total)
+            on = after if move[0] == IN_SLIP and problem.mu > 0.0 else move
+            rate1, rate2 = _tangential_rate(problem, move[0], on[7], on[8], gain)
+            _close(problem, found, columns, rate1, rate2, rate, after[14], after[15], p3, out)
+    return boundary, unknown
+
+
+@inlined
+def _differentiate(problem, view, flags, moves, values, found, columns, out, rows, after3):
+    """Fill `out` with the derivatives of v⁺ and P, NaN in columns that have none; return the boundary. (D16)"""
+    found[:, :] = 0.0
+    columns[:, :] = 0.0
+    after3 = math.ldexp(after3, -view.scale_v)
+    boundary, unknown = _follow(
+        problem, slip_units(problem), view, moves, values, found, columns, out, rows, after3
+    )
+    _to_user(view, out)
+    _fill(out, 0, unknown, math.nan)
+    mu, e = problem.mu, problem.e
+    if mu == 0.0 or e == 0.0 or e == 1.0:
+        boundary |= BOUND
+    ratio = math.sqrt(problem.k1 * problem.k1 + problem.k2 * problem.k2)
+    if flags & (SLIP_RESUMED | STICKS) and abs(ratio - mu) <= AT_THRESHOLD * mu:
+        boundary |= STICK_THRESHOLD
+        _fill(out, W11, W33, math.nan)
+        _fill(out, MU, E, math.nan)
+    if problem.speed <= VANISHED and flags & SLIP_RESUMED:
+        boundary |= START_AT_REST
+        _fill(out, V1, V3, math.nan)
+    if problem.v3 == 0.0:
+        boundary |= JUMP
+        _fill(out, V3, W11, math.nan)
+    return boundary
+
+
+@declared(
+    *(FLOAT_STACK, FLOAT_ROWS, FLOATS, FLOATS, int, FLOATS, FLOAT_ROWS),
+    *(FLOAT_ROWS, INTEGER_ROWS, FLOAT_STACK, INTEGERS),
+)
+@released
+def differentiate_rows(
+    delassus, velocity, friction, restitution, law, velocity_scale, factors, numbers, codes, slopes, boundaries
+):  # fmt: skip
+    """Solve N problems and differentiate v⁺ and P by all inputs.
+
+    Args:
+        delassus … codes: As in `batch.solve_rows`.
+        slopes: (N, 6, INPUTS) receives the derivatives; NaN in columns that have none.
+        boundaries: (N,) receives flags of `Boundary`.
+    """
+    scratch, none, path = np.empty(SCRATCH), np.empty(0), np.empty((0, 6))
+    moves, values = np.empty((MAX_MOVES, MOVE)), np.empty((NODE_ROWS, NODES))
+    found, columns = np.empty((4, DATA)), np.empty((4, INPUTS))
+    for i in range(velocity.shape[0]):
+        w, v, out = delassus[i], velocity[i], slopes[i]
+        factor = none
+        if len(factors) > 0 and factors[i, 6] > 0.0:
+            factor = factors[i]
+        numbers_in = (
+            *(w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),
+            *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
+            *(law, velocity_scale[i], factor),
+        )
+        result = Result(*solve_into(*numbers_in, scratch, moves, path))
+        if asymmetry(w):
+            result = no_result(INDEFINITE_DELASSUS, 0.0)
+        write_result(i, result, numbers, codes)
+        if result.status == NO_IMPACT:
+            boundaries[i] = _without_impact(v[2], out)
+            continue
+        _fill(out, 0, INPUTS, math.nan)
+        boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
+        rows = result.trace_rows
+        if result.status <= LOCKED and rows + 1 < MAX_MOVES and not result.flags & LOCKS:
+            _, _, _, view, problem = prepare(*numbers_in)
+            boundaries[i] |= _differentiate(
+                problem, view, result.flags, moves, values, found, columns, out, rows, result.v3
+            )

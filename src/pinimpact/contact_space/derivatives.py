@@ -1,0 +1,134 @@
+"""Derivatives of an impact in contact space. (docs/derivatives.md)"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from operator import index
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .inputs import FACTOR, Array, Inputs
+
+
+class Boundary(enum.IntFlag):
+    """Where the derivatives of an impact have sides, or end; ``describe()`` gives a sentence for each flag.
+
+    Columns that have no derivative hold NaN. (docs/derivatives.md, 6)
+    """
+
+    NONE = 0
+    START_AT_REST = 1
+    STICK_THRESHOLD = 2
+    EVENTS_COINCIDE = 4
+    JUMP = 8
+    GRAZING = 16
+    BOUND = 32
+    RANK = 64
+
+    @classmethod
+    def _missing_(cls, value: object) -> Any:
+        return super()._missing_(index(value))  # type: ignore[arg-type]
+
+    def describe(self) -> tuple[str, ...]:
+        """Return one sentence for each flag that is set."""
+        return tuple(text for flag, text in _TEXTS.items() if self & flag)
+
+
+_TEXTS = {
+    Boundary.START_AT_REST: "v_t° = 0 and slip begins: v⁺ has slopes along directions of v_t° only.",
+    Boundary.STICK_THRESHOLD: "The contact is at the threshold between stick and slip.",
+    Boundary.EVENTS_COINCIDE: "Slip ends just as compression or the impact does.",
+    Boundary.JUMP: "v⁺ jumps here, or nearly has a slope without bound.",
+    Boundary.GRAZING: "v₃° = 0: there is an impact on one side only.",
+    Boundary.BOUND: "μ = 0, e = 0 or e = 1: slopes by it are those into the range.",
+    Boundary.RANK: "W is singular: derivatives hold for changes that keep its rank.",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Derivatives:
+    """How v⁺ and P change with v°, W, μ and e, in contact axes; of N impacts with a first axis (N,).
+
+    For a symmetric δW the change of v⁺ₖ is Σᵢⱼ ``dv_ddelassus[k, i, j]`` δWᵢⱼ.
+
+    Attributes:
+        dv_dv: (3, 3) ∂v⁺/∂v°.
+        dv_ddelassus: (3, 3, 3) ∂v⁺/∂W [kg m/s].
+        dv_dfriction: (3,) ∂v⁺/∂μ [m/s].
+        dv_drestitution: (3,) ∂v⁺/∂e [m/s].
+        dP_dv: (3, 3) ∂P/∂v° [kg].
+        dP_ddelassus: (3, 3, 3) ∂P/∂W [kg² m/s].
+        dP_dfriction: (3,) ∂P/∂μ [N s].
+        dP_drestitution: (3,) ∂P/∂e [N s].
+        boundary: `Boundary`; of N impacts (N,) its integer values.
+    """
+
+    dv_dv: Array
+    dv_ddelassus: Array
+    dv_dfriction: Array
+    dv_drestitution: Array
+    dP_dv: Array
+    dP_ddelassus: Array
+    dP_dfriction: Array
+    dP_drestitution: Array
+    boundary: Any
+
+    def __repr__(self) -> str:
+        return f"Derivatives(dv_dv={self.dv_dv.tolist()}, boundary={self.boundary!r})"
+
+
+_UPPER = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])  # the columns of w₁₁ … w₃₃
+_SHARE = np.array([[1.0, 0.5, 0.5], [0.5, 1.0, 0.5], [0.5, 0.5, 1.0]])
+
+
+def named_derivatives(slopes: Array, boundary: Any) -> Derivatives:
+    """Return the `Derivatives` of what `differentiate_rows` fills, slopes (…, 6, 11)."""
+    by_delassus = slopes[..., _UPPER] * _SHARE
+    parts = []
+    for rows in (slice(0, 3), slice(3, 6)):
+        parts += [slopes[..., rows, :3], by_delassus[..., rows, :, :]]
+        parts += [slopes[..., rows, 9], slopes[..., rows, 10]]
+    return Derivatives(*parts, boundary=boundary)
+
+
+def differentiate(
+    matrices: Array, velocities: Array, mu: Array, e: Array, law: int, scales: Array, factors: Array, outputs: Any
+) -> None:
+    """Solve and differentiate N problems; `outputs` are the last four arguments of the kernel."""
+    from ._kernels.derivatives import differentiate_rows
+
+    differentiate_rows(matrices, velocities, mu, e, law, scales, factors, *outputs)
+
+
+def empty_slopes(count: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return arrays for the derivatives of so many problems, (N, 6, 11), and for their boundaries."""
+    return np.empty((count, 6, 11)), np.empty(count, dtype=np.int64)
+
+
+def derivatives_of(inputs: Inputs) -> Derivatives:
+    """Return the derivatives of a problem that has an answer, given by its numbers."""
+    w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale, factor = inputs
+    slopes, boundary = empty_slopes(1)
+    matrix = np.array([[[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]])
+    numbers, codes = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64)
+    coefficients = np.array([[mu], [e], [scale]])
+    factors = factor.reshape(-1, FACTOR)
+    differentiate(
+        *(matrix, np.array([[v1, v2, v3]]), coefficients[0], coefficients[1], law, coefficients[2], factors),
+        (numbers, codes, slopes, boundary),
+    )
+    return named_derivatives(slopes[0], Boundary(boundary[0]))
+
+
+def check_derivatives(wanted: bool, what: str) -> None:
+    """Refuse derivatives of what has none yet."""
+    if wanted:
+        raise InputError(
+            f'derivatives: not available for {what}; they are those of one contact by "exact"',
+            field="derivatives",
+            value=wanted,
+        )
