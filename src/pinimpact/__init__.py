@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .contact_space.batch import BatchSolution, solve_impacts
+    from .contact_space.derivatives import Boundary, Derivatives
     from .contact_space.laws import LAWS
     from .contact_space.many_solution import ManyPath, ManySolution
     from .contact_space.methods import METHODS, Method, register_method
@@ -61,9 +62,11 @@ __all__ = [
     "POLICIES",
     "BatchSolution",
     "BoundReachedWarning",
+    "Boundary",
     "Box",
     "Contact",
     "ContactMatrices",
+    "Derivatives",
     "Event",
     "Flag",
     "HeldContactWarning",
@@ -128,6 +131,7 @@ _HOMES = {
         "UnknownNameError",
         "UnstoppableApproachError",
     ),
+    "contact_space.derivatives": ("Boundary", "Derivatives"),
     "contact_space.methods": ("METHODS", "Method", "register_method"),
     "contact_space.laws": ("LAWS",),
     "status": ("EFFECTS", "Flag", "Status"),

@@ -87,16 +87,22 @@ _SHARE = np.array([[1.0, 0.5, 0.5], [0.5, 1.0, 0.5], [0.5, 0.5, 1.0]])
 
 def named_derivatives(slopes: Array, boundary: Any) -> Derivatives:
     """Return the `Derivatives` of what `differentiate_rows` fills, slopes (…, 6, 11)."""
-    by_delassus = slopes[..., _UPPER] * _SHARE
-    parts = []
-    for rows in (slice(0, 3), slice(3, 6)):
-        parts += [slopes[..., rows, :3], by_delassus[..., rows, :, :]]
-        parts += [slopes[..., rows, 9], slopes[..., rows, 10]]
-    return Derivatives(*parts, boundary=boundary)
+    return Derivatives(*_parts(slopes[..., :3, :]), *_parts(slopes[..., 3:, :]), boundary)
+
+
+def _parts(rows: Array) -> tuple[Array, Array, Array, Array]:
+    return rows[..., :3], rows[..., _UPPER] * _SHARE, rows[..., 9], rows[..., 10]
 
 
 def differentiate(
-    matrices: Array, velocities: Array, mu: Array, e: Array, law: int, scales: Array, factors: Array, outputs: Any
+    matrices: Array,
+    velocities: Array,
+    mu: Array,
+    e: Array,
+    law: int,
+    scales: Array,
+    factors: Array,
+    outputs: Any,
 ) -> None:
     """Solve and differentiate N problems; `outputs` are the last four arguments of the kernel."""
     from ._kernels.derivatives import differentiate_rows

@@ -27,7 +27,7 @@ def asymmetry(w):
 
 @inlined
 def write_result(i, result, numbers, codes):
-    """Write a `Result` into row i of (N, 7) v⁺, P, compression impulse and of (N, 3) status, flags, iterations."""
+    """Write row i: v⁺, P and the compression impulse (7); status, flags and iterations (3)."""
     numbers[i, 0] = result.v1
     numbers[i, 1] = result.v2
     numbers[i, 2] = result.v3

@@ -13,9 +13,9 @@ from .codes import (
     COMPRESSION,
     COMPRESSION_ENDS,
     IMPULSE,
-    INDEFINITE_DELASSUS,
     IN_RESUMED_SLIP,
     IN_SLIP,
+    INDEFINITE_DELASSUS,
     LAW_MET,
     LOCKED,
     LOCKS,
@@ -96,14 +96,15 @@ def _add_identity(problem, out, row, t, p1, p2, p3):
 
 @inlined
 def _integral_of_direction(x, y, rho, x0, rho0):
-    """Return ∫σ over a straight line of v_t, of the part along it and across, from x₀ to x at the distance y."""
+    """Return ∫σ over a straight line of v_t, of the part along it and across.
+
+    From x₀ to x at the distance y from the origin, where |v_t| is ρ₀ and ρ.
+    """
     along = (x - x0) * (x + x0) / (rho + rho0)
     if y == 0.0:
         return along, 0.0
-    if x * x0 > 0.0:
-        part = (x - x0) * (x + x0) / (x * rho0 + x0 * rho)
-    else:
-        part = (x * rho0 - x0 * rho) / (y * y)
+    same_side = x * x0 > 0.0
+    part = along * (rho + rho0) / (x * rho0 + x0 * rho) if same_side else (x * rho0 - x0 * rho) / (y * y)
     return along, y * math.asinh(part)
 
 
@@ -356,7 +357,7 @@ def _cross(problem, units, move, after, start, end, rest_at, values, found):
 
 @inlined
 def _book(problem, columns, event, rate, p3):
-    """Add to row COMPRESSED what an event at P₃ does to the law's sum, and return what the sum gains. (D14)"""
+    """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
     sign = 1.0 if event == COMPRESSION_ENDS else -1.0
     for j in range(INPUTS):
         change = columns[WORK_DONE, j] if problem.counts == WORK else -columns[NORMAL, j] / rate
@@ -383,7 +384,10 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
     boundary, unknown = NO_FLAG, NONE_YET
     at_rest = problem.speed <= VANISHED
     works = problem.counts == WORK
-    unit, work_unit = math.ldexp(1.0, view.scale_w - view.scale_v), math.ldexp(1.0, view.scale_w - 2 * view.scale_v)
+    unit, work_unit = (
+        math.ldexp(1.0, view.scale_w - view.scale_v),
+        math.ldexp(1.0, view.scale_w - 2 * view.scale_v),
+    )
     whole = unit * moves[rows - 1, 3]
     steepest = problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2))
     q1 = q2 = rest_at = total = 0.0
@@ -409,7 +413,9 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
             gained = _book(problem, columns, event, rate, p3)
             total += 0.0 if works else gained
         steep = turns or problem.counts == VELOCITY
-        if steep and abs(rate) <= FLAT * steepest or rate < 0.0 and last and after3 <= FLAT * steepest * whole:
+        if (steep and abs(rate) <= FLAT * steepest) or (
+            rate < 0.0 and last and after3 <= FLAT * steepest * whole
+        ):
             boundary, unknown = boundary | JUMP, ALL
         if last:
             _ending(problem, columns, not turns, rate, after3, total)
@@ -421,7 +427,7 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
 
 @inlined
 def _differentiate(problem, view, flags, moves, values, found, columns, out, rows, after3):
-    """Fill `out` with the derivatives of v⁺ and P, NaN in columns that have none; return the boundary. (D16)"""
+    """Fill `out` with the derivatives, NaN in columns that have none; return flags of `Boundary`."""
     found[:, :] = 0.0
     columns[:, :] = 0.0
     after3 = math.ldexp(after3, -view.scale_v)
@@ -434,11 +440,12 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
     if mu == 0.0 or e == 0.0 or e == 1.0:
         boundary |= BOUND
     ratio = math.sqrt(problem.k1 * problem.k1 + problem.k2 * problem.k2)
-    if flags & (SLIP_RESUMED | STICKS) and abs(ratio - mu) <= AT_THRESHOLD * mu:
+    threshold = flags & (SLIP_RESUMED | STICKS) > 0 and abs(ratio - mu) <= AT_THRESHOLD * mu
+    if threshold:
         boundary |= STICK_THRESHOLD
         _fill(out, W11, W33, math.nan)
         _fill(out, MU, E, math.nan)
-    if problem.speed <= VANISHED and flags & SLIP_RESUMED:
+    if problem.speed <= VANISHED and (flags & SLIP_RESUMED > 0 or threshold):
         boundary |= START_AT_REST
         _fill(out, V1, V3, math.nan)
     if problem.v3 == 0.0:
@@ -453,7 +460,8 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
 )
 @released
 def differentiate_rows(
-    delassus, velocity, friction, restitution, law, velocity_scale, factors, numbers, codes, slopes, boundaries
+    delassus, velocity, friction, restitution, law, velocity_scale, factors, numbers, codes, slopes,
+    boundaries,
 ):  # fmt: skip
     """Solve N problems and differentiate v⁺ and P by all inputs.
 

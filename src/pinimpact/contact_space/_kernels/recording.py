@@ -46,8 +46,8 @@ def record_course(trace, row, mode, phase, start, end, move):
     """Write a move into its row of a trace with MOVE columns, and the state after it into the next.
 
     Args:
-        trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it; σ₁, σ₂, speed and p₀ at
-            its start; length, root and rate of the `Move`; P₁, P₂ at its start.
+        trace: (m, MOVE) rows mode, phase, P₃ at start and end, normal work, 0, the event that ends it;
+            σ₁, σ₂, speed and p₀ at its start; length, root and rate of the `Move`; P₁, P₂ at its start.
         row: Which row; the last one is used again if there is none after it.
         start, end: `State` before and after it.
         move: The `Move`.

@@ -1,4 +1,4 @@
-"""Derivatives of slip along a move: by panels, and in closed form where slip comes to rest. (derivatives.md, 2)
+"""Derivatives of slip along a move: by panels, and in closed form where it stops. (derivatives.md, 2 and 3)
 
 On a panel the nodes of (3.17) integrate everything that is needed. Sensitivities at its end follow from
 those at its start and from what the data change on the way; nothing is divided by g, which vanishes on
@@ -18,12 +18,14 @@ from .slip_equations import in_frame, polynomials
 from .slip_works import ABSCISSAE, INTEGRALS, NODES, WEIGHTS
 
 DATA = 8
-"""Columns of sensitivities: v₁, v₂, b₁, b₂ and A = α + [[δ, χ], [χ, −δ]] by α, δ, χ; the last is that of μ."""
+"""Columns of sensitivities: v₁, v₂, b₁, b₂ and A = α + [[δ, χ], [χ, −δ]] by α, δ, χ; and of μ."""
 
 VT1, VT2, PATH, STOP = 0, 1, 2, 3
 """Rows of sensitivities: v_t and κ·∫v_t dP₃, both at fixed P₃, and the P₃ at which v_t = 0."""
 
-_GROWTH, _BEND, _TURNED, _COS, _SIN, _SPEED, _PUSH, _IMPULSE, _BENT, _LAG, _SLID, _SLIDES, _SWEPT, _SWEEPS = range(14)
+_GROWTH, _BEND, _TURNED, _COS, _SIN, _SPEED, _PUSH, _IMPULSE, _BENT, _LAG, _SLID, _SLIDES, _SWEPT, _SWEEPS = (
+    range(14)
+)
 _ALONG, _ACROSS = 14, 19
 NODE_ROWS = 24
 """Rows of scratch for what there is at the nodes; those of integrands have the weights in them."""
@@ -173,8 +175,8 @@ def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values, found)
         c, s = values[_COS, i], values[_SIN, i]
         values[_BENT, i] = push * values[_BEND, i]
         values[_SLIDES, i] = push * r * (kl * c + kp * s)
-        values[_SWEEPS, i] = (
-            2.0 * values[_BEND, i] * values[_SLIDES, i] + push * r * values[_TURNED, i] * (kp * c - kl * s)
+        values[_SWEEPS, i] = 2.0 * values[_BEND, i] * values[_SLIDES, i] + push * r * values[_TURNED, i] * (
+            kp * c - kl * s
         )
     lag = _integrate(values, _BENT, _LAG)
     slid = swept = 0.0
@@ -192,9 +194,15 @@ def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values, found)
     f1, f2 = f * e1 - g * e2, f * e2 + g * e1
     kv = fast * (k1 * e1 + k2 * e2)
     cos2, sin2 = s1 * s1 - s2 * s2, 2.0 * s1 * s2
-    b0, b1 = _source(values, 0, span, lag, bend, slid, swept), _source(values, 1, span, lag, bend, slid, swept)
+    b0, b1 = (
+        _source(values, 0, span, lag, bend, slid, swept),
+        _source(values, 1, span, lag, bend, slid, swept),
+    )
     a0 = _source(values, 2, span, lag, bend, slid, swept)
-    a1, a2 = _source(values, 3, span, lag, bend, slid, swept), _source(values, 4, span, lag, bend, slid, swept)
+    a1, a2 = (
+        _source(values, 3, span, lag, bend, slid, swept),
+        _source(values, 4, span, lag, bend, slid, swept),
+    )
     for j in range(DATA - 1):
         along = (found[VT1, j] * s1 + found[VT2, j] * s2) / speed
         angle = (found[VT2, j] * s1 - found[VT1, j] * s2) / speed

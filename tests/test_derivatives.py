@@ -1,0 +1,258 @@
+"""Derivatives of an impact: differences in multiple precision, closed forms, identities, boundaries."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinimpact
+from pinimpact import LAWS, Boundary, Flag, ImpactProblem
+
+from .reference.problems import RECIPES
+from .reference.slopes import INPUTS, slopes
+
+UPPER = np.triu_indices(3)
+REGIMES = {
+    "smooth slip": Flag.SLIP_TURNED,
+    "slip to stick": Flag.STICK,
+    "resumed slip": Flag.SLIP_RESUMED,
+    "jam": Flag.JAM,
+    "second compression": Flag.SECOND_COMPRESSION,
+    "no slip": Flag.NONE,
+    "near-invariant start": Flag.SLIP_TURNED,
+    "isotropic": Flag.NONE,
+    "straight": Flag.NONE,
+    "frictionless": Flag.NONE,
+    "scaled": Flag.NONE,
+}
+"""Recipes of random problems, and a flag that some of their impacts have to have."""
+
+
+def drawn(category, law, seed):
+    """Return W, v, μ and e of a random problem that has the regime's flag, and its derivatives."""
+    rng = np.random.default_rng((31, list(RECIPES).index(category), LAWS.index(law), seed))
+    while True:
+        W, v, mu = RECIPES[category](rng)
+        e = float(rng.uniform(0.05, 0.95))
+        if category == "second compression":
+            e = float(rng.uniform(0.9, 0.99))
+        solution = pinimpact.solve_impact(ImpactProblem(W, v, mu, e, law), derivatives=True)
+        near = solution.flags & (Flag.NEAR_JUMP | Flag.NEAR_STICK_THRESHOLD)
+        if REGIMES[category] in solution.flags and not near:
+            return W, v, mu, e, solution.derivatives
+
+
+def columns_of(d):
+    """Return derivatives as (6, 11): rows v⁺ and P, columns as in `slopes`; W's symmetric changes in one."""
+    both = []
+    for name in "vP":
+        by_delassus = getattr(d, f"d{name}_ddelassus") * (2.0 - np.eye(3))
+        rest = getattr(d, f"d{name}_dfriction"), getattr(d, f"d{name}_drestitution")
+        both.append(np.column_stack([getattr(d, f"d{name}_dv"), by_delassus[:, UPPER[0], UPPER[1]], *rest]))
+    return np.vstack(both)
+
+
+def error(found, reference, W, v):
+    """Return the largest error of a group of derivatives, of v⁺ or P by v°, W, μ or e, over its norm.
+
+    Where a group vanishes, over that of a derivative of order one.
+    """
+    worst = 0.0
+    speed, inertia = float(np.linalg.norm(v)), float(np.linalg.norm(W))
+    for rows, unit in ((slice(0, 3), speed), (slice(3, 6), speed / inertia)):
+        groups = (slice(0, 3), speed), (slice(3, 9), inertia), (slice(9, 10), 1.0), (slice(10, 11), 1.0)
+        for group, by in groups:
+            size = max(float(np.linalg.norm(reference[rows, group])), unit / by)
+            worst = max(worst, float(np.linalg.norm(found[rows, group] - reference[rows, group])) / size)
+    return worst
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("category", REGIMES)
+def test_differences_in_multiple_precision(category, law):
+    W, v, mu, e, d = drawn(category, law, 0)
+    found, known = columns_of(d), np.arange(INPUTS)
+    if category == "no slip" and d.boundary == Boundary.START_AT_REST:
+        assert np.isnan(found[:, :2]).all()
+        found[:, :2] = 0.0
+        known = known[2:]
+    assert np.isfinite(found).all()
+    assert d.boundary in (Boundary.NONE, Boundary.START_AT_REST, Boundary.BOUND)
+    assert (d.boundary == Boundary.BOUND) == (mu == 0.0)
+    assert error(found, slopes(W, v, mu, e, law, known), W, v) < 1e-9
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("e", "mu"), [(0.0, 0.3), (1.0, 0.3), (0.5, 0.0)])
+def test_slopes_at_bounds_are_those_into_the_range(law, e, mu):
+    rng = np.random.default_rng(5)
+    W, v, _ = RECIPES["smooth slip"](rng)
+    d = pinimpact.solve_impact(ImpactProblem(W, v, mu, e, law), derivatives=True).derivatives
+    assert d.boundary == Boundary.BOUND
+    assert error(columns_of(d), slopes(W, v, mu, e, law), W, v) < 1e-9
+
+
+def many(category, law, count):
+    rng = np.random.default_rng((7, list(RECIPES).index(category)))
+    problems = [RECIPES[category](rng) for _ in range(count)]
+    W, v, mu = (np.array(part) for part in zip(*problems, strict=True))
+    e = rng.uniform(0.05, 0.95, count)
+    return W, v, mu, e, pinimpact.solve_impacts(W, v, mu, e, law, derivatives=True)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("category", ["smooth slip", "slip to stick", "resumed slip", "jam", "isotropic"])
+def test_identities_of_scaling_and_of_rotation(category, law):
+    W, v, _, _, batch = many(category, law, 200)
+    d, P = batch.derivatives, batch.impulse
+    good = d.boundary == 0
+    assert good.mean() > 0.95
+    size = np.linalg.norm(P, axis=1)
+    by_v = np.einsum("nij,nj->ni", d.dP_dv, v)
+    by_delassus = np.einsum("nkij,nij->nk", d.dP_ddelassus, W)
+    Z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turned = np.einsum("nij,nj->ni", d.dP_dv, v @ Z.T)
+    turned += np.einsum("nkij,nij->nk", d.dP_ddelassus, Z @ W - W @ Z)
+    terms = size + np.linalg.norm(d.dP_dv, axis=(1, 2)) * np.linalg.norm(v, axis=1)
+    for change, expected in ((by_v, P), (by_delassus, -P), (turned, P @ Z.T)):
+        assert (np.linalg.norm(change - expected, axis=1) / terms)[good].max() < 1e-9
+
+
+def test_friction_of_zero_in_closed_form():
+    W, v, _, e, _ = many("frictionless", "poisson", 50)
+    d = pinimpact.solve_impacts(W, v, 0.0, e, derivatives=True).derivatives
+    # v⁺ = v − (1 + e) W n v₃/W₃₃
+    column = W[:, :, 2] / W[:, 2, 2][:, None]
+    expected = np.tile(np.eye(3), (50, 1, 1))
+    expected[:, :, 2] -= (1.0 + e)[:, None] * column
+    assert np.abs(d.dv_dv - expected).max() < 1e-12
+    assert np.abs(d.dv_drestitution + column * v[:, 2][:, None]).max() < 1e-12
+
+
+def test_a_batch_has_the_derivatives_of_its_rows():
+    W, v, mu, e, batch = many("slip to stick", "energetic", 40)
+    plain = pinimpact.solve_impacts(W, v, mu, e, "energetic")
+    assert plain.derivatives is None
+    assert np.array_equal(plain.velocity, batch.velocity)
+    assert np.array_equal(plain.work.total, batch.work.total)
+    for k in (0, 17, 39):
+        problem = ImpactProblem(W[k], v[k], mu[k], e[k], "energetic")
+        one = pinimpact.solve_impact(problem, derivatives=True).derivatives
+        assert np.array_equal(one.dv_ddelassus, batch.derivatives.dv_ddelassus[k])
+        assert np.array_equal(one.dP_dfriction, batch.derivatives.dP_dfriction[k])
+
+
+def test_a_bad_row_has_nan():
+    velocity = np.array([[1.0, 0.0, -1.0], [1.0, 0.0, np.nan]])
+    d = pinimpact.solve_impacts(np.eye(3), velocity, 0.3, 0.5, derivatives=True).derivatives
+    assert np.isfinite(d.dv_dv[0]).all()
+    assert np.isnan(d.dv_dv[1]).all()
+
+
+W0 = np.array([[1.0, 0.1, 0.2], [0.1, 1.5, 0.1], [0.2, 0.1, 1.2]])
+RATIO = np.array([3.0, 4.0, 5.0]) / 16
+
+
+def at(W, v, mu, e=0.5, law="poisson"):
+    return pinimpact.solve_impact(ImpactProblem(W, v, mu, e, law), derivatives=True).derivatives
+
+
+def test_separating_contacts_change_nothing():
+    d = at(W0, [1.0, 0.0, 0.5], 0.3)
+    assert np.array_equal(d.dv_dv, np.eye(3))
+    assert not d.dP_ddelassus.any()
+    assert d.boundary == Boundary.NONE
+
+
+def test_grazing_has_a_side():
+    d = at(W0, [1.0, 0.0, 0.0], 0.3)
+    assert d.boundary == Boundary.GRAZING
+    assert np.isnan(d.dv_dv[:, 2]).all()
+    assert np.array_equal(d.dv_dv[:, :2], np.eye(3)[:, :2])
+
+
+def test_start_at_rest_is_a_cone_only_where_slip_begins():
+    sticks, slips = at(W0, [0.0, 0.0, -1.0], 2.0), at(W0, [0.0, 0.0, -1.0], 0.05)
+    assert sticks.boundary == Boundary.NONE
+    assert np.isfinite(sticks.dv_dv).all()
+    assert slips.boundary == Boundary.START_AT_REST
+    assert np.isnan(slips.dv_dv[:, :2]).all()
+    assert np.isfinite(slips.dv_dv[:, 2]).all()
+
+
+def test_threshold_of_stick_has_sides_for_what_moves_it():
+    W = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
+    v = [-0.03, -0.04, -1.0]
+    d = at(W, v, RATIO[2])
+    assert d.boundary == Boundary.STICK_THRESHOLD
+    assert np.isnan(d.dv_dfriction).all()
+    assert np.isnan(d.dv_ddelassus[:, 0, 2]).all()
+    assert np.isfinite(d.dv_dv).all()
+    assert np.isfinite(d.dv_ddelassus[:, 2, 2]).all()
+    reference = slopes(W, v, RATIO[2], 0.5, "poisson", [0, 1, 2, 10])
+    assert np.abs(d.dv_dv - reference[:3, :3]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("share", "known"), [(1.0, True), (1.5, False)])
+def test_slip_that_ends_with_a_phase_has_sides(share, known):
+    # slip stops at P₃ = |v₃°|/c times the share: at the end of compression, or of the impact
+    d = at(np.diag([1.0, 1.0, 1.0]), [0.5 * share, 0.0, -1.0], 0.5)
+    assert d.boundary == Boundary.EVENTS_COINCIDE
+    assert np.isnan(d.dv_dv).all()
+    assert np.isfinite(d.dv_drestitution).all() == known
+
+
+def test_a_jump_is_flagged():
+    # jam without approach: an impact here, none for the least separation
+    W = np.array([[1.2, 0.0, 1.0], [0.0, 8.0, 0.0], [1.0, 0.0, 1.0]])
+    d = at(W, [1.0, 0.0, 0.0], 1.5)
+    assert d.boundary == Boundary.JUMP
+    assert np.isnan(d.dv_dv[:, 2]).all()
+    assert np.isfinite(d.dv_dv[:, :2]).all()
+
+
+def test_slopes_grow_without_bound_towards_a_jump():
+    """Newton's law: the peak of v₃ just reaches the goal; slopes like 1/√distance, and NaN at the end."""
+    W, v, mu = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]), np.array([0.5, 12, -0.5]), 1.5
+    low, high = 0.01, 0.99
+
+    def second(e):
+        problem = ImpactProblem(W, v, mu, e, "newton")
+        return Flag.SECOND_COMPRESSION in pinimpact.solve_impact(problem).flags
+
+    assert not second(low)
+    assert second(high)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if second(middle) else (middle, high)
+    near = [abs(at(W, v, mu, low - gap, "newton").dv_drestitution[0]) for gap in (1e-6, 1e-8)]
+    assert near[1] / near[0] == pytest.approx(10.0, rel=0.1)
+    assert at(W, v, mu, low, "newton").boundary == Boundary.JUMP
+
+
+def test_rank_is_flagged():
+    W = np.array([[1.0, 0.0, 0.3], [0.0, 0.0, 0.0], [0.3, 0.0, 1.0]])
+    d = at(W, [1.0, 0.0, -1.0], 0.2)
+    assert d.boundary == Boundary.RANK
+    # in its plane the same as with a bit of freedom across
+    other = at(W + np.diag([0.0, 1.0, 0.0]), [1.0, 0.0, -1.0], 0.2)
+    plane = np.ix_([0, 2], [0, 2])
+    assert np.abs(d.dv_dv[plane] - other.dv_dv[plane]).max() < 1e-12
+    assert np.abs(d.dP_ddelassus[0, 0, :] - other.dP_ddelassus[0, 0, :])[[0, 2]].max() < 1e-12
+
+
+def test_boundaries_have_sentences():
+    assert len((Boundary.JUMP | Boundary.RANK).describe()) == 2
+    assert Boundary.NONE.describe() == ()
+
+
+@pytest.mark.parametrize(
+    ("problem", "options", "words"),
+    [
+        (ImpactProblem(W0, [1, 0, -1], 0.3, 0.5), {"method": "euler"}, "the method 'euler'"),
+        (ImpactProblem(np.eye(6), [[1, 0, -1], [0, 0, -1]], 0.3, 0.5), {}, "n contacts"),
+    ],
+)
+def test_what_has_no_derivatives_is_refused(problem, options, words):
+    with pytest.raises(pinimpact.InputError, match=words):
+        pinimpact.solve_impact(problem, derivatives=True, **options)
