@@ -280,7 +280,7 @@ def solve_stepping(
 
         if settled:
             move, state = straight_move(problem, 1.0, course, state, ledger.phase, left)
-            event, h, work, friction_work, rate = move
+            event, h, work, friction_work, rate, _, _ = move
             if event == NEVER:
                 if ledger.phase == COMPRESSION:
                     return plain(no_result(UNSTOPPABLE, math.ldexp(v3, view.scale_v)))
