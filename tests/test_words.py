@@ -27,7 +27,7 @@ RETIRED = {
     r"\bsweeps?\b": "projected Gauss–Seidel iterations",
     r"(?<!lemke )(?<!lemke's )\bpivots\b": "Lemke pivots",
     r"(?<!constraint[ -])\bdrifts?\b": "constraint drift",
-    r"\b(?:the|all|their|its|by) works\b|\bworks (?:of|that|add)\b": "work, energy dissipated",
+    r"\b(?:the|all|their|its|by|and) works\b|\bworks (?:of|that|add)\b": "work, energy dissipated",
     r"\bways? of (?:a|the|each|these|contact) (?:contact )?points?\b": "path",
     r"\bno way goes\b": "no admissible continuation",
     r"\btell(?:s|ing)?\b|\btold\b": "reports; is given, is declared",
