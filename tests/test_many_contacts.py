@@ -645,7 +645,7 @@ def test_what_comes_to_its_bound_is_stepped_through(monkeypatch, seed, exponent)
     jacobian, inverse, u, mu, _ = draw(seed)
     options = {"friction": mu, "restitution": 0.6, "simultaneous": "propagate", "exponent": exponent}
     _, by_events = collide(jacobian, inverse, u, **options)
-    monkeypatch.setattr("pinimpact.contact_space.simultaneous.MOST_STEPS", 0)
+    monkeypatch.setattr("pinimpact.contact_space.waves.MOST_STEPS", 0)
     solution, by_steps = collide(jacobian, inverse, u, **options)
     assert "integrated by adaptive steps" in solution.notes[-1]
     assert by_steps == pytest.approx(by_events, abs=1e-5 * np.abs(u).max())  # 1e-7 of velocities at contacts

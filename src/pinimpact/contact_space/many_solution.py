@@ -14,6 +14,7 @@ from ..checks import finite_array, in_short
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
+from ._kernels.tolerances import RESTS
 from .inputs import NO_FACTOR, Array
 from .solution import Path, Segment, Solution, Work
 
@@ -25,9 +26,6 @@ PHASES: tuple[Literal["compression", "restitution"], ...] = ("compression", "res
 
 MOST_CORNERS = 6
 """Contacts up to which `ManySolution.range` takes each combination of extreme stiffnesses, 64 of them."""
-
-RESTS = 1e-9
-"""Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,15 +11,12 @@ from numpy.typing import ArrayLike
 from ..checks import at_least_zero, finite_array, float_array, real_number
 from ..display import changed_fields
 from ..errors import InputError
+from ._kernels.tolerances import FITTING
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import law_code
 
 ZERO = 32.0 * 2.0**-52
 """Asymmetry of W, relative to its largest entry, that counts as rounding; as for its eigenvalues."""
-
-
-FITTING = 1e-9
-"""How much a factor's square may differ from W, relative to its largest entry."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -23,8 +23,9 @@ from .codes import (
     SINGULAR_DELASSUS,
     UNSTOPPABLE,
 )
-from .delassus import CLEAR, LEANING, WELL_CONDITIONED, ZERO, Delassus, clear, nearly_singular, of_factor
+from .delassus import LEANING, ZERO, Delassus, clear, nearly_singular, of_factor
 from .laws import counted, law_of_slow_approach
+from .tolerances import CLEAR, WELL_CONDITIONED
 
 PROCEEDS = np.int64(-1)
 """Instead of a status: there is an impact to be followed."""

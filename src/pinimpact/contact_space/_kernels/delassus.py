@@ -322,13 +322,6 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
     )  # fmt: skip
 
 
-CLEAR = 1e-12
-"""det W over (tr W)³ above which W is regular: det W ≤ λ_min (tr W)²/4."""
-
-WELL_CONDITIONED = 1e-6
-"""The same, above which what is small in W has nine digits or more without a factor."""
-
-
 @inlined
 def clear(w11, w12, w13, w22, w23, w33, least):
     """Tell whether det W is above `least` (tr W)³, so that W is regular; return its `Delassus` if it is."""

@@ -6,14 +6,9 @@ import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined
+from .tolerances import NOISE, SHORTEST_BRACKET
 
 NEVER = math.inf
-
-NOISE = 1e-13
-"""Coefficients below this part of the largest are rounding."""
-
-SHORTEST = 1e-15
-"""An interval, in parts of the whole, that counts as a point."""
 
 
 @inlined
@@ -106,7 +101,7 @@ def first_fall(c, degree, h, zero, rows):
                 rest[j] = right[j]
         elif changes == 1 and left[n] < 0.0:
             return h * _bisect(power, n, start, start + width)
-        elif width < SHORTEST:
+        elif width < SHORTEST_BRACKET:
             return h * start
         else:
             part *= 0.5

@@ -12,9 +12,7 @@ import math
 from ..._compile.jit import inlined
 from .delassus import EPS
 from .slip_equations import RECIPROCAL, TERMS, VANISHING, Shape, along_slip, in_frame, polynomials
-
-VANISHES = 1e-250
-"""Coefficients below this are zero: close to the smallest doubles arithmetic is slow."""
+from .tolerances import VANISHES
 
 NEARBY = 0.3
 """Influence of the other roots of p up to which a series goes around one. (4.1)"""

@@ -21,9 +21,7 @@ from .codes import (
     VELOCITY,
 )
 from .laws import left_of_goal, restitution_goal
-
-CLOSE_TO_JUMP = 1e-2
-"""Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
+from .tolerances import CLOSE_TO_JUMP
 
 
 class Ledger(NamedTuple):

@@ -36,12 +36,11 @@ from .contact_problem import Problem
 from .laws import first_event
 from .resumed_slip import resumed_direction
 from .slip_equations import Polynomials, along_slip, in_frame, polynomials
+from .tolerances import NEAR_THRESHOLD
 
 STRAIGHT = 2.0**-54
 """An angle that turns no double: slip this close to an invariant direction is straight."""
 
-NEAR_THRESHOLD = 1e-6
-"""Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
 
 NO_FORCE = 2.0**-46
 """Where slip may turn into a direction without force, a force this small is rounding."""

@@ -25,7 +25,7 @@ from .codes import (
 )
 from .contact_problem import PROCEEDS, prepare
 from .ending import Result, finish, no_result, plain, without_impact
-from .ledger import CLOSE_TO_JUMP, close_move, left_to_gain, new_ledger
+from .ledger import close_move, left_to_gain, new_ledger
 from .moves import (
     State,
     frictionless_course,
@@ -40,6 +40,7 @@ from .moves import (
 from .recording import MOVE, record_course, record_move, record_point
 from .slip_equations import TERMS
 from .slip_works import WORK_SCRATCH
+from .tolerances import CLOSE_TO_JUMP
 from .turning_slip import turning_move
 
 SCRATCH = 2 * TERMS + 6 + WORK_SCRATCH

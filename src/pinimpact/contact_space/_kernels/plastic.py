@@ -9,28 +9,22 @@ from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.coulomb_problem import solve_compliant
 from ..._numeric.loops import flags, repeated
+from .tolerances import FOUND, MISSED, ROUNDED
 
-STOPPED = 1e-6
-"""Part of the largest velocity that an approach may keep by rounding."""
-
-TINY, SWEEPS = 1e-14, 100
-"""Part of the largest velocity that is zero, and how often approaches at rest are taken away at most."""
-
-FOUND = 1e-8
-"""What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
+SWEEPS = 100
+"""How often approaches at rest are taken away at most."""
 
 
-@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+@declared(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS)
 @external
-def plastic_impulses(w, v, friction, given, shift, impulse):
-    """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ (v + shift n), |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
+def plastic_impulses(w, v, friction, given, impulse):
+    """Fill the impulses (3n,) that minimise ½ Pᵀ W P + Pᵀ v, |P_t| ≤ μ P₃, P₃ ≥ given. (14.6)
 
     Args:
         w: (3n, 3n) W.
         v: (3n,) velocities.
         friction: (n,) μ.
         given: (n,) least normal impulses, ≥ 0.
-        shift: (n,) what is added to normal velocities.
         impulse: (3n,) takes P.
     """
     n = len(friction)
@@ -58,8 +52,6 @@ def plastic_impulses(w, v, friction, given, shift, impulse):
     program, linear = np.empty((columns, columns)), np.empty(columns)
     for a in range(columns):
         linear[a] = v[places[a]] / largest
-        if a < n:
-            linear[a] += shift[a] / largest
         for b in range(columns):
             program[a, b] = w[places[a], places[b]] / stiffest
         for j in range(n):
@@ -95,7 +87,7 @@ def impulses_together(w, v, friction, given, stiffness, impulse):
     none, rest, held = np.zeros(0), np.zeros((n, 2)), flags(n, False)
     missed = solve_compliant(w, v, rest, friction, given, held, none, none, impulse, compliance)
     if not missed <= FOUND:
-        plastic_impulses(w, v, friction, given, np.zeros(n), impulse)
+        plastic_impulses(w, v, friction, given, impulse)
     return missed
 
 
@@ -110,7 +102,7 @@ def come_to_rest(system, state, works):
     for _ in range(SWEEPS):
         approaches = False
         for z in range(2, len(v), 3):
-            if v[z] < -TINY and w[z, z] > 0.0:
+            if v[z] < -ROUNDED and w[z, z] > 0.0:
                 approaches = True
                 push = -v[z] / w[z, z]
                 works[z // 3, 0] += 0.5 * v[z] * push
@@ -142,5 +134,5 @@ def end_plastically(system, state, works):
         for k in range(3 * n):
             v[i] += w[i, k] * impulse[k]
         state.impulse[i] += impulse[i]
-        stopped = stopped and (i % 3 != 2 or v[i] > -STOPPED)
+        stopped = stopped and (i % 3 != 2 or v[i] > -MISSED)
     return stopped

@@ -8,76 +8,32 @@ import numpy as np
 
 from ..._compile.jit import inlined
 from ..._numeric.cone_program import CONE, cone_program
-from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import repeated
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .propagation_series import (
-    RESUMED,
-    TIED,
-    answer_of_turn,
     bounded_unknowns,
     expand,
     force_inverse,
-    friction_share,
     hold,
-    loads,
     natural_pace,
+    unknown_after,
 )
-
-AHEAD = 1e-6
-"""How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
-
-UNTURNED = 1e-3
-"""How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
+from .propagation_slip_onset import align, begin_at_bound
+from .propagation_state import AT_BOUND, RESUMED, friction_share, loads
+from .tolerances import AHEAD, BEGINS, FAR_FROM_BOUNDS, NEGLIGIBLE, SAME, SLIP_SPEED, UNTURNED, WEAK
 
 WEIGHED_AHEAD = 0.1
 """How far ahead forces are weighed, where many can hold the same."""
 
-NO_LINES = np.int64(0)
-"""Half-lines of a program that has none."""
 
 WEIGHED_ORDER = np.int64(4)
 """Order of the series that says so."""
 
-FIT = 1e-11
-"""Parts of a bound by which a force may miss it."""
 
 ROOM = 0.95
 """Part of its bound that friction keeps to which is given without a look at what else would hold."""
 
-SAME = 1e-6
-"""Part of the largest force by which forces that hold the same differ."""
-
-REDUNDANT = 1e-11
-"""Part of the largest pivot below which friction of several contacts holds the same."""
-
-MOVES = 1e-11
-"""An acceleration that is one, in parts of what its terms come to."""
-
-WEAK = 1e-9
-"""Part of the largest bound below which friction does not matter."""
-
-SLIP_SPEED = 1e-13
-"""The speed at which a slip begins, in parts of the largest velocity."""
-
-AT_BOUND = 3
-"""`State.fresh` where friction has come to its bound."""
-
-FAR_FROM_BOUNDS = 1e-3
-"""Part of the bounds that friction of redundant contacts keeps from them; nearer its end is not followed."""
-
-NEAR_BOUND = 1e-6
-"""Part of a bound within which friction that holds is taken as being there."""
-
-GRADUAL = 1e-4
-"""An acceleration this small, in parts of what its terms come to, grows from zero."""
-
-FIRM = 1e-4
-"""Part of the largest force in the time to come from which on a force is not just beginning."""
-
-TURNS, TURNED = 6, 1e-12
-"""Of Newton's method for directions of slip that begins, and a turn that is its last [rad]."""
 
 ROUNDS, SWEEPS = 50, 200
 """Of friction and what is held in turn, and of what is held."""
@@ -161,7 +117,7 @@ def settle(system, state, series):
     redundant = restores and _redundant(system, state, weight)
     if redundant and at_bound:
         return unknown, inverse, weight, False
-    if not redundant and not root and _begins(system, state, unit, weight, series):
+    if not redundant and not root and begin_at_bound(system, state, unit, weight, series):
         unknown, inverse, weight = unknown_after(system, state, unit, weight)
         return unknown, inverse, weight, True
     for i in range(3 * n):
@@ -173,9 +129,9 @@ def settle(system, state, series):
             apart = max(apart, abs(forces[i] - first[i]))
     known = not (redundant and moves)
     if fits or (not moves and apart > SAME * scale):
-        known = _keep_from_bounds(system, state, forces) > FAR_FROM_BOUNDS or not redundant
+        known = not redundant or _within_bounds(system, state, forces, 1.0 - FAR_FROM_BOUNDS)
     if not fits and not root:
-        _align(system, state, unit, weight, series)
+        align(system, state, unit, weight, series)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
 
@@ -196,139 +152,7 @@ def _redundant(system, state, weight):
     for a in range(size):
         for b in range(size):
             block[a, b] = system.w[3 * at[a // 2] + a % 2, 3 * at[b // 2] + b % 2]
-    return least_norm(block, none, REDUNDANT, least, np.empty((0, size))) < size
-
-
-@inlined
-def _begins(system, state, unit, weight, series):
-    """Return whether contacts begin to slip whose friction has come to its bound, and let them.
-
-    They are those whose slip, v_t = s² ρ u, has ρ > 0 at its beginning. (14.5)
-    """
-    n = len(system.friction)
-    chosen = np.zeros(n, dtype=np.int64)
-    count = 0
-    for j in range(n):
-        if state.fresh[j] == AT_BOUND and state.tangent[j] == STUCK:
-            state.tangent[j] = SLIPPING
-            state.fresh[j] = TIED
-            chosen[j] = 1
-            count += 1
-    while count > 0:
-        unknown, inverse, weight = unknown_after(system, state, unit, weight)
-        expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
-        dropped = 0
-        for j in range(n):
-            if chosen[j] == 1:
-                size = 0.0
-                for i in range(3 * n):
-                    row = abs(system.w[3 * j, i]) + abs(system.w[3 * j + 1, i])
-                    size += row * abs(series.force[1, i])
-                if not series.speed[0, j] > MOVES * size:
-                    state.tangent[j] = STUCK
-                    state.fresh[j] = 0
-                    chosen[j] = 0
-                    dropped += 1
-        if dropped == 0:
-            return True
-        count -= dropped
-    return False
-
-
-@inlined
-def _align(system, state, unit, weight, series):
-    """Turn slips that begin with an acceleration to where it is along them; else let them find that.
-
-    The directions found a little ahead are off by as much as forces change until then.
-    """
-    n = len(system.friction)
-    m = 3 * n
-    places, gradual = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    count = begun = 0
-    for j in range(n):
-        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
-            begun += 1
-    if begun == 0:
-        return
-    unknown, inverse, weight = unknown_after(system, state, unit, weight)
-    expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
-    for j in range(n):
-        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
-            size = 0.0
-            for i in range(m):
-                row = abs(system.w[3 * j, i]) + abs(system.w[3 * j + 1, i])
-                size += row * abs(series.force[0, i])
-            if abs(series.speed[0, j]) <= GRADUAL * size:
-                state.fresh[j] = TIED
-                gradual[j] = 1
-    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
-    for j in range(n):
-        if gradual[j] == 1 and not series.speed[0, j] > 0.0:
-            state.fresh[j] = RESUMED
-            gradual[j] = 0
-        if state.tangent[j] == SLIPPING and state.fresh[j] == RESUMED:
-            places[count] = j
-            count += 1
-    matrix, right, turn = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-    answer, largest = np.empty(m), 0.0
-    for _ in range(TURNS if count > 0 else 0):
-        unknown, inverse, weight = unknown_after(system, state, unit, weight)
-        fixed = np.empty(len(unknown))
-        expand(system, state, unknown, inverse, np.int64(0), 1.0, series)
-        for c in range(count):
-            j = places[c]
-            answer_of_turn(system, state, series.unit[0], unknown, inverse, fixed, j, series.force[0], answer)
-            for other in range(count):
-                matrix[other, c] = _across(system, state, places[other], answer)
-            right[c] = -_across(system, state, j, series.force[0])
-        for c in range(count):
-            matrix[c, c] -= series.speed[0, places[c]]
-        if solve(matrix, right, turn, 1e-14) == 0:
-            largest = math.inf
-            break
-        largest = 0.0
-        for c in range(count):
-            j = places[c]
-            dx, dy = state.direction[2 * j], state.direction[2 * j + 1]
-            length = math.hypot(1.0, turn[c])
-            state.direction[2 * j] = (dx - turn[c] * dy) / length
-            state.direction[2 * j + 1] = (dy + turn[c] * dx) / length
-            largest = max(largest, abs(turn[c]))
-        if not largest > TURNED:
-            break
-    unknown, inverse, weight = unknown_after(system, state, unit, weight)
-    expand(system, state, unknown, inverse, np.int64(1), 1.0, series)
-    for j in range(n):
-        if state.tangent[j] == SLIPPING and (state.fresh[j] == RESUMED or gradual[j] == 1):
-            lost = gradual[j] == 0 and not largest <= TURNED
-            if lost or not series.speed[0, j] > 0.0:
-                state.fresh[j] = 1
-                for i in range(2):
-                    state.v[3 * j + i] = SLIP_SPEED * state.direction[2 * j + i]
-
-
-@inlined
-def _across(system, state, j, force):
-    """Return the acceleration across the direction with which a slip begins, for forces (3n,)."""
-    total = 0.0
-    for i in range(len(force)):
-        row = (
-            system.w[3 * j + 1, i] * state.direction[2 * j] - system.w[3 * j, i] * state.direction[2 * j + 1]
-        )
-        total += row * force[i]
-    return total
-
-
-@inlined
-def unknown_after(system, state, unit, weight):
-    """Return the places of the unknown forces, the matrix that solves for them, and their weights."""
-    for j in range(len(system.friction)):
-        if state.tangent[j] == BOUND or state.fresh[j] != 0:
-            unit[2 * j], unit[2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
-    unknown = bounded_unknowns(system, state)
-    inverse = np.empty((len(unknown), len(unknown)))
-    force_inverse(system, state, unit, unknown, weight, inverse)
-    return unknown, inverse, weight
+    return least_norm(block, none, NEGLIGIBLE, least, np.empty((0, size))) < size
 
 
 @inlined
@@ -339,19 +163,21 @@ def _fits(system, state, cap, unknown, forces, scale):
         for i in range(len(forces)):
             total += system.w[place, i] * forces[i]
             size += abs(system.w[place, i]) * scale
-        if not abs(total) <= MOVES * size:
+        if not abs(total) <= NEGLIGIBLE * size:
             return False
     for j in range(len(cap)):
         f = forces[3 * j + 2]
-        if state.normal[j] == HELD and not -FIT * scale <= f <= cap[j] + FIT * scale:
+        if state.normal[j] == HELD and not -NEGLIGIBLE * scale <= f <= cap[j] + NEGLIGIBLE * scale:
             return False
-    return _within_bounds(system, state, forces, 1.0 + FIT)
+    return _within_bounds(system, state, forces, 1.0 + NEGLIGIBLE)
 
 
 @inlined
 def _within_bounds(system, state, forces, part):
     """Return whether friction that holds keeps within a part of its bounds."""
     for j in range(len(system.friction)):
+        if state.tangent[j] == BOUND:
+            return False
         if state.tangent[j] == STUCK:
             bound = system.friction[j] * forces[3 * j + 2]
             if not math.hypot(forces[3 * j], forces[3 * j + 1]) <= bound * part:
@@ -383,7 +209,7 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
         if not any_held:
             break
         change = max(change, _press_held(system, state, unit, cap, forces))
-        if change <= FIT:
+        if change <= NEGLIGIBLE:
             break
     scale, moves = 0.0, False
     for i in range(3 * n):
@@ -399,18 +225,18 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
                 size += (abs(w[x, i]) + abs(w[y, i])) * scale
             fastest = math.hypot(ax, ay)
             slack = (bound - length) * (w[x, x] + w[y, y])
-            if fastest > max(MOVES * size, slack):
+            if fastest > max(NEGLIGIBLE * size, slack):
                 ux, uy = ax / fastest, ay / fastest
                 if length > 0.0:
                     ux, uy = -forces[x] / length, -forces[y] / length
-                firm = smooth and length > 0.0 and p[z] > FIRM * heaviest
+                firm = smooth and length > 0.0 and p[z] > BEGINS * heaviest
                 state.direction[2 * j], state.direction[2 * j + 1] = ux, uy
                 start = 0.0 if firm else SLIP_SPEED
                 state.v[x], state.v[y] = start * ux, start * uy
                 state.fresh[j] = RESUMED if firm else 1
                 state.tangent[j] = SLIPPING
                 moves = True
-            elif bound > 0.0 and length < (1.0 - NEAR_BOUND) * bound:
+            elif bound > 0.0 and length < (1.0 - SAME) * bound:
                 state.share[2 * j], state.share[2 * j + 1] = forces[x] / forces[z], forces[y] / forces[z]
             elif length > 0.0:
                 state.tangent[j] = BOUND
@@ -422,13 +248,13 @@ def _admit(system, state, unit, cap, p, heaviest, smooth, forces):
             for i in range(3 * n):
                 rise += w[z, i] * forces[i]
                 size += abs(w[z, i]) * scale
-            if forces[z] <= 0.0 and rise > MOVES * size:
+            if forces[z] <= 0.0 and rise > NEGLIGIBLE * size:
                 state.normal[j] = OPEN
                 state.tangent[j] = FREE
                 state.indentation[j] = 0.0
                 state.deepest[j] = 0.0
                 moves = True
-            elif forces[z] >= cap[j] and rise < -MOVES * size:
+            elif forces[z] >= cap[j] and rise < -NEGLIGIBLE * size:
                 state.normal[j] = LOADING
                 moves = True
     return moves
@@ -448,47 +274,6 @@ def _holding(system, state, forces):
             at[count] = j
             count += 1
     return at[:count].copy(), strongest
-
-
-@inlined
-def _keep_from_bounds(system, state, forces):
-    """Let the friction of contacts that hold the same keep as far from its bounds as it can. (14.4)
-
-    Returns how far that is, in parts of the bounds.
-
-    Args:
-        system, state: What collides. Its shares are set.
-        forces: (3n,) with friction that lets nothing move.
-    """
-    w, friction = system.w, system.friction
-    at, strongest = _holding(system, state, forces)
-    count = len(at)
-    size = 2 * count
-    block, none, least, null = np.empty((size, size)), np.zeros(size), np.empty(size), np.empty((size, size))
-    for a in range(size):
-        for b in range(size):
-            block[a, b] = w[3 * at[a // 2] + a % 2, 3 * at[b // 2] + b % 2]
-    free = size - least_norm(block, none, REDUNDANT, least, null)
-    program, linear = np.zeros((free + 1, free + 1)), np.zeros(free + 1)
-    cones, sides = np.zeros((3 * count, free + 1)), np.zeros(3 * count)
-    linear[free] = -1.0
-    for c in range(count):
-        sides[3 * c] = cones[3 * c, free] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
-        for a in range(2):
-            sides[3 * c + 1 + a] = forces[3 * at[c] + a] / strongest
-            for b in range(free):
-                cones[3 * c + 1 + a, b] = -null[b, 2 * c + a]
-    x, s, z = np.empty(free + 1), np.empty(3 * count), np.empty(3 * count)
-    cone_program(program, linear, cones, sides, NO_LINES, repeated(count, CONE), 1e-12, x, s, z)
-    if x[free] > NEAR_BOUND:
-        for c in range(count):
-            state.tangent[at[c]] = STUCK
-            for a in range(2):
-                force = forces[3 * at[c] + a]
-                for b in range(free):
-                    force += strongest * x[b] * null[b, 2 * c + a]
-                state.share[2 * at[c] + a] = force / forces[3 * at[c] + 2]
-    return x[free]
 
 
 @inlined
@@ -526,7 +311,7 @@ def _hold_plane(system, state, forces):
             cones[3 * c + 1 + a, 2 * c + a] = -1.0
         sides[3 * c] = friction[at[c]] * forces[3 * at[c] + 2] / strongest
     x, s, z = np.empty(2 * count), np.empty(3 * count), np.empty(3 * count)
-    cone_program(program, linear, cones, sides, NO_LINES, sizes, 1e-22, x, s, z)
+    cone_program(program, linear, cones, sides, np.int64(0), sizes, 1e-22, x, s, z)
     change = 0.0
     for c in range(count):
         for a in range(2):

@@ -9,72 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
-from .codes import BOUND, HELD, LOADING, OPEN, SLIPPING, STUCK
+from .codes import BOUND, HELD, SLIPPING, STUCK
+from .propagation_state import TIED, Array, begins, friction_share, loads, rate
+from .tolerances import NEGLIGIBLE
 
-Array = NDArray[np.float64]
-Codes = NDArray[np.int64]
-
-TIED, RESUMED = 2, 4
-"""`State.fresh` of a slip that begins as friction comes to its bound, and of one that does beyond it."""
-
-RANK = 1e-11
-"""Pivots below this part of the largest count as zero."""
-
-
-class System(NamedTuple):
-    """What n contacts are during an impact.
-
-    Attributes:
-        w: (3n, 3n) W.
-        friction: (n,) μ.
-        unloading: (n,) ρ = 1/e², and 0 for a contact that restores nothing.
-        stiffness: (n,) κ.
-        exponent: η.
-    """
-
-    w: Array
-    friction: Array
-    unloading: Array
-    stiffness: Array
-    exponent: float
-
-
-class State(NamedTuple):
-    """Where an impact has come to.
-
-    Attributes:
-        v: (3n,) velocities.
-        impulse: (3n,) P.
-        indentation: (n,) δ, negative for a gap.
-        deepest: (n,) the largest δ since the contact closed.
-        normal: (n,) modes OPEN, LOADING, RISING, SINKING, HELD.
-        tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
-        direction: (2n,) of the slip that a contact at the bound of its friction would take.
-        fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
-            3 where friction has come there, 4 for a slip that begins with an acceleration.
-        share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
-        pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
-        last: (n,) the force of a held contact as its modes were last chosen.
-        ringing: (n,) by how much the force of a held contact oscillates about its mean.
-    """
-
-    v: Array
-    impulse: Array
-    indentation: Array
-    deepest: Array
-    normal: Codes
-    tangent: Codes
-    direction: Array
-    fresh: Codes
-    share: Array
-    pressed: Array
-    last: Array
-    ringing: Array
+ORDER, SHORT = np.int64(24), np.int64(2)
+"""Of the series; what is left of it where a slip runs straight at zero."""
 
 
 class Series(NamedTuple):
@@ -108,24 +52,6 @@ def new_series(order, n):
 
 
 @inlined
-def loads(mode):
-    """Return whether the force of a contact in this mode follows from its indentation."""
-    return mode != OPEN and mode != HELD
-
-
-@inlined
-def begins(fresh):
-    """Return whether a slip begins now, so that its direction is known before its velocity is."""
-    return fresh in (TIED, RESUMED)
-
-
-@inlined
-def rate(system, mode, j):
-    """Return ρ: how fast the indentation follows the velocity."""
-    return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
-
-
-@inlined
 def bounded_unknowns(system, state):
     """Return the places in (3n,) of the forces that follow from velocities that do not change."""
     n = len(system.friction)
@@ -140,17 +66,6 @@ def bounded_unknowns(system, state):
             places[count] = 3 * j + 2
             count += 1
     return places[:count].copy()
-
-
-@inlined
-def friction_share(system, state, unit, j):
-    """Return the friction of a contact that goes with its normal force, in parts of it."""
-    tangent, x, y = state.tangent[j], 2 * j, 2 * j + 1
-    if tangent == STUCK:
-        return state.share[x], state.share[y]
-    if tangent in (SLIPPING, BOUND):
-        return -system.friction[j] * unit[x], -system.friction[j] * unit[y]
-    return 0.0, 0.0
 
 
 @inlined
@@ -186,10 +101,22 @@ def force_inverse(system, state, unit, unknown, weight, inverse):
     units, columns = np.zeros((m, m)), np.empty((m, m))
     for b in range(m):
         units[b, b] = 1.0
-    least_norms(scaled, units, RANK, columns, np.empty((0, m)))
+    least_norms(scaled, units, NEGLIGIBLE, columns, np.empty((0, m)))
     for b in range(m):
         for a in range(m):
             inverse[a, b] = roots[a] * columns[b, a] * roots[b]
+
+
+@inlined
+def unknown_after(system, state, unit, weight):
+    """Return the places of the unknown forces, the matrix that solves for them, and their weights."""
+    for j in range(len(system.friction)):
+        if state.tangent[j] == BOUND or state.fresh[j] != 0:
+            unit[2 * j], unit[2 * j + 1] = state.direction[2 * j], state.direction[2 * j + 1]
+    unknown = bounded_unknowns(system, state)
+    inverse = np.empty((len(unknown), len(unknown)))
+    force_inverse(system, state, unit, unknown, weight, inverse)
+    return unknown, inverse, weight
 
 
 @inlined
@@ -361,8 +288,8 @@ def _turn(system, state, series, k, pace, ties, answers):
                 matrix[2 * c + part, 2 * other + 1] = -total / sizes[other]
             if last == k:
                 matrix[2 * c + part, 2 * c + 1] += factor * speed[0, j] * across_d / sizes[c]
-    if solve(matrix, right, x, RANK) == 0:  # as where nothing can move across, or forces are not unique
-        least_norm(matrix, right, RANK, x, np.empty((0, 2 * count)))
+    if solve(matrix, right, x, NEGLIGIBLE) == 0:  # as where nothing can move across, or forces are not unique
+        least_norm(matrix, right, NEGLIGIBLE, x, np.empty((0, 2 * count)))
     for c in range(count):
         j = ties[c]
         x[2 * c + 1] /= sizes[c]

@@ -12,6 +12,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
 from .first_fall import NEVER
+from .tolerances import BALANCED, DRIFT, FIRST_STEP, ROUNDED, SHORTEST, SLOW
 
 # C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
 IMPLICIT = np.array(
@@ -57,8 +58,6 @@ ERROR = WEIGHTS - np.array(
 
 STAGES = 6
 
-FIRST_STEP, SHORTEST = 1e-3, 1e-12
-"""Of the clock."""
 
 GROWS, SHRINKS, SAFE = 5.0, 0.1, 0.9
 """By what a step may differ from the one before."""
@@ -66,17 +65,9 @@ GROWS, SHRINKS, SAFE = 5.0, 0.1, 0.9
 CREEP = 10.0
 """A speed of slip, in parts of the accuracy, up to which friction is proportional to it."""
 
-BALANCED, ROUNDING = 1e-9, 1e-14
-"""What Newton's method may be off in a stage: parts of the strongest friction, and of velocities."""
 
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
 """Of Newton's method and of its line search at most; part of the slope that the search may leave."""
-
-STILL = 1e-12
-"""An acceleration that is none: friction has locked what is left."""
-
-SLOW = 1e-10
-"""A speed of approach, now or to come, below which what is left is at rest."""
 
 
 @declared(
@@ -284,7 +275,7 @@ def _minimize(rows, bound, creep, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= ROUNDING + BALANCED * strongest:
+        if off <= ROUNDED + BALANCED * strongest:
             return
         _curvature(rows, bound, creep, v, matrix)
         _solve(matrix, gradient, way)
@@ -405,6 +396,6 @@ def _locked(rows, rate, v, force, creep):
         total = 0.0
         for k in range(rows.shape[1]):
             total += rows[a, k] * rate[k]
-        if abs(total) > STILL:
+        if abs(total) > DRIFT:
             return False
     return some

@@ -36,7 +36,7 @@ from .codes import (
 from .contact_problem import PROCEEDS, prepare
 from .delassus import EPS
 from .ending import finish, no_result, plain, without_impact
-from .ledger import CLOSE_TO_JUMP, close_move, left_to_gain, new_ledger
+from .ledger import close_move, left_to_gain, new_ledger
 from .moves import (
     State,
     frictionless_course,
@@ -48,6 +48,7 @@ from .moves import (
 )
 from .recording import record_move, record_point
 from .stiff_step import STAGES, settling, stiff_step
+from .tolerances import CLOSE_TO_JUMP, ROOM, ROUNDED
 
 MAX_SCALES = 1000
 """An impact that slips for more than this many times the scale of its steps is given up."""
@@ -55,8 +56,6 @@ MAX_SCALES = 1000
 MAX_CHOSEN = 100_000
 """So is one that takes more than this many steps of chosen length."""
 
-ROOM = 1.0 + 1e-9
-"""How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
 
 TURNED = 64.0 * EPS
 """Angle between two steps that is more than rounding."""
@@ -65,8 +64,6 @@ STIFF = 2.0
 """A step of chosen length is stiff if the direction of slip settles within it more often than this; explicit
 steps bear little more than three times."""
 
-ROUNDED = 1e-14
-"""Part of the impulse of friction that counts as none, for the end of slip by steps of given length."""
 
 SLIP_ENDS, V3_ZERO, GOAL = 0, 1, 2
 """What a step is bisected for."""

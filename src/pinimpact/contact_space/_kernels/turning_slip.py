@@ -21,13 +21,13 @@ from .codes import (
 )
 from .contact_problem import Problem
 from .invariant_direction import expand_around_root, nearby_root
-from .ledger import CLOSE_TO_JUMP
 from .moves import NO_FORCE, Move, State, Units, jams, lifting, tied
 from .recording import record_series
 from .slip_equations import TERMS, Polynomials, Shape, expand, reach
 from .slip_events import seek, seek_near
 from .slip_series import SlipSeries, first_root, halley, last_root, point
 from .slip_works import works
+from .tolerances import CLOSE_TO_JUMP
 
 BEYOND_GUESS = 1.0625
 """How far a series is made for an event, over the guess of where it lies, mostly right to a percent."""

@@ -22,8 +22,9 @@ from ..._compile.declared import (
 from ..._compile.jit import inlined, jit, released
 from ..._numeric.products import dot
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED, NO_IMPACT
-from ...contact_space._kernels.delassus import WELL_CONDITIONED, clear
+from ...contact_space._kernels.delassus import clear
 from ...contact_space._kernels.path import SCRATCH, solve_into
+from ...contact_space._kernels.tolerances import WELL_CONDITIONED
 from ...contact_space.inputs import FACTOR
 from .contact_kinematics import contact_rows, fill_by_axes
 from .delassus_factor import delassus_factor

@@ -1,0 +1,128 @@
+"""A step of an impact at many contacts: its end, its works, and what is recorded. (theory.md, section 14)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.jit import inlined
+from ..._numeric.loops import power
+from .codes import (
+    COMPRESSION,
+    FREE,
+    HELD,
+    IN_SLIP,
+    IN_STICK,
+    LOADING,
+    NONE_YET,
+    OPEN,
+    RESTITUTION,
+    RISING,
+    SLIPPING,
+)
+from .first_fall import value_at
+from .propagation_state import open_contact
+from .tolerances import SLIP_SPEED, SLOW
+
+
+@inlined
+def time_power(k, h, pace, root):
+    """Return what the coefficient k of a force comes to in an impulse at the end of a step."""
+    if root:
+        return 2.0 * pace * pace * power(h, k + 2) / (k + 2.0)
+    return pace * power(h, k + 1) / (k + 1.0)
+
+
+@inlined
+def advance(system, state, series, h, degree, pace, root, works, rows, used, latest):
+    """Go to the end of a step, with works and rows; return how many rows there are."""
+    n = len(system.friction)
+    for j in range(n):
+        x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+        before = state.impulse[z]
+        if state.normal[j] != OPEN:
+            normal_work = friction_work = 0.0
+            for k in range(degree + 1):
+                normal_power = friction_power = 0.0
+                for i in range(k + 1):
+                    normal_power += series.force[i, z] * series.v[k - i, z]
+                    friction_power += series.force[i, x] * series.v[k - i, x]
+                    friction_power += series.force[i, y] * series.v[k - i, y]
+                part = time_power(k, h, pace, root)
+                normal_work += normal_power * part
+                friction_work += friction_power * part
+                for i in range(x, z + 1):
+                    state.impulse[i] += series.force[k, i] * part
+            restores = state.normal[j] == RISING or state.normal[j] == HELD
+            works[j, 1 if restores else 0] += normal_work
+            works[j, 2] += friction_work
+            if rows.shape[0] > 0 and state.impulse[z] > before:
+                slips = state.tangent[j] == SLIPPING or state.tangent[j] == FREE
+                mode, phase = IN_SLIP if slips else IN_STICK, RESTITUTION if restores else COMPRESSION
+                last = latest[j]
+                if last >= 0 and rows[last, 1] == mode and rows[last, 2] == phase and rows[last, 4] == before:
+                    rows[last, 4] = state.impulse[z]
+                elif used < rows.shape[0]:
+                    rows[used, 0], rows[used, 1], rows[used, 2] = j, mode, phase
+                    rows[used, 3], rows[used, 4] = before, state.impulse[z]
+                    latest[j] = used
+                    used += 1
+        for i in range(x, z + 1):
+            state.v[i] = value_at(series.v, i, degree, h)
+        speed = math.hypot(state.v[x], state.v[y])
+        if speed > 10.0 * SLIP_SPEED:
+            state.fresh[j] = 0
+        if speed > SLOW and state.tangent[j] != FREE:
+            state.tangent[j] = SLIPPING
+        if state.normal[j] == HELD and abs(state.v[z]) > SLOW:
+            if state.v[z] < 0.0:
+                state.normal[j] = LOADING
+            else:
+                open_contact(state, j)
+        if state.normal[j] == HELD:
+            state.last[j] = value_at(series.force, z, degree, h)
+            cap = system.stiffness[j] * state.deepest[j] ** system.exponent
+            state.ringing[j] = min(state.ringing[j], max(cap - state.last[j], 0.0) / system.exponent)
+        state.indentation[j] = value_at(series.indentation, j, degree, h)
+        if state.normal[j] == LOADING:
+            state.deepest[j] = state.indentation[j]
+    return used
+
+
+@inlined
+def record(path, points, clock, state):
+    """Append a point to the path, if there is room."""
+    if points < path.shape[0]:
+        path[points, 0] = clock
+        for i in range(len(state.v)):
+            path[points, 1 + i] = state.v[i]
+            path[points, 1 + len(state.v) + i] = state.impulse[i]
+        return points + 1
+    return points
+
+
+@inlined
+def record_step(path, points, clock, series, state, h, degree, pace, root):
+    """Append the points of a step to the path, its end the last of them."""
+    m = len(state.v)
+    for part in range(1, POINTS):
+        if points < path.shape[0]:
+            s = h * part / POINTS
+            path[points, 0] = clock + time_power(NONE_YET, s, pace, root)
+            for i in range(m):
+                path[points, 1 + i] = value_at(series.v, i, degree, s)
+                rest = 0.0
+                for k in range(degree + 1):
+                    rest += series.force[k, i] * (time_power(k, h, pace, root) - time_power(k, s, pace, root))
+                path[points, 1 + m + i] = state.impulse[i] - rest
+            points += 1
+    return record(path, points, clock + time_power(NONE_YET, h, pace, root), state)
+
+
+POINTS = 4
+"""Points recorded on a step."""
+
+
+NO_ROW = np.int64(-1)
+"""Where a contact has no row yet."""

@@ -1,0 +1,173 @@
+"""The events of an impact at many contacts: where modes end, and what follows. (theory.md, section 14)"""
+
+from __future__ import annotations
+
+import math
+
+from ..._compile.jit import inlined
+from .codes import HELD, LOADING, OPEN, RISING, SINKING, SLIPPING, STUCK
+from .first_fall import NEVER, first_fall, value_at
+from .propagation_series import ORDER, SHORT
+from .propagation_state import AT_BOUND, TIED, begins, close, open_contact, stick
+from .tolerances import NEGLIGIBLE, ROUNDED, SAME, SLIP_SPEED, SLOW, STOPS
+
+REACH = 20.0
+"""Steps within which a slip that runs straight at zero is there."""
+
+
+@inlined
+def _fall(c, h, zero, crowded, work):
+    """Return where a guard falls; from zero at once does not count where that has been so too often."""
+    time = first_fall(c, ORDER, h, zero, work)
+    return NEVER if crowded and time <= 0.0 and c[0] >= -zero else time
+
+
+@inlined
+def find_events(system, state, series, h, crowded, roots, guard, work):
+    """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
+    n = len(system.friction)
+    first, degree = NEVER, ORDER
+    strongest = 0.0
+    for j in range(n):
+        for k in range(2):
+            strongest = max(strongest, abs(series.force[k, 3 * j + 2]))
+    for j in range(n):
+        mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
+        for k in range(3):
+            roots[j, k] = NEVER
+        for k in range(ORDER + 1):
+            if mode == OPEN:
+                guard[k] = -series.indentation[k, j]
+            elif mode == HELD:
+                guard[k] = series.force[k, z] - (state.ringing[j] if k == 0 else 0.0)
+            elif mode == RISING:
+                guard[k] = series.v[k, z]
+            else:
+                guard[k] = -series.v[k, z]
+        roots[j, 0] = _fall(guard, h, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+        if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
+            for k in range(ORDER):
+                guard[k] = (k + 1.0) * series.force[k + 1, z]
+            guard[ORDER] = 0.0
+            top = _fall(guard, h, ROUNDED * strongest, crowded, work)
+            cap = system.stiffness[j] * state.deepest[j] ** system.exponent
+            highest = value_at(series.force, z, ORDER, top) if top < roots[j, 0] else 0.0
+            if highest + state.ringing[j] * system.exponent > cap * (1.0 + NEGLIGIBLE):
+                roots[j, 0] = top
+        if mode in (RISING, SINKING, HELD):
+            for k in range(ORDER + 1):
+                if mode == RISING:
+                    guard[k] = series.indentation[k, j]
+                else:
+                    guard[k] = -series.force[k, z] if mode == HELD else -series.indentation[k, j]
+            if mode == SINKING:
+                guard[0] += state.deepest[j]
+            elif mode == HELD:
+                guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
+            roots[j, 1] = _fall(guard, h, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+        if state.tangent[j] == STUCK:
+            square = system.friction[j] * system.friction[j]
+            for k in range(ORDER + 1):
+                total = 0.0
+                for i in range(k + 1):
+                    total += square * series.force[i, z] * series.force[k - i, z]
+                    total -= series.force[i, x] * series.force[k - i, x]
+                    total -= series.force[i, y] * series.force[k - i, y]
+                guard[k] = total
+            roots[j, 2] = _fall(guard, h, 1e-2 * NEGLIGIBLE * strongest * strongest, crowded, work)
+        elif state.tangent[j] == SLIPPING:
+            ux, uy = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
+            speed = series.speed[0, j]
+            for k in range(ORDER + 1):
+                guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
+            if begins(state.fresh[j]):  # it begins with s² or s
+                guard[0] = 0.0
+            if state.fresh[j] == TIED:
+                guard[1] = 0.0
+            time = _fall(guard, h, 0.0, False, work)
+            if time < NEVER:
+                across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
+                if abs(across) <= 10.0 * ROUNDED:
+                    roots[j, 2] = time
+            elif speed < STOPS and not begins(state.fresh[j]):
+                along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
+                near = speed <= REACH * h * -along  # else something else happens long before
+                straight = along < 0.0 and near and across * speed <= ROUNDED * -along
+                if state.fresh[j] != 0:  # it has just begun
+                    straight = straight and speed < 0.5 * SLIP_SPEED
+                straight = straight and _neglected(series, -speed / along) <= ROUNDED
+                if straight or (state.fresh[j] == 0 and speed < 10.0 * ROUNDED and across > 0.1 * along):
+                    roots[j, 2] = -speed / along if straight else 0.0
+                    if roots[j, 2] < first:
+                        degree = SHORT
+        for k in range(3):
+            if roots[j, k] < first:
+                first = roots[j, k]
+                if k < 2 or state.tangent[j] == STUCK:
+                    degree = ORDER
+    return first, degree
+
+
+@inlined
+def _neglected(series, h):
+    """Return what velocities change in a step beyond its short series."""
+    largest = 0.0
+    for i in range(series.v.shape[1]):
+        largest = max(largest, abs(series.v[SHORT + 1, i]))
+    return largest * h**3
+
+
+@inlined
+def apply_events(system, state, series, roots, first, tie):
+    """Change the modes of contacts whose time has come."""
+    now = first + tie
+    before = state.tangent.copy()
+    at_bound = False
+    for j in range(len(system.friction)):
+        at_bound = at_bound or (before[j] == STUCK and roots[j, 2] <= now)
+    for j in range(len(system.friction)):
+        z = 3 * j + 2
+        state.fresh[j] = 0 if state.fresh[j] == AT_BOUND else state.fresh[j]
+        normal, held, tangent = roots[j, 0] <= now, roots[j, 1] <= now, roots[j, 2] <= now
+        mode = state.normal[j]
+        if mode in (LOADING, RISING, SINKING):  # at zero with what has come there, but for rounding
+            normal = normal or abs(state.v[z]) <= ROUNDED < abs(series.v[0, z])
+        if tangent and before[j] == SLIPPING:
+            stick(state, j)
+            for other in range(len(system.friction)):  # a body that comes to rest does so at all its contacts
+                speed = math.hypot(state.v[3 * other], state.v[3 * other + 1])
+                if state.tangent[other] == SLIPPING and state.fresh[other] == 0 and speed <= SLOW:
+                    stick(state, other)
+        elif at_bound and before[j] == STUCK:  # with all that are as good as there
+            fx, fy = value_at(series.force, z - 2, ORDER, first), value_at(series.force, z - 1, ORDER, first)
+            length = math.hypot(fx, fy)
+            bound = system.friction[j] * value_at(series.force, z, ORDER, first)
+            if length > 0.0 and (tangent or length >= (1.0 - SAME) * bound):
+                state.direction[2 * j], state.direction[2 * j + 1] = -fx / length, -fy / length
+                state.fresh[j] = AT_BOUND
+        if not (normal or held):
+            continue
+        if mode == OPEN:
+            close(system, state, j)
+        elif mode == LOADING or (mode == SINKING and normal):
+            state.v[z] = 0.0
+            if state.indentation[j] <= ROUNDED:
+                open_contact(state, j)
+            else:
+                state.normal[j] = HELD if system.unloading[j] == 0.0 else RISING
+                state.last[j] = system.stiffness[j] * state.indentation[j] ** system.exponent
+                state.ringing[j] = 0.0
+        elif mode == SINKING:
+            state.normal[j] = LOADING
+            state.indentation[j] = state.deepest[j]
+        elif mode == RISING and held:
+            open_contact(state, j)
+        elif mode == RISING:
+            state.v[z] = 0.0
+            state.normal[j] = SINKING
+        elif held:
+            state.normal[j] = LOADING
+        elif state.ringing[j] <= NEGLIGIBLE:
+            open_contact(state, j)
+        elif state.last[j] <= state.ringing[j] + NEGLIGIBLE:
+            close(system, state, j)

@@ -1,0 +1,130 @@
+"""What n contacts are during an impact, and where it has come to. (theory.md, section 14)"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._compile.jit import inlined
+from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
+from .tolerances import NEGLIGIBLE
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.int64]
+
+TIED, RESUMED, AT_BOUND = 2, 4, 3
+"""`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, and where
+friction has come to its bound."""
+
+
+class System(NamedTuple):
+    """What n contacts are during an impact.
+
+    Attributes:
+        w: (3n, 3n) W.
+        friction: (n,) μ.
+        unloading: (n,) ρ = 1/e², and 0 for a contact that restores nothing.
+        stiffness: (n,) κ.
+        exponent: η.
+    """
+
+    w: Array
+    friction: Array
+    unloading: Array
+    stiffness: Array
+    exponent: float
+
+
+class State(NamedTuple):
+    """Where an impact has come to.
+
+    Attributes:
+        v: (3n,) velocities.
+        impulse: (3n,) P.
+        indentation: (n,) δ, negative for a gap.
+        deepest: (n,) the largest δ since the contact closed.
+        normal: (n,) modes OPEN, LOADING, RISING, SINKING, HELD.
+        tangent: (n,) modes FREE, SLIPPING, STUCK, BOUND.
+        direction: (2n,) of the slip that a contact at the bound of its friction would take.
+        fresh: (n,) 1 for a slip that has just begun, 2 for one that begins as friction comes to its bound,
+            3 where friction has come there, 4 for a slip that begins with an acceleration.
+        share: (2n,) what friction that holds is, beyond what the equations ask for, in parts of the force.
+        pressed: (n,) what the force of a held contact is, beyond what the equations ask for.
+        last: (n,) the force of a held contact as its modes were last chosen.
+        ringing: (n,) by how much the force of a held contact oscillates about its mean.
+    """
+
+    v: Array
+    impulse: Array
+    indentation: Array
+    deepest: Array
+    normal: Codes
+    tangent: Codes
+    direction: Array
+    fresh: Codes
+    share: Array
+    pressed: Array
+    last: Array
+    ringing: Array
+
+
+@inlined
+def loads(mode):
+    """Return whether the force of a contact in this mode follows from its indentation."""
+    return mode != OPEN and mode != HELD
+
+
+@inlined
+def begins(fresh):
+    """Return whether a slip begins now, so that its direction is known before its velocity is."""
+    return fresh in (TIED, RESUMED)
+
+
+@inlined
+def rate(system, mode, j):
+    """Return ρ: how fast the indentation follows the velocity."""
+    return 1.0 if mode in (OPEN, LOADING) or system.unloading[j] == 0.0 else system.unloading[j]
+
+
+@inlined
+def friction_share(system, state, unit, j):
+    """Return the friction of a contact that goes with its normal force, in parts of it."""
+    tangent, x, y = state.tangent[j], 2 * j, 2 * j + 1
+    if tangent == STUCK:
+        return state.share[x], state.share[y]
+    if tangent in (SLIPPING, BOUND):
+        return -system.friction[j] * unit[x], -system.friction[j] * unit[y]
+    return 0.0, 0.0
+
+
+@inlined
+def close(system, state, j):
+    """Let a contact begin to load."""
+    state.normal[j] = LOADING
+    state.indentation[j] = 0.0
+    state.deepest[j] = 0.0
+    state.tangent[j] = FREE
+    if system.friction[j] > 0.0:
+        state.tangent[j] = SLIPPING
+        if math.hypot(state.v[3 * j], state.v[3 * j + 1]) <= NEGLIGIBLE:
+            stick(state, j)
+
+
+@inlined
+def stick(state, j):
+    """Let the slip of a contact be at its end."""
+    state.tangent[j] = STUCK
+    state.v[3 * j] = 0.0
+    state.v[3 * j + 1] = 0.0
+
+
+@inlined
+def open_contact(state, j):
+    """Let a contact part."""
+    state.normal[j] = OPEN
+    state.tangent[j] = FREE
+    state.indentation[j] = 0.0
+    state.deepest[j] = 0.0

@@ -1,0 +1,116 @@
+"""Tolerances of impacts. Each says what it is a part of, or its unit, and why it has its size.
+
+Impacts at many contacts are scaled: the largest velocity is one, and the largest κ W₃₃. Their clock, speeds,
+accelerations and forces are then of order one.
+"""
+
+from __future__ import annotations
+
+# ---- one contact
+
+CLEAR = 1e-12
+"""det W over (tr W)³ above which W is regular: det W ≤ λ_min (tr W)²/4."""
+
+WELL_CONDITIONED = 1e-6
+"""The same, above which what is small in W has nine digits or more without a factor."""
+
+VANISHES = 1e-250
+"""Coefficients of a series below this are zero: close to the smallest doubles arithmetic is slow."""
+
+CLOSE_TO_JUMP = 1e-2
+"""Relative distance to a jump of the impact map within which NEAR_JUMP is set."""
+
+NEAR_THRESHOLD = 1e-6
+"""Relative distance of μ to the stick threshold within which NEAR_STICK_THRESHOLD is set."""
+
+ROUNDED = 1e-14
+"""Part of the impulse of friction that counts as none, for the end of slip by steps of given length; and part
+of the largest velocity at many contacts that is zero: some fifty roundings."""
+
+ROOM = 1.0 + 1e-9
+"""How far the impulse that sets v_t to zero may leave the cone of friction, for rounding."""
+
+# ---- many contacts, from event to event
+
+NEGLIGIBLE = 1e-11
+"""Part by which forces, accelerations, pivots, tangential velocities and times of events may differ and be
+one: they are sums of terms of order one, or come from velocities and W of a robot with their rounding."""
+
+SLOW = 1e-10
+"""A speed, in parts of the largest, at which what was held is not; and of an approach that is rest."""
+
+DRIFT = 1e-12
+"""Part of the largest velocity by which one may differ from what impulses make of it; and the acceleration
+of what friction has locked, in the steps."""
+
+STOPS = 1e-7
+"""A slip below this speed that runs straight at zero is taken there in one step, of second order."""
+
+NOWHERE = 1e-6
+"""Part of the speed at which slips begin that the series of one that begins has to reach."""
+
+SEEN = 1e-3
+"""Part of the accuracy of velocities that impulses have where velocities do not feel them."""
+
+SLIP_SPEED = 1e-13
+"""The speed at which a slip begins, in parts of the largest velocity: a perturbation of rounding's size."""
+
+AHEAD = 1e-6
+"""How far ahead forces are compared, in the clock: where all begin at zero their first terms decide."""
+
+UNTURNED = 1e-3
+"""How far ahead that is at most, in the unit of the clock in which slow slip turns slowly."""
+
+SAME = 1e-6
+"""Part of the largest force by which forces that hold the same differ; and of a bound within which friction
+is at it: what `AHEAD` lets forces change."""
+
+WEAK = 1e-9
+"""Part of the largest bound below which friction does not matter."""
+
+FAR_FROM_BOUNDS = 1e-3
+"""Part of the bounds that friction of redundant contacts keeps from them; nearer its end is not followed."""
+
+BEGINS = 1e-4
+"""Part of what its terms come to below which an acceleration or a force is only growing from zero."""
+
+TURNED = 1e-12
+"""A turn of the direction of a slip that begins that is the last of Newton's method [rad]."""
+
+NOISE = 1e-13
+"""Part of the largest coefficient of a guard below which one is rounding."""
+
+SHORTEST_BRACKET = 1e-15
+"""An interval, in parts of the whole, that counts as a point."""
+
+# ---- many contacts, by steps and all at once
+
+FIRST_STEP, SHORTEST = 1e-3, 1e-12
+"""Of the clock."""
+
+BALANCED = 1e-9
+"""What Newton's method may be off in a stage, in parts of the strongest friction."""
+
+FOUND = 1e-8
+"""What Coulomb's law may be missed by where it is met well enough, in parts of the largest velocity."""
+
+MISSED = 1e-6
+"""Part of velocities, impulses and works that may be missed or gained, before waves count as lost; and of the
+largest velocity that an approach may keep after a plastic impact, where forces are large."""
+
+STEP_ACCURACY, FINEST = 1e-10, 1e-13
+"""Part of the largest velocity that a step may miss at first, and at least."""
+
+AGREE, USEFUL = 1e-7, 1e-3
+"""Part of the largest velocity to which two passes agree at the end; beyond it they say nothing."""
+
+FIRST_RESTITUTION = 4e-3
+"""The first of those that are halved to extrapolate to e = 0 in steps."""
+
+# ---- what is told of solutions, and what is asked of inputs
+
+RESTS = 1e-9
+"""Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""
+
+FITTING = 1e-9
+"""Part of the largest entry of W by which a factor of it may miss it."""

@@ -1,0 +1,114 @@
+"""All contacts at once: the policies "together" and "reflect". (theory.md, 14)"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, LawError, PinimpactError
+from ._kernels.tolerances import DRIFT
+from .many_inputs import ManyInputs, refuse, solution_of
+from .many_solution import ManySolution
+
+MOST_IMPACTS = 200
+"""Impacts per contact after which the limit of what goes on without end is taken."""
+
+
+def together(inputs: ManyInputs, record: bool) -> ManySolution:
+    """Poisson's law in two phases; see `solve_together`."""
+    return solve_together(inputs)[0]
+
+
+def solve_together(inputs: ManyInputs) -> tuple[ManySolution, float]:
+    """Return the solution of (14.7), and by what part of the velocities it misses Coulomb's law."""
+    from ._kernels.plastic import impulses_together
+
+    if inputs.law != "poisson" and inputs.restitution.any():
+        raise LawError(
+            f'law: {inputs.law!r} given, but "together" has only Poisson\'s law (or e = 0)',
+            field="law",
+            value=inputs.law,
+        )
+    n = len(inputs.velocity)
+    velocity = inputs.velocity.ravel()
+    compression, restitution = np.zeros((2, 3 * n))
+    w, mu, k = inputs.delassus, inputs.friction, inputs.stiffness
+    missed = impulses_together(w, velocity, mu, np.zeros(n), k, compression)
+    between = velocity + inputs.delassus @ compression
+    given = inputs.restitution * np.maximum(compression[2::3], 0.0)
+    if given.any():
+        further = impulses_together(w, between, mu, given, k, restitution)
+        missed = max(missed, further)
+    after = between + inputs.delassus @ restitution
+    rest = 1e-6 * float(np.abs(velocity).max(initial=0.0))
+    if (after[2::3] < -rest).any() or not np.isfinite(after).all():
+        refuse(inputs)
+    works = np.zeros((n, 3))
+    for start, end, impulse in ((velocity, between, compression), (between, after, restitution)):
+        powers = (0.5 * (start + end) * impulse).reshape(n, 3)
+        works[:, 0 if impulse is compression else 1] += powers[:, 2]
+        works[:, 2] += powers[:, 0] + powers[:, 1]
+    total = compression + restitution
+    notes = () if missed <= 1e-9 else (f"Coulomb's law is met only to {missed:.1e} of the velocities.",)
+    names, bounded = ("together", "poisson"), bool(notes)
+    found = solution_of(inputs, names, after, total, works, (2, 2), notes=notes, bounded=bounded)
+    return found, missed
+
+
+def reflect(inputs: ManyInputs, record: bool) -> ManySolution:
+    """Reflect the velocity until nothing approaches, and mix that with a plastic impact by e."""
+    from ._kernels.plastic import impulses_together
+
+    if inputs.friction.any():
+        raise InputError(
+            'friction: "reflect" is frictionless; all coefficients must be 0',
+            field="friction",
+            value=inputs.friction,
+        )
+    e = float(inputs.restitution.max(initial=0.0))
+    if (inputs.restitution != e).any():
+        raise InputError(
+            'restitution: "reflect" takes one coefficient for all contacts',
+            field="restitution",
+            value=inputs.restitution,
+        )
+    n = len(inputs.velocity)
+    start = inputs.velocity.ravel()
+    rest = DRIFT * float(np.abs(start).max(initial=0.0))
+    plastic, elastic, part = np.zeros((3, 3 * n))
+    none = np.zeros(n)
+    impulses_together(inputs.delassus, start, none, none, inputs.stiffness, plastic)
+    velocity, count = start.copy(), 0
+    while (velocity[2::3] < -rest).any():
+        if count >= MOST_IMPACTS * n:
+            named = ", ".join(map(str, np.flatnonzero(velocity[2::3] < -rest).tolist()))
+            raise PinimpactError(
+                f'simultaneous: after {count} reflections contacts {named} still approach; use "propagate"',
+                field="simultaneous",
+                value="reflect",
+            )
+        struck = np.flatnonzero(velocity[2::3] < -rest)
+        rows = (3 * struck[:, None] + np.arange(3)).ravel()
+        found = np.zeros(len(rows))
+        block = np.ascontiguousarray(inputs.delassus[np.ix_(rows, rows)])
+        none = np.zeros(len(struck))
+        impulses_together(block, velocity[rows], none, none, inputs.stiffness[struck], found)
+        part[:] = 0.0
+        part[rows] = 2.0 * found
+        elastic += part
+        velocity = velocity + inputs.delassus @ part
+        count += 1
+    impulse = (1.0 - e) * plastic + e * elastic
+    after = start + inputs.delassus @ impulse
+    powers = (0.5 * (start + after) * impulse).reshape(n, 3)
+    works = np.zeros((n, 3))
+    works[:, 0] = powers[:, 2]
+    return solution_of(inputs, ("reflect", "newton"), after, impulse, works, (count, count))
+
+
+def kernels_at_once() -> tuple[Any, ...]:
+    """Return the kernels of both."""
+    from ._kernels.plastic import impulses_together
+
+    return (impulses_together,)

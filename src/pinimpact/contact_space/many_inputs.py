@@ -1,0 +1,151 @@
+"""Impacts at many contacts: the numbers of a problem, checked, and the solution that numbers make up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..checks import finite_array, real_numbers
+from ..errors import InputError, UnstoppableApproachError
+from .inputs import Array
+from .laws import find_law
+from .many_solution import ManyPath, ManySolution, ManyStory, Segments
+from .problem import ZERO, ImpactProblem
+
+
+class ManyInputs(NamedTuple):
+    """A problem of n contacts, checked.
+
+    Attributes:
+        delassus: (3n, 3n) W.
+        velocity: (n, 3).
+        friction, restitution, stiffness: (n,).
+        law: Name of the law.
+        surface_velocity: (n, 3).
+        singular: Whether W is.
+    """
+
+    delassus: Array
+    velocity: Array
+    friction: Array
+    restitution: Array
+    stiffness: Array
+    law: str
+    surface_velocity: Array
+    singular: bool
+
+
+def many_inputs(problem: ImpactProblem) -> ManyInputs:
+    """Return the numbers of a problem of n contacts, or raise what is wrong with them.
+
+    Raises:
+        InputError: Shapes that do not fit, numbers that are not finite or out of range, an indefinite W.
+        UnknownNameError: No such law.
+    """
+    n = np.shape(problem.velocity)[0]
+    velocity = np.array(finite_array("velocity", problem.velocity, (n, 3)))
+    delassus = finite_array("delassus", problem.delassus, (3 * n, 3 * n))
+    largest = float(np.abs(delassus).max(initial=0.0))
+    asymmetry = float(np.abs(delassus - delassus.T).max(initial=0.0))
+    if asymmetry > ZERO * largest:
+        raise InputError(
+            f"delassus: W must be symmetric to {ZERO:.1e} of its largest entry {largest:.6g}, but W and its "
+            f"transpose differ by {asymmetry:.6g}",
+            field="delassus",
+            value=problem.delassus,
+        )
+    delassus = 0.5 * (delassus + delassus.T)
+    eigenvalues = np.linalg.eigvalsh(delassus) if n else np.zeros(1)
+    least = ZERO * max(1, n) * float(np.abs(eigenvalues).max())
+    if eigenvalues[0] < -least:
+        raise InputError(
+            f"delassus: W must be positive semidefinite, but its smallest eigenvalue is {eigenvalues[0]:.6g}",
+            field="delassus",
+            value=problem.delassus,
+        )
+    find_law(problem.law)
+    stiffness = 1.0 if problem.stiffness is None else problem.stiffness
+    return ManyInputs(
+        delassus,
+        velocity,
+        _per_contact("friction", problem.friction, n, 0.0, np.inf, "a finite number ≥ 0"),
+        _per_contact("restitution", problem.restitution, n, 0.0, 1.0, "a number from 0 to 1"),
+        _per_contact("stiffness", stiffness, n, np.nextafter(0.0, 1.0), np.inf, "a finite number > 0"),
+        problem.law,
+        np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (n, 3)),
+        bool(eigenvalues[0] <= least),
+    )
+
+
+def _per_contact(name: str, value: Any, n: int, low: float, high: float, right: str) -> Array:
+    array = real_numbers(name, value, "a number, or one for each contact,")
+    if array.shape not in ((), (n,)):
+        raise InputError(
+            f"{name}: shape {array.shape} given, a number or ({n},), one for each contact, expected",
+            field=name,
+            value=value,
+        )
+    for number in np.atleast_1d(array).tolist():
+        if not (low <= number <= high and np.isfinite(number)):
+            raise InputError(f"{name}: {number!r} given, {right} expected", field=name, value=value)
+    return np.array(np.broadcast_to(array, (n,)))
+
+
+def solution_of(
+    inputs: ManyInputs,
+    names: tuple[str, str],
+    velocity: Array,
+    impulse: Array,
+    works: Array,
+    counts: tuple[int, int],
+    segments: Callable[[], Segments] | None = None,
+    notes: tuple[str, ...] = (),
+    path: ManyPath | None = None,
+    bounded: bool = False,
+) -> ManySolution:
+    """Return the solution that numbers make up.
+
+    Args:
+        inputs: The problem.
+        names: Of the policy, and of the law that it has used.
+        velocity: (3n,) after the impact.
+        impulse: (3n,).
+        works: (n, 3) of compression, restitution and friction.
+        counts: Of iterations and events.
+        segments: Makes those of each contact; None where there is no path.
+        notes: What a reader should know.
+        path: The recorded path.
+        bounded: Whether a bound on steps or events was reached.
+    """
+    n = len(inputs.velocity)
+    if segments is None:
+        segments = partial(tuple, ((),) * n)
+    story = ManyStory(segments, works, inputs.surface_velocity, inputs.singular, bounded)
+    return ManySolution(velocity.reshape(n, 3), impulse.reshape(n, 3), *counts, *names, story, notes, path)
+
+
+def notes_on_law(inputs: ManyInputs) -> tuple[str, ...]:
+    """Tell where another law than the one asked for is used."""
+    if inputs.law == "energetic" or not inputs.restitution.any():
+        return ()
+    return (
+        (
+            f"The energetic law is used: {inputs.law!r} does not define how impulses propagate between "
+            "contacts."
+        ),
+    )
+
+
+def refuse(inputs: ManyInputs) -> None:
+    """Raise what says that no impulses can stop all approaches."""
+    j = int(np.argmin(inputs.velocity[:, 2]))
+    raise UnstoppableApproachError(
+        f"velocity: contact {j} approaches at {-inputs.velocity[j, 2]:.6g} m/s and no impulses at "
+        f"the {len(inputs.velocity)} contacts can stop all of them; the mechanism cannot move "
+        "along the normals",
+        field="velocity",
+        value=inputs.velocity,
+    )

@@ -1,0 +1,197 @@
+"""Waves through many contacts, the policy "propagate": from event to event, else by steps. (theory.md, 14)"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..checks import in_short, real_number
+from ..errors import InputError
+from ._kernels.tolerances import AGREE, FINEST, FIRST_RESTITUTION, MISSED, STEP_ACCURACY, USEFUL
+from .at_once import solve_together
+from .inputs import Array
+from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
+from .many_solution import ManyPath, ManySolution, segments_of
+from .problem import ZERO
+
+MOST_STEPS = 5000
+"""Steps from event to event, at most."""
+
+
+def propagate_waves(
+    inputs: ManyInputs, record: bool, exponent: float = 1.0, rtol: float = 1e-16
+) -> ManySolution:
+    """Follow the waves of an impact, with forces F ∝ δ^exponent and steps to a relative accuracy `rtol`."""
+    from ._kernels.propagation import propagate
+
+    if real_number("exponent", exponent) not in (1.0, 1.5):
+        raise InputError(
+            f"exponent: {in_short(exponent)} given, 1 (linear) or 1.5 (Hertz) expected",
+            field="exponent",
+            value=exponent,
+        )
+    if not isinstance(rtol, (int, float)) or not 1e-17 <= rtol <= 0.1:
+        raise InputError(
+            f"rtol: {in_short(rtol)} given, a number from 1e-17 to 0.1 expected", field="rtol", value=rtol
+        )
+    n = len(inputs.velocity)
+    velocity, impulse, works = np.empty(3 * n), np.empty(3 * n), np.empty((n, 3))
+    rows = np.empty((64 * n + 64, 5))
+    path = np.empty((2048, 6 * n + 1)) if record else np.empty((0, 6 * n + 1))
+    while True:
+        counts = np.zeros(5, dtype=np.int64)
+        stopped, missed = propagate(
+            *(inputs.delassus, inputs.velocity.ravel(), inputs.friction, inputs.restitution),
+            *(inputs.stiffness, float(exponent), float(rtol), MOST_STEPS),
+            *(velocity, impulse, works, counts, rows, path),
+        )
+        steps, events, used, points, ended = counts.tolist()
+        if used >= len(rows):
+            rows = np.empty((4 * len(rows), 5))
+        elif record and points >= len(path):
+            path = np.empty((4 * len(path), 6 * n + 1))
+        else:
+            break
+    if ended == 2 or not (stopped and missed <= max(MISSED, 100.0 * rtol)):
+        return _propagate_in_steps(inputs, exponent, record) or _propagate_plastically(inputs)
+    notes = notes_on_law(inputs)
+    story = None
+    if record:
+        story = ManyPath(
+            path[:points, 0].copy(),
+            path[:points, 1 : 3 * n + 1].reshape(-1, n, 3),
+            path[:points, 3 * n + 1 :].reshape(-1, n, 3),
+        )
+    segments = partial(segments_of, rows[:used].copy(), n)
+    names = "propagate", "energetic"
+    return solution_of(inputs, names, velocity, impulse, works, (steps, events), segments, notes, story)
+
+
+def _propagate_plastically(inputs: ManyInputs) -> ManySolution:
+    """Stop all approaches, and restore nothing."""
+    plastic, off = solve_together(inputs._replace(restitution=np.zeros(len(inputs.velocity))))
+    if off > MISSED:  # an approach that only impulses beyond their cones stop
+        refuse(inputs)
+    text = "The propagation was not resolved to the usual accuracy; the impact is taken as plastic."
+    return replace(
+        plastic,
+        simultaneous="propagate",
+        law="energetic",
+        notes=(*plastic.notes, text),
+        story=plastic.story._replace(bounded=True),
+    )
+
+
+MOST_SHORT_STEPS = 20_000
+"""Steps that a pass may take."""
+
+
+MOST_RESTITUTIONS = 3
+"""Coefficients of restitution from which steps extrapolate to e = 0, at most."""
+
+
+def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> ManySolution | None:
+    """Follow waves by adaptive steps; None where they do not come to an end."""
+    n = len(inputs.velocity)
+    plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
+    missed, steps, accuracy = np.inf, 0, STEP_ACCURACY
+    row: list[Array] = []
+    for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
+        least = inputs._replace(restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution))
+        found = _passes(least, exponent)
+        if found is None:
+            break
+        last, row, steps, accuracy = row, [found[0]], steps + found[2], found[3]
+        for m, before in enumerate(last):  # without the term of order m + 1 in e
+            row.append(row[m] + (row[m] - before) / (2.0 ** (m + 1) - 1.0))
+        missed = max(found[1], _differ(inputs, row[-1], last[-1]) if last else 0.0)
+        if last and missed <= AGREE:
+            break
+    if not row or not missed <= USEFUL:
+        return None
+    numbers = row[-1]
+    impulse = numbers[: 3 * n].reshape(n, 3)
+    impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
+    tangential = np.hypot(impulse[:, 0], impulse[:, 1])
+    most = inputs.friction * impulse[:, 2]
+    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, 1e-300), 1.0)[:, None]
+    velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
+    works = numbers[3 * n :].reshape(n, 3)
+    text = (
+        "The impact has many events in short succession and was integrated by adaptive steps, "
+        f"with velocities to about {missed:.1e} of the largest."
+    )
+    story = None
+    if record:
+        path = np.empty((MOST_SHORT_STEPS + 1, 3 * n + 1))
+        points = _pass(least, exponent, accuracy, path)[0]
+        path[points] = np.concatenate([path[points - 1, :1], impulse.ravel()])
+        clock, impulses = path[: points + 1, 0].copy(), path[: points + 1, 1:]
+        velocities = inputs.velocity.ravel() + impulses @ inputs.delassus
+        story = ManyPath(clock, velocities.reshape(-1, n, 3), impulses.reshape(-1, n, 3))
+    return solution_of(
+        *(inputs, ("propagate", "energetic"), velocity, impulse.ravel(), works, (steps, 0)),
+        notes=(*notes_on_law(inputs), text),
+        path=story,
+        bounded=missed > MISSED,
+    )
+
+
+def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
+    """Step through an impact with more and more accuracy, until two passes agree or agree no better.
+
+    Returns:
+        Impulses and works (6n,), by how much velocities differ from those of the pass before it, the number
+        of all steps, and the accuracy of the last pass; None where passes do not agree.
+    """
+    accuracy, total, missed = STEP_ACCURACY, 0, np.inf
+    best: Array | None = None
+    for finer in (STEP_ACCURACY * 0.1**k for k in range(round(np.log10(STEP_ACCURACY / FINEST)) + 1)):
+        steps, numbers = _pass(inputs, exponent, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
+        if steps == 0:
+            break
+        before = missed
+        if best is not None:
+            missed = _differ(inputs, numbers, best)
+        best, total, accuracy = numbers, total + steps, finer
+        if missed <= AGREE or missed > 0.5 * before:  # finer steps would not agree better
+            break
+    return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
+
+
+def _pass(inputs: ManyInputs, exponent: float, accuracy: float, path: Array) -> tuple[int, Array]:
+    """Return the number of steps through an impact, 0 for too many, and its impulses and works (6n,)."""
+    from ._kernels.propagation_steps import step_through
+
+    n = len(inputs.velocity)
+    size = float(np.abs(inputs.velocity).max())
+    scaled = inputs.stiffness / np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3])
+    eigenvalues, vectors = np.linalg.eigh(inputs.delassus)
+    kept = eigenvalues > ZERO * n * eigenvalues[-1]
+    rows = np.ascontiguousarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
+    impulse, works = np.empty(3 * n), np.empty((n, 3))
+    steps = step_through(
+        *(rows, inputs.velocity.ravel() / size, inputs.friction, inputs.restitution, scaled),
+        *(float(exponent), accuracy, MOST_SHORT_STEPS, impulse, works, path),
+    )
+    path[:steps, 1:] *= size
+    return steps, np.concatenate([impulse * size, works.ravel() * size * size])
+
+
+def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:
+    """Return by how much two impulses (3n,), first in what is given, differ in velocities, of the largest."""
+    rows = 3 * len(inputs.velocity)
+    change = inputs.delassus @ (one[:rows] - other[:rows])
+    return float(np.abs(change).max() / np.abs(inputs.velocity).max())
+
+
+def kernels_of_waves() -> tuple[Any, ...]:
+    """Return the kernels that it calls."""
+    from ._kernels.plastic import impulses_together
+    from ._kernels.propagation import propagate
+    from ._kernels.propagation_steps import step_through
+
+    return propagate, step_through, impulses_together
