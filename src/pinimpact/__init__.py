@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .geometry.sphere import Sphere
     from .robot.batch import Hits, impacts
     from .robot.contact import Contact
+    from .robot.derivatives import ImpactDerivatives, impact_derivatives
     from .robot.held import HeldContactWarning
     from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
@@ -72,6 +73,7 @@ __all__ = [
     "HeldContactWarning",
     "Hit",
     "Hits",
+    "ImpactDerivatives",
     "ImpactProblem",
     "InputError",
     "JointLimitWarning",
@@ -102,6 +104,7 @@ __all__ = [
     "Work",
     "contact_matrices",
     "impact",
+    "impact_derivatives",
     "impacts",
     "load_robot",
     "place_in_contact",
@@ -116,6 +119,7 @@ _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
     "robot.batch": ("Hits", "impacts"),
     "robot.contact": ("Contact",),
+    "robot.derivatives": ("ImpactDerivatives", "impact_derivatives"),
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (

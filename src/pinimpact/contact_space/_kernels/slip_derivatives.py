@@ -244,7 +244,8 @@ def come_to_rest(units, slip, mu, k1, k2, found):
     p, n0, _, _, _ = frame_polynomials(units, s1, s2, turn)
     f, rate, bend = p.m0, 0.5 * p.p1, 0.5 * n0
     kl, kp = k1 * s1 + k2 * s2, k2 * s1 - k1 * s2
-    stop1, stop2 = -1.0 / f, bend / (f * (f + rate))
+    # f + g′ = −μA⊥ and f′ = −μA× vanish together where A is singular
+    stop1, stop2 = -1.0 / f, bend / (f * (f + rate)) if bend != 0.0 else 0.0
     path1, path2 = -kl / f, (kl * bend / f - kp) / (2.0 * f + rate)
     span = -speed / f
     cos2, sin2 = s1 * s1 - s2 * s2, 2.0 * s1 * s2

@@ -1,0 +1,225 @@
+"""Derivatives of a robot's impact against differences of fourth order, for all kinds of contacts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Boundary, Contact, ImpactProblem, Plane, Sphere
+from pinimpact.robot.names import free_velocities
+
+from .robot_cases import FRAMES, load, random_state
+
+MOVING = {"velocity": (0.1, 0.2, 0.05), "angular_velocity": (0.3, 0.2, 0.1)}
+CONTACTS = {
+    "point on floor": Contact("tip", Plane(), friction=0.3, restitution=0.5),
+    "ball on moving slope": Contact(
+        *("tip", Plane(normal=(0.3, -0.2, 0.9), point=(0.1, 0.1, 0.1), **MOVING), 0.3, 0.5, "energetic"),
+        offset=(0.02, 0.03, 0.1),
+        radius=0.05,
+    ),
+    "point on sphere": Contact("tip", Sphere((0.2, 0.1, 0.1), radius=0.2, **MOVING), 0.3, 0.5, "newton"),
+    "ball on sphere": Contact("tip", Sphere((0.2, 0.1, 0.1), radius=0.2), 0.3, 0.5, radius=0.03),
+}
+CARRIERS = {"panda": "panda_link3", "solo12": "HR_LOWER_LEG", "talos": "left_sole_link"}
+STEP = 5e-4
+
+
+def slope(function, n, step=STEP):
+    """Return the derivatives of a function of (n,) at zero, by differences of fourth order."""
+    columns = []
+    for unit in np.eye(n) * step:
+        a, b, c, d = (function(k * unit) for k in (-2, -1, 1, 2))
+        columns.append((a - 8 * b + 8 * c - d) / (12 * step))
+    return np.array(columns).T
+
+
+def close(found, expected, tolerance=1e-8):
+    """Whether derivatives agree, in the norm, or are of that size where they vanish."""
+    return np.linalg.norm(found - expected) <= tolerance * max(np.linalg.norm(expected), 1.0)
+
+
+def struck(model, data, contact, seed):
+    """Return a random state at which the contact approaches and the impact is regular."""
+    rng = np.random.default_rng(seed)
+    while True:
+        q, v = random_state(model, rng)
+        d = pinimpact.impact_derivatives(model, data, q, v, contact)
+        flags = pinimpact.impact(model, data, q, v, contact).solution.flags
+        if d.dP_dv.any() and not flags & (pinimpact.Flag.NEAR_JUMP | pinimpact.Flag.NEAR_STICK_THRESHOLD):
+            return q, v, d
+
+
+def check(model, data, q, v, contact, d):
+    """Compare all derivatives with differences of `impact`."""
+    nv = model.nv
+
+    def after(q, v, contact=contact):
+        hit = pinimpact.impact(model, data, q, v, contact)
+        return np.concatenate([hit.v, hit.impulse_world])
+
+    def surface(e):
+        plane = contact.plane
+        spin = np.asarray(plane.angular_velocity) + e[3:]
+        moved = replace(plane, velocity=tuple(plane.velocity + e[:3]), angular_velocity=tuple(spin))
+        return after(q, v, replace(contact, plane=moved))
+
+    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), nv)
+    by_v = slope(lambda e: after(q, v + e), nv)
+    by_friction = slope(lambda e: after(q, v, replace(contact, friction=contact.friction + e[0])), 1)[:, 0]
+    pairs = [(d.dv_dq, d.dP_dq, by_q), (d.dv_dv, d.dP_dv, by_v)]
+    pairs += [
+        (d.dv_dsurface, d.dP_dsurface, slope(surface, 6)),
+        (d.dv_dfriction, d.dP_dfriction, by_friction),
+    ]
+    if not callable(contact.restitution):
+        by_e = slope(lambda e: after(q, v, replace(contact, restitution=contact.restitution + e[0])), 1)
+        pairs.append((d.dv_drestitution, d.dP_drestitution, by_e[:, 0]))
+    for of_v, of_impulse, expected in pairs:
+        assert close(of_v, expected[:nv])
+        assert close(of_impulse, expected[nv:])
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.JointLimitWarning")
+@pytest.mark.parametrize("kind", CONTACTS)
+@pytest.mark.parametrize("carried", [False, True])
+@pytest.mark.parametrize("robot", ["panda", "solo12"])
+def test_every_kind_of_contact(robot, carried, kind):
+    model, data = load(robot)
+    contact = replace(CONTACTS[kind], frame=FRAMES[robot])
+    if carried:
+        contact = replace(contact, plane=replace(contact.plane, body=CARRIERS[robot]))
+    q, v, d = struck(model, data, contact, [31, list(CONTACTS).index(kind), carried])
+    assert d.boundary == Boundary.NONE
+    assert np.array_equal(d.v, pinimpact.impact(model, data, q, v, contact).v) or close(
+        d.v, pinimpact.impact(model, data, q, v, contact).v, 1e-13
+    )
+    check(model, data, q, v, contact, d)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.JointLimitWarning")
+@pytest.mark.parametrize("robot", ["ur5", "kinova", "talos"])
+def test_other_robots(robot):
+    model, data = load(robot)
+    contact = replace(CONTACTS["ball on moving slope"], frame=FRAMES[robot])
+    check(model, data, *(state := struck(model, data, contact, 5))[:2], contact, state[2])
+
+
+class Decaying:
+    """e = 0.8 exp(−v/2)."""
+
+    def __call__(self, speed):
+        """Return e."""
+        return 0.8 * np.exp(-speed / 2)
+
+    def slope(self, speed):
+        """Return de/dv."""
+        return -0.4 * np.exp(-speed / 2)
+
+
+def test_restitution_that_depends_on_the_approach():
+    model, data = load("panda")
+    contact = replace(CONTACTS["point on floor"], frame=FRAMES["panda"], restitution=Decaying())
+    q, v, d = struck(model, data, contact, 4)
+    check(model, data, q, v, contact, d)
+    constant = replace(contact, restitution=pinimpact.impact(model, data, q, v, contact).problem.restitution)
+    other = pinimpact.impact_derivatives(model, data, q, v, constant)
+    assert not close(d.dv_dv, other.dv_dv, 1e-3)
+
+
+@pytest.mark.parametrize("locked", [(), ("FR_KFE",)])
+def test_held_contacts_and_locked_joints(locked):
+    model, data = load("solo12")
+    rng = np.random.default_rng(8)
+    contact = Contact("FL_FOOT", Plane(normal=(0.1, 0, 1)), friction=0.5, restitution=0.3, radius=0.016)
+    held = [Contact(foot, Plane(normal=(0, 0.1, 1)), radius=0.016) for foot in ("FR_FOOT", "HL_FOOT")]
+    q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv) * 0.3)
+
+    def after(q, v):  # held feet that move a little are no error here
+        at = pinimpact.contact_matrices(model, data, q, contact, held, locked)
+        problem = ImpactProblem(at.delassus, at.velocity(v), contact.friction, contact.restitution)
+        impulse = pinimpact.solve_impact(problem).impulse
+        return np.concatenate([v + at.response @ impulse, at.axes.T @ impulse])
+
+    matrices = pinimpact.contact_matrices(model, data, q, contact, held, locked)
+    still = np.eye(18)[~free_velocities(model, locked)]
+    rows = np.vstack([*(anchor.jacobian for anchor in matrices.held), still])
+    v = (np.eye(18) - np.linalg.pinv(rows) @ rows) @ rng.normal(size=18)
+    v *= -np.sign(matrices.velocity(v)[2])
+    d = pinimpact.impact_derivatives(model, data, q, v, contact, held, locked)
+    by_q = slope(lambda e: after(pin.integrate(model, q, e), v), 18)
+    by_v = slope(lambda e: after(q, v + e), 18)
+    assert close(d.dv_dq, by_q[:18])
+    assert close(d.dP_dq, by_q[18:])
+    assert close(d.dv_dv, by_v[:18])
+    assert close(d.dP_dv, by_v[18:])
+
+
+def test_a_planar_arm_keeps_its_rank():
+    # two links in a plane: W has no row across
+    model = pin.Model()
+    link = pin.Inertia(1.0, np.array([0.25, 0.0, 0.0]), np.diag([0.001, 0.02, 0.02]))
+    for name, x in (("shoulder", 0.0), ("elbow", 0.5)):
+        placement = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        joint = model.addJoint(model.njoints - 1, pin.JointModelRY(), placement, name)
+        model.appendBodyToJoint(joint, link, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", 2, tip, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    contact = Contact("tip", Plane(), friction=0.2, restitution=0.5)
+    q, v = np.array([0.4, 0.7]), np.array([1.0, 0.3])
+    d = pinimpact.impact_derivatives(model, data, q, v, contact)
+    assert d.boundary == Boundary.RANK
+    by_q = slope(lambda e: pinimpact.impact(model, data, q + e, v, contact).v, 2)
+    by_v = slope(lambda e: pinimpact.impact(model, data, q, v + e, contact).v, 2)
+    assert close(d.dv_dq, by_q)
+    assert close(d.dv_dv, by_v)
+
+
+def test_a_ball_that_bounces():
+    # two balls that collide at e = 1 swap their velocities
+    model = pin.Model()
+    for name in "ab":
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"{name} centre", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    contact = Contact("a centre", Sphere(radius=0.1, body="b centre"), 0.0, 1.0, radius=0.1)
+    q, v = np.array([-0.1, 0, 0, 0.1, 0, 0]), np.array([1.0, 0, 0, -0.5, 0, 0])
+    d = pinimpact.impact_derivatives(model, model.createData(), q, v, contact)
+    assert close(d.v, np.array([-0.5, 0, 0, 1.0, 0, 0]), 1e-15)
+    along = np.ix_([0, 3], [0, 3])
+    assert close(d.dv_dv[along], np.array([[0.0, 1.0], [1.0, 0.0]]), 1e-15)
+    assert close(d.dv_dq[along], np.zeros((2, 2)), 1e-15)
+
+
+MODEL, DATA = load("panda")
+HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("contact", "words"),
+    [
+        (replace(HERE, restitution=lambda speed: 0.5), "attribute `slope`"),
+        (replace(HERE, rim=0.1), "a rim"),
+        ([HERE, HERE], "contact"),
+        (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "tips"),
+    ],
+)
+def test_what_has_no_derivatives_is_refused(contact, words):
+    with pytest.raises(pinimpact.InputError, match=words):
+        pinimpact.impact_derivatives(MODEL, DATA, pin.neutral(MODEL), np.ones(9), contact)
+
+
+def test_joints_whose_axes_turn_are_refused():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelSphericalZYX(), pin.SE3.Identity(), "wrist")
+    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Random())
+    model.addFrame(pin.Frame("tip", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    with pytest.raises(pinimpact.ModelError, match="wrist"):
+        pinimpact.impact_derivatives(
+            model, model.createData(), np.zeros(3), np.ones(3), Contact("tip", Plane(), 0.3, 0.5)
+        )
