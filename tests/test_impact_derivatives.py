@@ -26,7 +26,7 @@ CONTACTS = {
     "ball on sphere": Contact("tip", Sphere((0.2, 0.1, 0.1), radius=0.2), 0.3, 0.5, radius=0.03),
 }
 CARRIERS = {"panda": "panda_link3", "solo12": "HR_LOWER_LEG", "talos": "left_sole_link"}
-STEP = 5e-4
+STEP = 1e-4
 
 
 def slope(function, n, step=STEP):

@@ -170,7 +170,7 @@ def _check(contact: Contact) -> None:
     if what:
         raise InputError(
             f"contact: {contact.label!r} has {what}, for which derivatives are not available; they are for "
-            "points and spheres that meet a Plane or a Sphere",
+            "points and spheres in contact with a Plane or a Sphere",
             field="contact",
             value=contact,
         )
