@@ -19,6 +19,7 @@ from pinimpact import LAWS, Contact, Plane, Status, impacts
 
 from . import random_arms
 from .random_arms import ALLOWED, EPS, RESOLVED, Case
+from .random_impacts import turned as rotations
 from .reference.arms import CENTRE, INERTIA, LENGTH, MASS, REACH, Arm
 
 ROWS = 200
@@ -64,16 +65,6 @@ class Report:
     statuses: Counter = field(default_factory=Counter)
     judged: random_arms.Report = field(default_factory=random_arms.Report)
     violations: list[tuple[str, Case]] = field(default_factory=list)
-
-
-def rotations(angle: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) rotations about z."""
-    turned = np.zeros((len(angle), 3, 3))
-    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(angle)
-    turned[:, 1, 0] = np.sin(angle)
-    turned[:, 0, 1] = -turned[:, 1, 0]
-    turned[:, 2, 2] = 1.0
-    return turned
 
 
 def kinematics(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -186,11 +186,11 @@ def perturbed(rng: np.random.Generator, case: Case) -> Case:
 class Report:
     """What a run saw: how many impacts, how many the reference does not cover, and what disagrees."""
 
+    worst: float = 0.0
+    violations: list[tuple[str, Case]] = field(default_factory=list)
     impacts: int = 0
     uncovered: int = 0
     refused: int = 0
-    worst: float = 0.0
-    violations: list[tuple[str, Case]] = field(default_factory=list)
 
 
 def resolved(case: Case) -> float:

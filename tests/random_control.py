@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from pinimpact import Contact, JointPD, Plane, Scene, Trajectory, load_robot
+from pinimpact import Contact, JointPD, Scene, Trajectory, load_robot
 
-from .random_scenes import unaccounted
+from .random_scenes import plane_below, unaccounted
 
 DURATION = 1.0
 FEET = ("left_sole_link", "right_sole_link")
@@ -73,15 +73,7 @@ def draw(seed: int) -> Run:
     if rng.random() < 0.6:
         model.friction = joints * 10 ** rng.uniform(-2.0, 0.5)
 
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    points = np.array([data.oMf[model.getFrameId(tip)].translation for tip in TIPS[robot]])
-    normal = np.array([0.0, 0.0, 1.0])
-    if rng.random() < 0.3:
-        normal[:2] = 0.1 * rng.normal(size=2)
-        normal /= np.linalg.norm(normal)
-    below = (points @ normal).min() - 10 ** rng.uniform(-4.0, -1.0)
-    plane = Plane(point=tuple(below * normal), normal=tuple(normal))
+    plane = plane_below(rng, model, q, TIPS[robot], (0.3, 0.1), lambda: 10 ** rng.uniform(-4.0, -1.0))
     friction, restitution = rng.choice([0.0, 0.2, 0.5, 0.8, 1.2]), rng.choice([0.0, 0.0, 0.3, 0.6, 0.9])
     contacts = [Contact(tip, plane, friction=friction, restitution=restitution) for tip in TIPS[robot]]
 

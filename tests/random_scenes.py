@@ -16,6 +16,28 @@ MODELS = {name: load_robot(name).model for name in TIPS}
 DURATION = 1.0
 
 
+def plane_below(rng, model, q, tips, tilts, depth) -> Plane:
+    """Return a plane under the lowest of some frames.
+
+    Args:
+        rng: Random numbers.
+        model: The robot.
+        q: Its configuration.
+        tips: Names of the frames.
+        tilts: How often the plane is tilted, and by how much.
+        depth: Draws the distance [m].
+    """
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    points = np.array([data.oMf[model.getFrameId(tip)].translation for tip in tips])
+    normal = np.array([0.0, 0.0, 1.0])
+    if rng.random() < tilts[0]:
+        normal[:2] = tilts[1] * rng.normal(size=2)
+        normal /= np.linalg.norm(normal)
+    below = (points @ normal).min() - depth()
+    return Plane(point=tuple(below * normal), normal=tuple(normal))
+
+
 def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     """Return a robot's name, a scene, a state above its plane, and a tolerance."""
     rng = np.random.default_rng(seed)
@@ -27,15 +49,7 @@ def draw(seed: int) -> tuple[str, Scene, np.ndarray, np.ndarray, float]:
     q[bounded] = np.clip(q[bounded], lower[bounded] + 1e-3, upper[bounded] - 1e-3)
     if not pin.isNormalized(model, q):  # a quaternion has bounds too
         q = pin.normalize(model, q)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    points = np.array([data.oMf[model.getFrameId(tip)].translation for tip in TIPS[name]])
-    normal = np.array([0.0, 0.0, 1.0])
-    if rng.random() < 0.5:
-        normal[:2] = 0.2 * rng.normal(size=2)
-        normal /= np.linalg.norm(normal)
-    below = (points @ normal).min() - rng.uniform(1e-3, 0.3)
-    plane = Plane(point=tuple(below * normal), normal=tuple(normal))
+    plane = plane_below(rng, model, q, TIPS[name], (0.5, 0.2), lambda: rng.uniform(1e-3, 0.3))
     friction, restitution = rng.choice([0.0, 0.2, 0.4, 0.8, 1.2]), rng.choice([0.0, 0.0, 0.3, 0.5, 0.9])
     contacts = [Contact(tip, plane, friction=friction, restitution=restitution) for tip in TIPS[name]]
     without = ["joint limits"] if rng.random() < 0.3 else []

@@ -30,6 +30,18 @@ def load(name):
     return model, model.createData()
 
 
+def two_arms() -> tuple[pin.Model, pin.Data]:
+    """Return two arms side by side; names of the second begin with "other_"."""
+    arm = load("ur5")[0]
+    other = arm.copy()
+    for frame in other.frames:
+        frame.name = "other_" + frame.name
+    for joint in range(1, other.njoints):
+        other.names[joint] = "other_" + other.names[joint]
+    model = pin.appendModel(arm, other, 0, pin.SE3(np.eye(3), np.array([0.5, 0, 0])))
+    return model, model.createData()
+
+
 def random_state(model, rng):
     """Any configuration near the neutral one, any velocity."""
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
@@ -86,3 +98,29 @@ def kinetic_energy(model, q, v):
     zero = np.zeros(model.nv)
     momentum = pin.rnea(model, data, q, zero, v).copy() - pin.rnea(model, data, q, zero, zero)
     return 0.5 * float(v @ momentum)
+
+
+GRIPPER = """<robot name="gripper"><link name="world"/>
+<joint name="arm" type="revolute"><parent link="world"/><child link="hand"/>
+  <axis xyz="0 1 0"/>{{limit}}</joint>
+<link name="hand">{{inertial}}</link>
+<joint name="left" type="revolute"><parent link="hand"/><child link="left_finger"/>
+  <origin xyz="1 0.1 0"/><axis xyz="0 0 1"/>{{limit}}</joint>
+<link name="left_finger">{{inertial}}</link>
+<joint name="right" type="revolute"><parent link="hand"/><child link="right_finger"/>
+  <origin xyz="1 -0.1 0"/><axis xyz="0 0 1"/>{{limit}}
+  <mimic joint="{leader}" multiplier="-2" offset="0.1"/></joint>
+<link name="right_finger">{{inertial}}</link>
+{more}</robot>"""
+
+
+def gripper(leader: str, inertial: str, more: str = "") -> str:
+    """Return the URDF of a hand whose right finger mimics another joint.
+
+    Args:
+        leader: The joint that it mimics.
+        inertial: The inertia of each link.
+        more: Further links and joints, in which {limit} and {inertial} stand for those of the others.
+    """
+    limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+    return GRIPPER.format(leader=leader, more=more).format(limit=limit, inertial=inertial)

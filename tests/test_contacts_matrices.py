@@ -338,25 +338,15 @@ def test_a_model_without_joints_is_told():
             call(model.createData())
 
 
-MIMIC = """<robot name="gripper"><link name="world"/>
-<joint name="arm" type="revolute"><parent link="world"/><child link="hand"/><axis xyz="0 1 0"/>{limit}</joint>
-<link name="hand">{inertial}</link>
-<joint name="left" type="revolute"><parent link="hand"/><child link="left_finger"/>
-  <origin xyz="1 0.1 0"/><axis xyz="0 0 1"/>{limit}</joint>
-<link name="left_finger">{inertial}</link>
-<joint name="right" type="revolute"><parent link="hand"/><child link="right_finger"/>
-  <origin xyz="1 -0.1 0"/><axis xyz="0 0 1"/>{limit}<mimic joint="left" multiplier="-2" offset="0.1"/></joint>
-<link name="right_finger">{inertial}</link>
-</robot>""".format(
-    limit='<limit lower="-3" upper="3" effort="1" velocity="1"/>',
-    inertial='<inertial><origin xyz="0.5 0 0"/><mass value="1"/>'
-    '<inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial>',
+INERTIAL = (
+    '<inertial><origin xyz="0.5 0 0"/><mass value="1"/>'
+    '<inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial>'
 )
 
 
 def test_mimic_joints_move_as_they_are_told():
-    coupled = pin.buildModelFromXML(MIMIC, mimic=True)
-    free = pin.buildModelFromXML(MIMIC)
+    gripper = cases.gripper("left", INERTIAL)
+    coupled, free = pin.buildModelFromXML(gripper, mimic=True), pin.buildModelFromXML(gripper)
     assert (coupled.nv, free.nv) == (2, 3)
     coupling = np.array([[1, 0], [0, 1], [0, -2]])
     q = np.array([0.3, 0.7])

@@ -39,17 +39,7 @@ def contacts_at_rest(seed, contacts, velocities):
 def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, velocities):
     delassus, free, mu = contacts_at_rest(seed, contacts, velocities)
     bound = 0.3
-    x = np.zeros(3 * contacts + 1)
-    accuracy = solve(
-        delassus,
-        free,
-        np.zeros((contacts, 2)),
-        mu,
-        np.zeros(contacts, dtype=np.bool_),
-        np.array([-bound]),
-        np.array([bound]),
-        x,
-    )
+    x, accuracy = forces_at_rest(delassus, free, mu, np.array([bound]))
     assert accuracy <= 1e-10
     a = delassus @ x + free
     near = 1e-8 * (1.0 + np.abs(x).max() + np.abs(a).max())
@@ -66,21 +56,12 @@ def test_forces_obey_coulombs_law_at_the_level_of_accelerations(seed, contacts, 
     assert x[-1] * a[-1] == pytest.approx(-bound * abs(a[-1]), abs=near)
 
 
-def forces_at_rest(delassus, free, mu):
+def forces_at_rest(delassus, free, mu, bounds=np.zeros(0)):  # noqa: B008
     """Solve for contacts that are all at rest; return their forces, and how far these are from the law."""
     contacts = len(mu)
-    x = np.zeros(3 * contacts)
-    nothing = np.zeros(0)
-    accuracy = solve(
-        delassus,
-        free,
-        np.zeros((contacts, 2)),
-        mu,
-        np.zeros(contacts, dtype=np.bool_),
-        nothing,
-        nothing,
-        x,
-    )
+    x = np.zeros(3 * contacts + len(bounds))
+    still, bilateral = np.zeros((contacts, 2)), np.zeros(contacts, dtype=np.bool_)
+    accuracy = solve(delassus, free, still, mu, bilateral, -bounds, bounds, x)
     return x, accuracy
 
 

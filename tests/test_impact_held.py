@@ -186,14 +186,7 @@ def test_held_impulses_are_in_world_axes_whatever_the_plane(rng, quiet):
 
 def test_a_closed_loop_stays_closed(rng, quiet):
     """Two arms of one model hold hands while one of them is struck."""
-    arm = cases.load("ur5")[0]
-    other = arm.copy()
-    for frame in other.frames:
-        frame.name = "other_" + frame.name
-    for joint in range(1, other.njoints):
-        other.names[joint] = "other_" + other.names[joint]
-    model = pin.appendModel(arm, other, 0, pin.SE3(np.eye(3), np.array([0.5, 0, 0])))
-    data = model.createData()
+    model, data = cases.two_arms()
     q, v = cases.random_state(model, rng)
     loop = pinimpact.Contact("tool0", pinimpact.Plane(body="other_tool0"))
     rows = contact_geometry(model, data, q, loop).jacobian

@@ -177,14 +177,7 @@ def test_two_bodies_may_change_roles():
 
 
 def test_two_robots_in_one_model_strike_each_other(rng):
-    arm = cases.load("ur5")[0]
-    other = arm.copy()
-    for frame in other.frames:
-        frame.name = "other_" + frame.name
-    for joint in range(1, other.njoints):
-        other.names[joint] = "other_" + other.names[joint]
-    model = pin.appendModel(arm, other, 0, pin.SE3(np.eye(3), np.array([0.5, 0, 0])))
-    data = model.createData()
+    model, data = cases.two_arms()
     q, v = cases.random_state(model, rng)
     contact = pinimpact.Contact(
         "tool0", cases.random_plane(rng, "other_tool0"), friction=0.3, restitution=0.5

@@ -8,6 +8,7 @@ import pinimpact
 from pinimpact import BoundReachedWarning, Contact, InputError, Plane, Scene, simulate
 from pinimpact.robot._kernels.responses import taking_part
 from pinimpact.robot.matrices import checked_matrices
+from pinimpact.robot.placed_robot import PlacedRobot
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 
@@ -107,7 +108,7 @@ def test_contacts_and_joint_stops_by_dense_algebra(quadruped):
         row[model.joints[model.getJointId(joint)].idx_v] = sign
     free = np.ones(model.nv, dtype=bool)
     free[model.joints[model.getJointId("FR_HFE")].idx_v] = False
-    found = checked_matrices(model, data, q, contacts, (), free, stops)
+    found = checked_matrices(PlacedRobot(model, data, q), contacts, (), free, stops)
 
     alone = [pinimpact.contact_matrices(model, data, q, contact) for contact in contacts]
     jacobian = np.zeros((12, model.nv))

@@ -79,9 +79,8 @@ def test_elimination_solves_and_knows_the_sign_of_the_determinant(seed, size):
 @COMPILES
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_a_definite_system_is_solved_and_a_singular_one_refused(seed, size):
-    root = matrix_of_rank(seed, size, size, size)
+    x, root = np.empty(size), matrix_of_rank(seed, size, size, size)
     right = np.random.default_rng(seed + 1).normal(size=size)
-    x = np.empty(size)
     assert solve_symmetric(root @ root.T, right, x)
     assert x == pytest.approx(np.linalg.solve(root @ root.T, right), rel=1e-9, abs=1e-12)
     root = matrix_of_rank(seed, size, size, size - 1)

@@ -13,173 +13,50 @@ ROD_MU_ST = 3 * sin(THETA) * cos(THETA) / (1 + 3 * sin(THETA) ** 2)  # (38)
 ROD_Q = np.array([0, 0, 0, 0, THETA])
 PENDULUM_Q = np.array([0, pi / 4])
 
+PROBLEMS = {
+    "A": ("ellipsoid", (5 / sqrt(2), 5 / sqrt(2), -1)),
+    "B": ("ellipsoid", (0.5, 0.5, -1)),
+    "right": ("rod", (0.2, 0.2 * sqrt(3), -2)),
+    "left": ("rod", (-0.2, 0.2 * sqrt(3), -2)),
+    "pendulum": ("pendulum", (-sqrt(2) / 2, sqrt(2) / 2, -sqrt(2) / 2)),
+}
+FRICTION = {"μc/2": 0.5 * ROD_MU_C, "μc": ROD_MU_C, "2μc": 2 * ROD_MU_C, "√2": sqrt(2)}
 # errata.md: problem, μ, velocity after, impulse, compression impulse, where v_t vanishes, what follows
-ELLIPSOID_A = ("ellipsoid", (5 / sqrt(2), 5 / sqrt(2), -1))
-ELLIPSOID_B = ("ellipsoid", (0.5, 0.5, -1))
-ROD_RIGHT = ("rod", (0.2, 0.2 * sqrt(3), -2))
-ROD_LEFT = ("rod", (-0.2, 0.2 * sqrt(3), -2))
-PENDULUM = ("pendulum", (-sqrt(2) / 2, sqrt(2) / 2, -sqrt(2) / 2))
-STICK_B = (-0.25, -0.142857142857, 1.5)
-REFERENCE = [
-    (
-        ELLIPSOID_A,
-        0.2,
-        (3.101327636013, 2.811040684094, 0.5),
-        (-0.217103134960, -0.206998063383, 1.5),
-        1.0,
-        None,
-        None,
-    ),
-    (
-        ELLIPSOID_A,
-        0.5,
-        (2.408690591528, 1.806240282332, 0.5),
-        (-0.563421657202, -0.494083892457, 1.5),
-        1.0,
-        None,
-        None,
-    ),
-    (
-        ELLIPSOID_A,
-        1.0,
-        (1.120678302242, 0.473424175271, 0.5),
-        (-1.207427801845, -0.874888494475, 1.5),
-        1.0,
-        None,
-        None,
-    ),
-    (ELLIPSOID_B, 0.2, (0, 0, 0.5), STICK_B, 1.0, 1.4706508132, "stick"),
-    (ELLIPSOID_B, 0.5, (0, 0, 0.5), STICK_B, 1.0, 0.5882603253, "stick"),
-    (ELLIPSOID_B, 1.0, (0, 0, 0.5), STICK_B, 1.0, 0.2941301626, "stick"),
-    (ROD_RIGHT, 0.0, (0.2, -0.913956148535, 1.6), (0, 0, 1.056111734238), 0.586728741244, None, None),
-    (ROD_LEFT, 0.0, (-0.2, -0.913956148535, 1.6), (0, 0, 1.056111734238), 0.586728741244, None, None),
-    (
-        ROD_RIGHT,
-        0.5 * ROD_MU_C,
-        (0.000053890958, -0.644087046198, 1.489726502270),
-        (-0.049986527261, 0.197077577115, 1.092758624164),
-        0.607088124536,
-        None,
-        None,
-    ),
-    (
-        ROD_LEFT,
-        0.5 * ROD_MU_C,
-        (-0.000053890958, -0.644087046198, 1.489726502270),
-        (0.049986527261, 0.197077577115, 1.092758624164),
-        0.607088124536,
-        None,
-        None,
-    ),
-    (
-        ROD_RIGHT,
-        ROD_MU_C,
-        (0, -0.282699372217, 1.421846459886),
-        (-0.05, 0.484793797943, 1.173574991471),
-        0.651986106373,
-        0.1747961561,
-        "slip",
-    ),
-    (
-        ROD_LEFT,
-        ROD_MU_C,
-        (0, -0.282699372217, 1.421846459886),
-        (0.05, 0.484793797943, 1.173574991471),
-        0.651986106373,
-        0.1747961561,
-        "slip",
-    ),
-    (
-        ROD_RIGHT,
-        2 * ROD_MU_C,
-        (0, 0, 1.392162592350),
-        (-0.05, 0.716849072400, 1.246109760686),
-        0.692283200381,
-        0.1204374413,
-        "stick",
-    ),
-    (
-        ROD_LEFT,
-        2 * ROD_MU_C,
-        (0, 0, 1.392162592350),
-        (0.05, 0.716849072400, 1.246109760686),
-        0.692283200381,
-        0.1204374413,
-        "stick",
-    ),
-    (
-        ROD_RIGHT,
-        0.7,
-        (0, -0.084710897502, 1.399723074561),
-        (-0.05, 0.646915597474, 1.223843904641),
-        0.679913280356,
-        0.1584802017,
-        "slip",
-    ),
-    (
-        ROD_LEFT,
-        0.7,
-        (0, -0.084710897502, 1.399723074561),
-        (0.05, 0.646915597474, 1.223843904641),
-        0.679913280356,
-        0.1584802017,
-        "slip",
-    ),
-    (
-        PENDULUM,
-        0.0,
-        (0.565685424949, 0.707106781187, 0.565685424949),
-        (0, 0, 0.848528137424),
-        0.471404520791,
-        None,
-        None,
-    ),
-    (
-        PENDULUM,
-        0.5,
-        (0.278869522355, 0.022468774391, 0.278869522355),
-        (-0.021184943200, -0.228212668932, 0.678502478894),
-        0.376945821608,
-        None,
-        None,
-    ),
-    (
-        PENDULUM,
-        0.9,
-        (0.051127829836, 0.000000000018, 0.051127829836),
-        (-0.048669447543, -0.235702260390, 0.554159188225),
-        0.307866215681,
-        None,
-        None,
-    ),
-    (
-        PENDULUM,
-        1.2,
-        (0, 0, 0),
-        (-0.001114124874, -0.235702260396, 0.472518645665),
-        0.262510358703,
-        0.2663820138,
-        "stick",
-    ),
-    (
-        PENDULUM,
-        sqrt(2),
-        (0, 0, 0),
-        (0.047140452079, -0.235702260396, 0.424264068712),
-        0.235702260396,
-        0.2357022604,
-        "stick",
-    ),
-    (
-        PENDULUM,
-        2.0,
-        (0, 0, 0),
-        (0.136568080003, -0.235702260396, 0.334836440788),
-        0.186020244882,
-        0.1860202449,
-        "stick",
-    ),
-]
+TABLE = """
+A 0.2 3.101327636013 2.811040684094 0.5 -0.217103134960 -0.206998063383 1.5 1.0 - -
+A 0.5 2.408690591528 1.806240282332 0.5 -0.563421657202 -0.494083892457 1.5 1.0 - -
+A 1.0 1.120678302242 0.473424175271 0.5 -1.207427801845 -0.874888494475 1.5 1.0 - -
+B 0.2 0 0 0.5 -0.25 -0.142857142857 1.5 1.0 1.4706508132 stick
+B 0.5 0 0 0.5 -0.25 -0.142857142857 1.5 1.0 0.5882603253 stick
+B 1.0 0 0 0.5 -0.25 -0.142857142857 1.5 1.0 0.2941301626 stick
+right 0.0 0.2 -0.913956148535 1.6 0 0 1.056111734238 0.586728741244 - -
+left 0.0 -0.2 -0.913956148535 1.6 0 0 1.056111734238 0.586728741244 - -
+right μc/2 0.000053890958 -0.644087046198 1.489726502270 -0.049986527261 0.197077577115 1.092758624164 0.607088124536 - -
+left μc/2 -0.000053890958 -0.644087046198 1.489726502270 0.049986527261 0.197077577115 1.092758624164 0.607088124536 - -
+right μc 0 -0.282699372217 1.421846459886 -0.05 0.484793797943 1.173574991471 0.651986106373 0.1747961561 slip
+left μc 0 -0.282699372217 1.421846459886 0.05 0.484793797943 1.173574991471 0.651986106373 0.1747961561 slip
+right 2μc 0 0 1.392162592350 -0.05 0.716849072400 1.246109760686 0.692283200381 0.1204374413 stick
+left 2μc 0 0 1.392162592350 0.05 0.716849072400 1.246109760686 0.692283200381 0.1204374413 stick
+right 0.7 0 -0.084710897502 1.399723074561 -0.05 0.646915597474 1.223843904641 0.679913280356 0.1584802017 slip
+left 0.7 0 -0.084710897502 1.399723074561 0.05 0.646915597474 1.223843904641 0.679913280356 0.1584802017 slip
+pendulum 0.0 0.565685424949 0.707106781187 0.565685424949 0 0 0.848528137424 0.471404520791 - -
+pendulum 0.5 0.278869522355 0.022468774391 0.278869522355 -0.021184943200 -0.228212668932 0.678502478894 0.376945821608 - -
+pendulum 0.9 0.051127829836 0.000000000018 0.051127829836 -0.048669447543 -0.235702260390 0.554159188225 0.307866215681 - -
+pendulum 1.2 0 0 0 -0.001114124874 -0.235702260396 0.472518645665 0.262510358703 0.2663820138 stick
+pendulum √2 0 0 0 0.047140452079 -0.235702260396 0.424264068712 0.235702260396 0.2357022604 stick
+pendulum 2.0 0 0 0 0.136568080003 -0.235702260396 0.334836440788 0.186020244882 0.1860202449 stick
+"""  # noqa: E501
+
+
+def row_of(line):
+    """Return a line of the table as problem, μ, two vectors, two numbers, None for none, and a word."""
+    name, mu, *numbers, compression, vanishes, then = line.split()
+    vectors = np.array(numbers, dtype=float).reshape(2, 3)
+    stop = None if vanishes == "-" else float(vanishes)
+    return PROBLEMS[name], float(FRICTION.get(mu, mu)), *vectors, float(compression), stop, then
+
+
+REFERENCE = [row_of(line) for line in TABLE.split("\n") if line]
 RESTITUTION = {"ellipsoid": 0.5, "rod": 0.8, "pendulum": 0.8}
 
 
@@ -239,7 +116,7 @@ def test_euler_reaches_them_at_first_order(row):
 
 @pytest.mark.parametrize("mu", [0.1, 0.3, 0.9])
 def test_ellipsoid_follows_equations_32_and_33(mu):
-    path = from_urdf(ELLIPSOID_A, mu, record=True).solution.path
+    path = from_urdf(PROBLEMS["A"], mu, record=True).solution.path
     v1, v2, v3 = path.velocity.T
     start = 5 / sqrt(2)
     assert len(v1) > 5
@@ -249,7 +126,7 @@ def test_ellipsoid_follows_equations_32_and_33(mu):
 
 def test_rod_slips_straight_at_mu_c_and_turns_to_either_side_of_it():
     def last_direction_before_rest(mu):
-        path = from_urdf(ROD_RIGHT, mu, record=True).solution.path
+        path = from_urdf(PROBLEMS["right"], mu, record=True).solution.path
         moving = np.hypot(*path.velocity[:, :2].T) > 1e-3
         slipping = path.velocity[moving & (path.normal_impulse < 0.1), :2]
         return np.arctan2(slipping[:, 1], slipping[:, 0])
@@ -261,14 +138,14 @@ def test_rod_slips_straight_at_mu_c_and_turns_to_either_side_of_it():
 
 @pytest.mark.parametrize(("factor", "sticks"), [(1 - 1e-9, False), (1 + 1e-9, True)])
 def test_rod_sticks_above_mu_st(factor, sticks):
-    flags = from_urdf(ROD_RIGHT, ROD_MU_ST * factor).solution.flags  # (38)
+    flags = from_urdf(PROBLEMS["right"], ROD_MU_ST * factor).solution.flags  # (38)
     assert (pinimpact.Flag.STICK in flags) is sticks
     assert (pinimpact.Flag.SLIP_RESUMED in flags) is not sticks
 
 
 def test_pendulum_slips_straight_at_mu_c():
     mu_c = tan(pi / 4) / (1 / sqrt(2))  # (41), corrected: tan θ / |cos φ₀|
-    path = from_urdf(PENDULUM, mu_c, record=True).solution.path
+    path = from_urdf(PROBLEMS["pendulum"], mu_c, record=True).solution.path
     assert np.abs(path.velocity[:, 0] + path.velocity[:, 1]).max() < 1e-14
 
 

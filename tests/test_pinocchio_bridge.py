@@ -18,6 +18,7 @@ import pytest
 import pinimpact
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.robot import pinocchio_bridge as bridge
+from pinimpact.robot import tree_numbers
 from pinimpact.robot._kernels.python_calls import call, raise_kept_error
 
 from . import robot_cases as cases
@@ -36,29 +37,24 @@ def rng(request):
 def way(request, monkeypatch):
     """Either way to Pinocchio's results; a warning tells of the second."""
     if request.param == "copied":
-        monkeypatch.setattr(bridge, "_trusted", lambda *_: False)
+        monkeypatch.setattr(bridge, "trusted", lambda *_: False)
     return request.param
 
 
 @pytest.fixture
 def other_version(monkeypatch):
-    """A Pinocchio whose world convention leaves no Jacobian behind."""
+    """A Pinocchio whose forward dynamics leave no Jacobian behind."""
 
     def aba(model, data, *arguments):
         found = pin.aba(model, data, *arguments)
         data.J[:] = 0.0
         return found
 
-    def crba(model, data, *arguments):
-        found = pin.crba(model, data, *arguments)
-        data.J[:] = 0.0
-        return found
-
     class Other:
-        """The module with two other functions."""
+        """The module with another function."""
 
         def __getattr__(self, name):
-            return {"aba": aba, "crba": crba}.get(name) or getattr(pin, name)
+            return aba if name == "aba" else getattr(pin, name)
 
     monkeypatch.setattr(bridge, "pin", Other())
     monkeypatch.setattr(bridge, "_verdicts", {})
@@ -129,7 +125,7 @@ def test_impacts_are_the_same_either_way(rng, monkeypatch):
             v = cases.approaching(model, data, q, v, contact)
             hit = pinimpact.impact(model, data, q, v, contact)
             with monkeypatch.context() as patch:
-                patch.setattr(bridge, "_trusted", lambda *_: False)
+                patch.setattr(bridge, "trusted", lambda *_: False)
                 other = pinimpact.impact(model, model.createData(), q, v, contact)
                 many = pinimpact.impacts(model, model.createData(), [q], [v], contact)
             assert np.abs(other.v - hit.v).max() < 1e-9 * np.abs(v).max()
@@ -175,34 +171,42 @@ def test_a_scene_is_the_same_either_way(way):
     ids=lambda test: getattr(test, "func", test).__name__,
 )
 def test_what_holds_of_robots_and_scenes_holds_with_copies(test, rng, monkeypatch):
-    monkeypatch.setattr(bridge, "_trusted", lambda *_: False)
+    monkeypatch.setattr(bridge, "trusted", lambda *_: False)
     asked = inspect.signature(test).parameters
     test(**({"rng": rng} if "rng" in asked else {}))
 
 
 def test_another_version_is_found_out_said_once_and_answered_alike(other_version, rng):
-    model, data = cases.load("panda")
-    q, v = cases.random_state(model, rng)
-    contact = cases.random_contact("panda_hand_tcp", rng)
-    with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"data\.J after crba"):
-        matrices = pinimpact.contact_matrices(model, data, q, contact)
-    # once is enough
-    trajectory = simulate(Scene(model, without=["joint limits", "gravity"]), q, v, 0.01)
+    scene = Scene(cases.load("panda")[0], without=["joint limits", "gravity"])
+    q, v = cases.random_state(scene.model, rng)
+    with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"joint_jacobian after aba"):
+        trajectory = simulate(scene, q, v, 0.01)
+    simulate(Scene(cases.load("ur5")[0]), np.zeros(6), np.ones(6), 0.01)  # once is enough
     assert trajectory.energy.residual[-1] == pytest.approx(0.0, abs=1e-6)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bridge, "pin", pin)
         patch.setattr(bridge, "_verdicts", {})
-        expected = pinimpact.contact_matrices(model, model.createData(), q, contact)
-    assert np.abs(matrices.jacobian - expected.jacobian).max() < 1e-13
-    assert np.abs(expected.jacobian).max() > 0.1
+        other = simulate(Scene(cases.load("panda")[0], without=["joint limits", "gravity"]), q, v, 0.01)
+    assert np.abs(trajectory.q[-1] - other.q[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_unit_of_length_does_not_matter(unit):
+    """The model of a robot of metres, in other units."""
+    model = cases.load("panda")[0].copy()
+    model.gravity.linear = unit * model.gravity.linear
+    for place in model.jointPlacements:
+        place.translation *= unit
+    assert bridge._disagreement_of_dynamics(model) is None
+    assert tree_numbers.disagreement_of_tree(model) is None
 
 
 def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
     model = cases.load("panda")[0]
     monkeypatch.setattr(bridge, "_verdicts", {})
     monkeypatch.setattr(bridge, "_warned", False)
-    rows = bridge._rows
-    monkeypatch.setattr(bridge, "_rows", lambda *args: rows(*(list(one)[::-1] for one in args[:2]), args[2]))
+    rows = bridge.rows
+    monkeypatch.setattr(bridge, "rows", lambda *args: rows(*(list(one)[::-1] for one in args[:2]), args[2]))
     with pytest.warns(pinimpact.PinocchioLayoutWarning, match=r"data\.oMi in memory"):
         assert type(bridge.robot_dynamics(model)) is bridge._Copied
 
@@ -210,20 +214,26 @@ def test_what_stands_elsewhere_in_memory_is_not_read(monkeypatch):
 def test_the_check_is_made_once_for_a_model_and_again_when_it_grows(monkeypatch):
     checked = []
     monkeypatch.setattr(bridge, "_verdicts", {})
-    known = bridge._disagreement_of_crba
+    known = tree_numbers.disagreement_of_tree
 
-    def disagreement(model):
+    def disagreement_of_tree(model):
         checked.append(model.njoints)
         return known(model)
 
-    monkeypatch.setattr(bridge, "_disagreement_of_crba", disagreement)
+    monkeypatch.setattr(tree_numbers, "disagreement_of_tree", disagreement_of_tree)
     model = cases.load("ur5")[0]
     contact = Contact("tool0", FLOOR)
+
+    def ask():
+        q = pin.neutral(model)
+        pinimpact.impact(model, model.createData(), q, np.zeros(model.nv), contact)
+
     for _ in range(3):
-        contact.gap(model, model.createData(), pin.neutral(model))
+        ask()
     assert checked == [7]
     model.addJoint(6, pin.JointModelRX(), pin.SE3.Identity(), "more")
-    contact.gap(model, model.createData(), pin.neutral(model))
+    model.appendBodyToJoint(7, pin.Inertia.Random(), pin.SE3.Identity())
+    ask()
     assert checked == [7, 8]
 
 

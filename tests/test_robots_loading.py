@@ -14,6 +14,8 @@ import pinimpact
 from pinimpact.robot import loading
 from pinimpact.robot.loading import bundled_models
 
+from . import robot_cases as cases
+
 URDF = """<robot name="arm">
   <link name="base"/>
   <joint name="hinge" type="{kind}">
@@ -141,28 +143,16 @@ def test_a_robot_without_its_meshes_still_moves(urdf):
 
 # ---- what a URDF says and Pinocchio takes without a word
 
-GRIPPER = """<robot name="gripper"><link name="world"/>
-<joint name="arm" type="revolute"><parent link="world"/><child link="hand"/><axis xyz="0 1 0"/>{limit}</joint>
-<link name="hand">{inertial}</link>
-<joint name="left" type="revolute"><parent link="hand"/><child link="left_finger"/>
-  <origin xyz="1 0.1 0"/><axis xyz="0 0 1"/>{limit}</joint>
-<link name="left_finger">{inertial}</link>
-<joint name="right" type="revolute"><parent link="hand"/><child link="right_finger"/>
-  <origin xyz="1 -0.1 0"/><axis xyz="0 0 1"/>{limit}
-  <mimic joint="{leader}" multiplier="-2" offset="0.1"/></joint>
-<link name="right_finger">{inertial}</link>
-<joint name="tip" type="revolute"><parent link="right_finger"/><child link="right_tip"/>
+TIP = """<joint name="tip" type="revolute"><parent link="right_finger"/><child link="right_tip"/>
   <origin xyz="1 0 0"/><axis xyz="0 0 1"/>{limit}<mimic joint="right" multiplier="0.5" offset="-0.3"/></joint>
-<link name="right_tip">{inertial}</link>
-</robot>"""
+<link name="right_tip">{inertial}</link>"""
 
 
 @pytest.fixture
 def gripper(tmp_path):
     def write(leader="left"):
         path = tmp_path / "gripper.urdf"
-        limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
-        path.write_text(GRIPPER.format(limit=limit, inertial=INERTIAL, leader=leader))
+        path.write_text(cases.gripper(leader, INERTIAL, TIP))
         return path
 
     return write

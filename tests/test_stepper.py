@@ -190,6 +190,17 @@ COPIES = {
 }
 
 
+def copied_and_both_advanced(one, kind):
+    """Return a copy that moves as the first, for 20 steps more of both."""
+    other = COPIES[kind](one)
+    for stepper in (one, other):
+        for _ in range(20):
+            stepper.step(np.zeros(6), 0.01)
+    for name in ("t", "q", "v"):
+        assert np.array_equal(getattr(one.trajectory, name), getattr(other.trajectory, name))
+    return other
+
+
 @pytest.mark.parametrize("kind", COPIES)
 def test_copies_continue_independently_and_to_the_same_bit(kind):
     one = Stepper(bouncing_ball(), [0, 0, 0.3, *UP], [0.2, 0, 0, 1.0, 0, 0])
@@ -234,12 +245,7 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
     one = Stepper(scene, [0, 0, 0.3, *UP], [0.3, 0, 0, 1.0, 2.0, 0], scheme=scheme)
     for _ in range(steps):
         one.step(np.zeros(6), 0.01)
-    other = COPIES[kind](one)
-    for stepper in (one, other):
-        for _ in range(20):
-            stepper.step(np.zeros(6), 0.01)
-    for name in ("t", "q", "v"):
-        assert np.array_equal(getattr(one.trajectory, name), getattr(other.trajectory, name))
+    other = copied_and_both_advanced(one, kind)
     for record in ("impacts", "events", "modes"):
         assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
     assert one.trajectory.modes == other.trajectory.modes
@@ -260,13 +266,8 @@ def test_copies_continue_while_time_steps_cross(kind, steps):
         one = Stepper(scene, q0, np.zeros(6))
         for _ in range(steps):
             one.step(np.zeros(6), 0.01)
-        other = COPIES[kind](one)
-        for stepper in (one, other):
-            for _ in range(20):
-                stepper.step(np.zeros(6), 0.01)
+        other = copied_and_both_advanced(one, kind)
     assert one.trajectory.stepped
-    for name in ("t", "q", "v"):
-        assert np.array_equal(getattr(one.trajectory, name), getattr(other.trajectory, name))
     assert one.trajectory.stepped == other.trajectory.stepped
 
 

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from pinimpact import Contact, InputError, ModelError, Plane, Status, contact_matrices, impact, impacts
-from pinimpact.robot import pinocchio_bridge
+from pinimpact.robot import pinocchio_bridge, tree_numbers
 from pinimpact.robot.data_cache import data_cache
 
 AXIS = np.array([0.36, -0.48, 0.8])
@@ -112,7 +112,7 @@ def test_both_ways_agree(monkeypatch):
     q, v = state(model)
     v = approaching(model, q, v, CONTACT)
     known = impact(model, model.createData(), q, v, CONTACT)
-    monkeypatch.setattr(pinocchio_bridge, "_tree", lambda model: None)
+    monkeypatch.setattr(tree_numbers, "_tree", lambda model: None)
     data = model.createData()
     assert data_cache(model, data).tree is None
     unknown = impact(model, data, q, v, CONTACT)
@@ -122,14 +122,14 @@ def test_both_ways_agree(monkeypatch):
 
 def test_a_wrong_joint_would_be_noticed(monkeypatch):
     """What the kernel and Pinocchio disagree in is not trusted."""
-    right = pinocchio_bridge._tree
+    right = tree_numbers._tree
 
     def wrong(model):
         tree = right(model)
         tree.copied["velocity_axis"][0] *= -1.0
         return tree
 
-    monkeypatch.setattr(pinocchio_bridge, "_tree", wrong)
+    monkeypatch.setattr(tree_numbers, "_tree", wrong)
     monkeypatch.setattr(pinocchio_bridge, "_warned", False)
     model = robot("spherical")
     with pytest.warns(pinocchio_bridge.PinocchioLayoutWarning, match="Jacobian"):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..checks import as_tuple, in_short, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
+from .tolerances import FLAT
 
 Array = NDArray[np.float64]
 
@@ -106,23 +107,25 @@ def shape_tips(shapes: pin.GeometryModel, shape: pin.GeometryObject, rim_points:
     """
     solid = shape.geometry
     kind = type(solid).__name__
-    make = _MAKERS.get(kind)
-    if make is None and hasattr(solid, "vertices"):  # a mesh, whatever its tree of volumes
-        points = _known_hull(shapes, shape, solid.vertices())
-        tips = _points("mesh", points, "vertex")
-    elif make is None and hasattr(solid, "points"):
-        points = _known_hull(shapes, shape, solid.points())
-        tips = _points("convex shape", points, "vertex")
-    elif make is None:
+    if kind in _MAKERS:
+        tips = tips_of(solid, rim_points)
+    elif hasattr(solid, "vertices") or hasattr(solid, "points"):  # a mesh, whatever its tree of volumes
+        mesh = hasattr(solid, "vertices")
+        points = _known_hull(shapes, shape, solid.vertices() if mesh else solid.points())
+        tips = _points("mesh" if mesh else "convex shape", points, "vertex")
+    else:
         raise InputError(
             f"geometry: {shape.name!r} is a {kind}, which is not supported; a box, sphere, capsule, "
             "cylinder, cone, triangle, convex shape or mesh can touch a surface",
             field="geometry",
             value=shape.name,
         )
-    else:
-        tips = make(solid)
-    tips = tips._replace(radius=tips.radius + swept_radius(solid))
+    return tips._replace(radius=tips.radius + swept_radius(solid))
+
+
+def tips_of(solid: Any, rim_points: int | None) -> ShapeTips:
+    """Return what of a solid of coal, but for meshes and hulls, can touch a plane; see `shape_tips`."""
+    tips = _MAKERS[type(solid).__name__](solid)
     return tips if rim_points is None else _with_points(tips, rim_points)
 
 
@@ -248,7 +251,7 @@ def extreme_points(points: Array, name: str) -> Array:
 
     points = np.unique(points, axis=0)
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    rank = int(np.count_nonzero(sizes > 1e-9 * sizes[0])) if sizes[0] > 0.0 else 0
+    rank = int(np.count_nonzero(sizes > FLAT * sizes[0])) if sizes[0] > 0.0 else 0
     flat = points if rank == 3 else points @ axes[:rank].T
     if rank == 0:
         return points[:1]

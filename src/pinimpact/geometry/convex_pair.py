@@ -12,31 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .convex_shape import PlacedShape, cross
+from .tolerances import (
+    CLOSE,
+    COAL_ERROR,
+    COINCIDE,
+    FACING,
+    GJK,
+    LOCAL,
+    PARALLEL,
+    TIE,
+    TOUCHING,
+    WITHIN,
+)
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-CLOSE = 1e-6
-"""Part of the shapes' size below which GJK's distance is replaced by one that is exact to rounding."""
-
-COAL_ERROR = 1e-10
-"""Part of the shapes' size by which coal's distance may be too large."""
-
-TOUCHING = 1e-9
-"""Part of the shapes' size up to which all edges are tried."""
-
-LOCAL = 1e-5
-"""Part of a shape's size by which a corner may be behind the extreme one and belong to the closest
-feature."""
-
-TIE = 1e-13
-"""Tolerance for equal separations, relative to the shapes' size."""
-
-FACING = 0.9
-"""Cosine of the angle within which a face faces a direction."""
-
-PARALLEL = 1e-9
-"""Sine of the angle below which two edges do not determine a normal."""
 
 
 class Gap(NamedTuple):
@@ -66,6 +56,12 @@ class Touch(NamedTuple):
     point: Array
     other: Array
     features: tuple[int, int]
+
+    @property
+    def mirrored(self) -> Touch:
+        """The same, with A and B exchanged."""
+        first, second = self.kind.split("-")
+        return Touch(f"{second}-{first}", self.other, self.point, self.features[::-1])
 
 
 def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
@@ -100,7 +96,7 @@ def _gjk(a: PlacedShape, b: PlacedShape) -> tuple[float, Array]:
     import coal
 
     request = coal.DistanceRequest()
-    request.gjk_tolerance = 1e-12
+    request.gjk_tolerance = GJK
     request.enable_signed_distance = False
     result = coal.DistanceResult()
     value = coal.distance(
@@ -216,7 +212,7 @@ def _between_cores(a: PlacedShape, b: PlacedShape, normal: Array) -> Gap | None:
     between = [touch.point - touch.other for touch in touches]
     lengths = [float(np.linalg.norm(difference)) for difference in between]
     k = int(np.argmin(lengths))
-    if lengths[k] <= 1e-9 * (a.shape.reach + b.shape.reach) or between[k] @ normal < 0.0:
+    if lengths[k] <= TOUCHING * (a.shape.reach + b.shape.reach) or between[k] @ normal < 0.0:
         return None
     return Gap(lengths[k], between[k] / lengths[k])
 
@@ -228,45 +224,46 @@ def nearest_features(a: PlacedShape, b: PlacedShape, normal: Array, part: float)
     pairs whose closest points lie within both.
     """
     mask_a, mask_b = _foremost(a, normal, part), _foremost(b, -normal, part)
-    slack = 1e-12 * (a.shape.reach + b.shape.reach)
-    found = []
-    for i in np.flatnonzero(mask_a):
-        p = a.vertices[i]
-        for k, face in enumerate(b.shape.faces):
-            if mask_b[face].all() and within_face(b, k, p, slack):
-                foot = p - (b.normals[k] @ p - b.offsets[k]) * b.normals[k]
-                found.append(Touch("vertex-face", p, foot, (int(i), k)))
-    for j in np.flatnonzero(mask_b):
-        p = b.vertices[j]
-        for k, face in enumerate(a.shape.faces):
-            if mask_a[face].all() and within_face(a, k, p, slack):
-                foot = p - (a.normals[k] @ p - a.offsets[k]) * a.normals[k]
-                found.append(Touch("face-vertex", foot, p, (k, int(j))))
+    slack = WITHIN * (a.shape.reach + b.shape.reach)
+    found = _on_faces(a, b, mask_a, mask_b, slack)
+    found += [touch.mirrored for touch in _on_faces(b, a, mask_b, mask_a, slack)]
     edges_a = [m for m, edge in enumerate(a.shape.edges) if mask_a[edge].all()]
     edges_b = [m for m, edge in enumerate(b.shape.edges) if mask_b[edge].all()]
     for m in edges_a:
         for k in edges_b:
-            points = _crossing(a.vertices[a.shape.edges[m]], b.vertices[b.shape.edges[k]])
-            if points is not None:
+            s, r, points = _crossing(a, m, b, k)
+            if 0.0 < s < 1.0 and 0.0 < r < 1.0:
                 found.append(Touch("edge-edge", *points, (m, k)))
-    for i in np.flatnonzero(mask_a):
-        for k in edges_b:
-            foot = _foot(a.vertices[i], b.vertices[b.shape.edges[k]])
-            if foot is not None:
-                found.append(Touch("vertex-edge", a.vertices[i], foot, (int(i), k)))
-    for j in np.flatnonzero(mask_b):
-        for m in edges_a:
-            foot = _foot(b.vertices[j], a.vertices[a.shape.edges[m]])
-            if foot is not None:
-                found.append(Touch("edge-vertex", foot, b.vertices[j], (m, int(j))))
-        for i in np.flatnonzero(mask_a):
-            found.append(Touch("vertex-vertex", a.vertices[i], b.vertices[j], (int(i), int(j))))
+    found += _on_edges(a, b, mask_a, edges_b)
+    found += [touch.mirrored for touch in _on_edges(b, a, mask_b, edges_a)]
+    for j in np.flatnonzero(mask_b).tolist():
+        for i in np.flatnonzero(mask_a).tolist():
+            found.append(Touch("vertex-vertex", a.vertices[i], b.vertices[j], (i, j)))
     return found
 
 
-def within_face(shape: PlacedShape, k: int, point: Array, slack: float) -> bool:
-    """Return whether a point lies above a face, within its sides to a tolerance [m]."""
-    return beyond_sides(shape, k, point) <= slack
+def _on_faces(
+    a: PlacedShape, b: PlacedShape, mask_a: NDArray[np.bool_], mask_b: NDArray[np.bool_], slack: float
+) -> list[Touch]:
+    """Return vertices of A that lie above faces of B, within their sides to a tolerance [m]."""
+    faces = [k for k, face in enumerate(b.shape.faces) if mask_b[face].all()]
+    return [
+        Touch("vertex-face", a.vertices[i], _foot_on_face(a.vertices[i], b, k), (i, k))
+        for i in np.flatnonzero(mask_a).tolist()
+        for k in faces
+        if beyond_sides(b, k, a.vertices[i]) <= slack
+    ]
+
+
+def _on_edges(a: PlacedShape, b: PlacedShape, mask_a: NDArray[np.bool_], edges: list[int]) -> list[Touch]:
+    """Return vertices of A whose projections on edges of B lie within these."""
+    found = []
+    for i in np.flatnonzero(mask_a).tolist():
+        for k in edges:
+            foot, beyond = _foot_on_edge(a.vertices[i], b, k)
+            if beyond < 0.0:
+                found.append(Touch("vertex-edge", a.vertices[i], foot, (i, k)))
+    return found
 
 
 def beyond_sides(shape: PlacedShape, k: int, point: Array) -> float:
@@ -302,38 +299,26 @@ def follow(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array) -> Follo
         normal: (3,) a recent normal.
     """
     i, j = touch.features
+    if touch.kind in ("face-vertex", "edge-vertex"):
+        found = follow(touch.mirrored, b, a, -normal)
+        return Followed(found.touch.mirrored, -found.normal, found.beyond)
     if touch.kind == "vertex-face":
         p = a.vertices[i]
-        foot = p - (b.normals[j] @ p - b.offsets[j]) * b.normals[j]
+        foot = _foot_on_face(p, b, j)
         return Followed(touch._replace(point=p, other=foot), b.normals[j], beyond_sides(b, j, p))
-    if touch.kind == "face-vertex":
-        p = b.vertices[j]
-        foot = p - (a.normals[i] @ p - a.offsets[i]) * a.normals[i]
-        return Followed(touch._replace(point=foot, other=p), -a.normals[i], beyond_sides(a, i, p))
     if touch.kind == "edge-edge":
-        first, second = a.vertices[a.shape.edges[i]], b.vertices[b.shape.edges[j]]
-        u, w = first[1] - first[0], second[1] - second[0]
+        u, w = a.edge(i), b.edge(j)
         across = cross(u, w)
-        squared = float(across @ across)
-        if squared == 0.0:  # parallel: they cross nowhere, and other features are nearest
-            middle = 0.5 * (first[0] + first[1])
-            foot, _ = _foot_on_line(middle, second)
+        if float(across @ across) == 0.0:  # parallel: they cross nowhere, and other features are nearest
+            middle = a.vertices[a.shape.edges[i]].mean(axis=0)
+            foot, _ = _foot_on_edge(middle, b, j)
             length = float(np.linalg.norm(u) + np.linalg.norm(w))
             return Followed(touch._replace(point=middle, other=foot), normal, length)
-        s = float(cross(second[0] - first[0], w) @ across) / squared
-        r = float(cross(second[0] - first[0], u) @ across) / squared
-        beyond = max(_beyond(s, u), _beyond(r, w))
-        turned = across / math.copysign(math.sqrt(squared), float(across @ normal))
-        return Followed(touch._replace(point=first[0] + s * u, other=second[0] + r * w), turned, beyond)
-    beyond = -math.inf
-    if touch.kind == "vertex-edge":
-        p = a.vertices[i]
-        q, beyond = _foot_on_line(p, b.vertices[b.shape.edges[j]])
-    elif touch.kind == "edge-vertex":
-        q = b.vertices[j]
-        p, beyond = _foot_on_line(q, a.vertices[a.shape.edges[i]])
-    else:
-        p, q = a.vertices[i], b.vertices[j]
+        s, r, (p, q) = _crossing(a, i, b, j, 0.0)
+        turned = across / math.copysign(float(np.linalg.norm(across)), float(across @ normal))
+        return Followed(touch._replace(point=p, other=q), turned, max(_beyond(s, u), _beyond(r, w)))
+    p = a.vertices[i]
+    q, beyond = _foot_on_edge(p, b, j) if touch.kind == "vertex-edge" else (b.vertices[j], -math.inf)
     between = p - q
     length = float(np.linalg.norm(between))
     turned = between / length if length > 0.0 else normal
@@ -344,47 +329,43 @@ def _beyond(part: float, along: Array) -> float:
     return max(-part, part - 1.0) * float(np.linalg.norm(along))
 
 
-def _foot_on_line(point: Array, segment: Array) -> tuple[Array, float]:
-    """Return the projection of a point on the line of a segment (2, 3), and its distance beyond the ends."""
-    along = segment[1] - segment[0]
-    s = float((point - segment[0]) @ along) / float(along @ along)
-    return segment[0] + s * along, _beyond(s, along)
+def _foot_on_face(point: Array, shape: PlacedShape, k: int) -> Array:
+    """Return the projection of a point on the plane of a face."""
+    foot: Array = point - (shape.normals[k] @ point - shape.offsets[k]) * shape.normals[k]
+    return foot
+
+
+def _foot_on_edge(point: Array, shape: PlacedShape, k: int) -> tuple[Array, float]:
+    """Return the projection of a point on the line of an edge, and its distance beyond the ends [m]."""
+    first, along = shape.vertices[shape.shape.edges[k, 0]], shape.edge(k)
+    s = float((point - first) @ along) / float(along @ along)
+    return first + s * along, _beyond(s, along)
+
+
+def _crossing(
+    a: PlacedShape, m: int, b: PlacedShape, k: int, parallel: float = PARALLEL
+) -> tuple[float, float, tuple[Array, Array]]:
+    """Return the closest points of the lines of two edges, as fractions of the edges and as points.
+
+    Both fractions are NaN if the sine of the angle between them is no larger than `parallel`.
+    """
+    u, w = a.edge(m), b.edge(k)
+    first, second = a.vertices[a.shape.edges[m, 0]], b.vertices[b.shape.edges[k, 0]]
+    across, between = cross(u, w), second - first
+    squared = float(across @ across)
+    if squared <= parallel**2 * float((u @ u) * (w @ w)):
+        return math.nan, math.nan, (first, second)
+    s, r = float(cross(between, w) @ across) / squared, float(cross(between, u) @ across) / squared
+    return s, r, (first + s * u, second + r * w)
 
 
 def corners_of(touch: Touch, a: PlacedShape, b: PlacedShape) -> tuple[Integers, Integers]:
     """Return the numbers of the vertices of A's feature and of B's."""
-    names = touch.kind.split("-")
-    found = []
-    for name, number, shape in zip(names, touch.features, (a.shape, b.shape), strict=True):
-        if name == "face":
-            found.append(shape.faces[number])
-        elif name == "edge":
-            found.append(shape.edges[number])
-        else:
-            found.append(np.array([number]))
-    return found[0], found[1]
-
-
-def _crossing(first: Array, second: Array) -> tuple[Array, Array] | None:
-    """Return the closest points of two segments (2, 3) if both lie within, else None."""
-    u, w = first[1] - first[0], second[1] - second[0]
-    across = cross(u, w)
-    squared = float(across @ across)
-    if squared <= PARALLEL**2 * float((u @ u) * (w @ w)):
-        return None
-    between = second[0] - first[0]
-    s = float(cross(between, w) @ across) / squared
-    r = float(cross(between, u) @ across) / squared
-    if not (0.0 < s < 1.0 and 0.0 < r < 1.0):
-        return None
-    return first[0] + s * u, second[0] + r * w
-
-
-def _foot(point: Array, segment: Array) -> Array | None:
-    """Return the projection of a point on a segment (2, 3) if it lies within, else None."""
-    along = segment[1] - segment[0]
-    s = float((point - segment[0]) @ along) / float(along @ along)
-    return segment[0] + s * along if 0.0 < s < 1.0 else None
+    first, second = (
+        np.array([k]) if name == "vertex" else shape.faces[k] if name == "face" else shape.edges[k]
+        for name, k, shape in zip(touch.kind.split("-"), touch.features, (a.shape, b.shape), strict=True)
+    )
+    return first, second
 
 
 def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> list[Touch]:
@@ -408,8 +389,8 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
         between = touch.point - touch.other
         off = abs(float(between @ normal) - radius)
         across = float(np.linalg.norm(between - (between @ normal) * normal))
-        if off > 4.0 * tolerance or across > 1e-9 * size + math.sqrt(2.0 * tolerance * radius):
+        if off > 4.0 * tolerance or across > COINCIDE * size + math.sqrt(2.0 * tolerance * radius):
             continue
-        if all(np.linalg.norm(touch.point - other.point) > 1e-9 * size for other in distinct):
+        if all(np.linalg.norm(touch.point - other.point) > COINCIDE * size for other in distinct):
             distinct.append(touch)
     return distinct

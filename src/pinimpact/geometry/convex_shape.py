@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
+from .tolerances import COPLANAR, NOT_CONVEX, SAME_DIRECTION
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-COPLANAR = 1e-9
-"""Facets of a hull whose normals differ by less than this form one face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class ConvexShape:
         found /= np.linalg.norm(found, axis=1)[:, None]
         directions: list[Array] = []
         for direction in found:
-            if not any(abs(direction @ other) > 1.0 - 1e-15 for other in directions):
+            if not any(abs(direction @ other) > SAME_DIRECTION for other in directions):
                 directions.append(direction)
         return np.array(directions).reshape(-1, 3)
 
@@ -93,6 +91,12 @@ class PlacedShape:
         """(f,) of the faces' planes n·x = offset [m]."""
         first = [face[0] for face in self.shape.faces]
         return np.einsum("ij,ij->i", self.normals, self.vertices[first]) if first else np.zeros(0)
+
+    def edge(self, k: int) -> Array:
+        """Return from one end of an edge to the other (3,), in world axes [m]."""
+        first, last = self.vertices[self.shape.edges[k]]
+        along: Array = last - first
+        return along
 
     @cached_property
     def directions(self) -> Array:
@@ -183,9 +187,8 @@ def hull(points: ArrayLike, name: str = "points") -> ConvexShape:
         ) from None
     vertices = points[found.vertices]
     number = {int(old): new for new, old in enumerate(found.vertices)}
-    groups = _coplanar(found.equations[:, :3], found.neighbors)
     faces, normals = [], []
-    for group in groups:
+    for group in _coplanar(found.equations[:, :3]):
         corners = sorted({number[int(i)] for i in found.simplices[group].ravel()})
         normal = found.equations[group, :3].mean(axis=0)
         normal /= np.linalg.norm(normal)
@@ -233,16 +236,9 @@ def of_collision_geometry(geometry: Any, name: str) -> ConvexShape:
                 stacklevel=4,
             )
         return found
-    raise InputError(
-        f"geometry: {name!r} is a {kind}; boxes, spheres, capsules, cylinders, cones, convex "
-        "hulls and meshes (their hulls) can make contact with another shape",
-        field="geometry",
-        value=name,
-    )
-
-
-NOT_CONVEX = 1e-3
-"""Depth of a vertex of a mesh inside its hull, relative to its size, from which on the mesh is not convex."""
+    what = "boxes, spheres, capsules, cylinders, cones, convex hulls and meshes (their hulls)"
+    what = f"geometry: {name!r} is a {kind}; {what} can make contact with another shape"
+    raise InputError(what, field="geometry", value=name)
 
 
 def _deepest(found: ConvexShape, points: Array) -> float:
@@ -251,23 +247,13 @@ def _deepest(found: ConvexShape, points: Array) -> float:
     return float((offsets[:, None] - found.normals @ points.T).min(axis=0).max())
 
 
-def _coplanar(normals: Array, neighbors: Integers) -> list[list[int]]:
-    """Return groups of adjacent facets that lie in one plane."""
-    group = np.full(len(normals), -1)
-    groups: list[list[int]] = []
-    for seed in range(len(normals)):
-        if group[seed] >= 0:
-            continue
-        members, queue = [], [seed]
-        group[seed] = len(groups)
-        while queue:
-            i = queue.pop()
-            members.append(i)
-            for j in neighbors[i]:
-                if group[j] < 0 and np.linalg.norm(normals[j] - normals[seed]) < COPLANAR:
-                    group[j] = len(groups)
-                    queue.append(int(j))
-        groups.append(members)
+def _coplanar(normals: Array) -> list[Integers]:
+    """Return groups of facets with one normal, which lie in one plane for a convex body has one such face."""
+    groups, left = [], np.arange(len(normals))
+    while len(left):
+        same = np.linalg.norm(normals[left] - normals[left[0]], axis=1) < COPLANAR
+        groups.append(left[same])
+        left = left[~same]
     return groups
 
 

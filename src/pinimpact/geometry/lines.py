@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._kernels.constants import EDGE, LINE
-from .surfaces import Surface, Vector, contact_axes
+from .surfaces import Surface, Vector
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Line(Surface):
     """A line with a radius as a surface for a point or a sphere; n points away from it.
 
@@ -26,11 +26,9 @@ class Line(Surface):
     """
 
     code: ClassVar[int] = LINE
-    velocity: ClassVar[Vector] = (0.0, 0.0, 0.0)  # type: ignore[misc]
-    angular_velocity: ClassVar[Vector] = (0.0, 0.0, 0.0)  # type: ignore[misc]
-    point: Vector
-    line: Vector
-    normal: Vector
+    point: Vector = (0.0, 0.0, 0.0)
+    line: Vector = (1.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
     radius: float = 0.0
     body: str | int | None = None
     name: str | None = None
@@ -40,32 +38,9 @@ class Line(Surface):
         """The point."""
         return self.point
 
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """(3, 3) contact axes of the normal."""
-        return contact_axes(self.normal)
-
-    @property
-    def size(self) -> float:
-        """The radius."""
-        return self.radius
-
-    @property
-    def direction(self) -> Vector:
-        """The direction of the line."""
-        return self.line
-
     def distance(self, point: ArrayLike) -> float:
         """Return the distance of a point from the cylinder about the line, negative inside [m]."""
         return float(np.linalg.norm(np.cross(np.subtract(point, self.point), self.line))) - self.radius
-
-    def departure(self) -> str | None:
-        """None: it does not move by itself."""
-        return None
-
-    def at_rest(self) -> Surface:
-        """Return itself."""
-        return self
 
 
 class Edge(Line):

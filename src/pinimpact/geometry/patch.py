@@ -14,22 +14,9 @@ from numpy.typing import NDArray
 
 from .convex_pair import gap, touches
 from .convex_shape import PlacedShape, cross
+from .tolerances import ALONGSIDE, COINCIDE, FACE, NEAREST
 
 Array = NDArray[np.float64]
-
-FACE = 1.0 - 1e-6
-"""Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,
-wide enough for normals that GJK finds, and far below the angle between two faces."""
-
-NEAREST = 4e-12
-"""Tolerance for equally close points, relative to the shapes' size."""
-
-
-PARALLEL = 1e-12
-"""Squared sine of the angle between edges below which they are parallel."""
-
-COINCIDE = 1e-9
-"""Distance below which corners of a patch coincide, relative to a shape's size."""
 
 
 class Patch(NamedTuple):
@@ -96,7 +83,7 @@ def _nearest_of_edges(first: Array, second: Array) -> tuple[Array, Array]:
     u, w, r = first[1] - first[0], second[1] - second[0], first[0] - second[0]
     uu, uw, ww, ur, wr = u @ u, u @ w, w @ w, u @ r, w @ r
     determinant = uu * ww - uw * uw
-    s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > PARALLEL * uu * ww else 0.5
+    s = min(max((uw * wr - ww * ur) / determinant, 0.0), 1.0) if determinant > ALONGSIDE * uu * ww else 0.5
     t = min(max((uw * s + wr) / ww, 0.0), 1.0)
     s = min(max((uw * t - ur) / uu, 0.0), 1.0)
     return first[0] + s * u, second[0] + t * w

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..display import changed_fields
 from ._kernels.constants import PLANE
-from .surfaces import Surface, Vector, contact_axes, unit_vector, vector
+from .surfaces import Surface, Vector, unit_vector, vector
+from .tolerances import IN_PLACE
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,6 +36,7 @@ class Plane(Surface):
     """
 
     code: ClassVar[int] = PLANE
+    checks: ClassVar[dict[str, Any]] = {"point": vector, "normal": unit_vector}
     point: Vector = (0.0, 0.0, 0.0)
     normal: Vector = (0.0, 0.0, 1.0)
     velocity: Vector = (0.0, 0.0, 0.0)
@@ -43,33 +44,20 @@ class Plane(Surface):
     body: str | int | None = None
     name: str | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
-
-    def __post_init__(self) -> None:
-        self._check()
-        object.__setattr__(self, "point", vector("point", self.point))
-        object.__setattr__(self, "normal", unit_vector("normal", self.normal))
+    def distance(self, point: ArrayLike) -> float:
+        """Return the signed distance of a point from the plane, negative below it [m]."""
+        return float(np.dot(self.normal, np.subtract(point, self.point)))
 
     @property
     def origin(self) -> Vector:
         """The point of the plane."""
         return self.point
 
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """(3, 3) contact axes of the normal."""
-        return contact_axes(self.normal)
-
-    def distance(self, point: ArrayLike) -> float:
-        """Return the signed distance of a point from the plane, negative below it [m]."""
-        return float(np.dot(self.normal, np.subtract(point, self.point)))
-
     def departure(self) -> str | None:
         """Return how the material rises or tilts; None if it moves within the plane."""
         rise = float(np.dot(self.normal, self.velocity))
         tilt = float(np.linalg.norm(np.cross(self.normal, self.angular_velocity)))
         speed, spin = np.linalg.norm(self.velocity), np.linalg.norm(self.angular_velocity)
-        if abs(rise) <= 1e-12 * speed and tilt <= 1e-12 * spin:
+        if abs(rise) <= IN_PLACE * speed and tilt <= IN_PLACE * spin:
             return None
         return f"moves along its normal at {rise:.6g} m/s or tilts at {tilt:.6g} rad/s"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..checks import above_zero
-from ..display import changed_fields
 from ._kernels.constants import SPHERE
 from .surfaces import Surface, Vector, vector
 
@@ -42,33 +41,16 @@ class Sphere(Surface):
     code: ClassVar[int] = SPHERE
     center: Vector = (0.0, 0.0, 0.0)
     radius: float = 0.0
+    checks: ClassVar[dict[str, Any]] = {"center": vector, "radius": above_zero}
     velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
     name: str | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
-
-    def __post_init__(self) -> None:
-        self._check()
-        object.__setattr__(self, "center", vector("center", self.center))
-        object.__setattr__(self, "radius", above_zero("radius", self.radius))
-
     @property
     def origin(self) -> Vector:
         """The centre."""
         return self.center
-
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """(3, 3) the axes at the pole on z: x, y, z."""
-        return np.eye(3)
-
-    @property
-    def size(self) -> float:
-        """The radius."""
-        return self.radius
 
     def distance(self, point: ArrayLike) -> float:
         """Return the signed distance of a point from the sphere, negative inside [m]."""

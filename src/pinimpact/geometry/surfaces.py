@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, cast
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, in_short
+from ..display import changed_fields
 from ..errors import InputError
 
 Vector = tuple[float, float, float]
@@ -24,6 +26,10 @@ class Surface(ABC):
 
     Attributes:
         code: Code of the kind in kernels, see `pinimpact.geometry._kernels.constants`.
+        checks: Functions that return the checked value of a field of the kind, by its name.
+        radius: Radius of a sphere, or about a line; 0 for others [m].
+        line: The unit direction of a surface that is a line; zero for others.
+        normal: The unit normal n of `axes`.
         velocity: Velocity of the surface's material at `origin`, relative to its body [m/s].
         angular_velocity: Angular velocity of the surface's material, relative to its body [rad/s].
         body: Frame to which the surface is attached, by name or id; None for the world.
@@ -31,10 +37,17 @@ class Surface(ABC):
     """
 
     code: ClassVar[int]
-    velocity: Vector
-    angular_velocity: Vector
+    checks: ClassVar[dict[str, Callable[[str, Any], Any]]] = {}
+    radius: float = 0.0
+    line: Vector = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
+    velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
     body: str | int | None
     name: str | None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     @property
     @abstractmethod
@@ -42,33 +55,23 @@ class Surface(ABC):
         """The centre of rotation of the surface's material [m]."""
 
     @property
-    @abstractmethod
     def axes(self) -> NDArray[np.float64]:
         """(3, 3) axes t₁, t₂, n at one point of the surface, as rows: the initial contact axes of a scene."""
-
-    @property
-    def size(self) -> float:
-        """The number of a kind beyond its place and axes; 0 if none."""
-        return 0.0
-
-    @property
-    def direction(self) -> Vector:
-        """The unit direction of a surface that is a line; zero for others."""
-        return (0.0, 0.0, 0.0)
+        return contact_axes(self.normal)
 
     @abstractmethod
     def distance(self, point: ArrayLike) -> float:
         """Return the signed distance of a point from the surface, negative inside [m]."""
 
-    @abstractmethod
     def departure(self) -> str | None:
         """Return in words how the material leaves the surface's place, or None if it stays within it."""
+        return None
 
     @property
     def constants(self) -> tuple[float, ...]:
         """The surface's part of the constants of a contact, see `pinimpact.geometry._kernels.constants`."""
         axes = self.axes.ravel().tolist()
-        return *self.origin, *axes, *self.velocity, *self.angular_velocity, float(self.code), self.size
+        return *self.origin, *axes, *self.velocity, *self.angular_velocity, float(self.code), self.radius
 
     @property
     def kind(self) -> str:
@@ -84,13 +87,15 @@ class Surface(ABC):
 
     def at_rest(self) -> Surface:
         """Return the surface with its material at rest relative to its body."""
+        if not any((*self.velocity, *self.angular_velocity)):
+            return self
         surface: Any = self  # subclasses are dataclasses
         return cast(Surface, replace(surface, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)))
 
-    def _check(self) -> None:
-        """Check the common fields of all surfaces, and store them as numbers."""
-        for field in ("velocity", "angular_velocity"):
-            object.__setattr__(self, field, vector(field, getattr(self, field)))
+    def __post_init__(self) -> None:
+        """Check the fields, and store them as numbers."""
+        for field, check in {**self.checks, "velocity": vector, "angular_velocity": vector}.items():
+            object.__setattr__(self, field, check(field, getattr(self, field)))
         check_frame_key("body", self.body, optional=True)
 
 

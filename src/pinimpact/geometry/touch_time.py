@@ -27,8 +27,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .convex_pair import TOUCHING, Followed, Touch, Turning, follow, gap, ties, touches
+from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
+from .tolerances import FAR, FLAT, TOUCHING
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,12 @@ class PairState(NamedTuple):
     velocity_b: Array
     acceleration_a: Array
     acceleration_b: Array
+
+    @property
+    def mirrored(self) -> PairState:
+        """The same, with A and B exchanged."""
+        a, b, *rates = self
+        return PairState(b, a, rates[1], rates[0], rates[3], rates[2])
 
 
 class Advance(NamedTuple):
@@ -141,21 +148,13 @@ def first_touch(
     return advance(fronts, start, end, floor)
 
 
-NEARLY = 1e-9
-"""Tolerance of extreme vertices, relative to the shapes' size."""
-
-
-FAR = 0.1
-"""Gap beyond which the normal need not follow the extreme features, relative to the shapes' size."""
-
-
 def _goes_with(state: PairState, value: float, normal: Array) -> Array:
     """Return the rate (3,) of a normal for which all extreme vertices rise at the same rate."""
     a, b = state.a, state.b
     size = a.shape.reach + b.shape.reach
     if value >= FAR * size:
         return np.zeros(3)
-    behind = max(value, NEARLY * size)
+    behind = max(value, TOUCHING * size)
     arms, uneven = [], []
     for placed, velocity, sign in ((a, state.velocity_a, 1.0), (b, state.velocity_b, -1.0)):
         heights = sign * (placed.vertices @ normal)
@@ -163,7 +162,7 @@ def _goes_with(state: PairState, value: float, normal: Array) -> Array:
         foremost = foremost - foremost.mean(axis=0)
         arms.append(foremost - np.outer(foremost @ normal, normal))
         uneven.append(foremost @ cross(normal, velocity[3:]))
-    turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=1e-9)[0]
+    turn = -np.linalg.lstsq(np.concatenate(arms), np.concatenate(uneven), rcond=FLAT)[0]
     return np.asarray(turn - (turn @ normal) * normal)
 
 
@@ -366,27 +365,19 @@ def _clear(bound: Callable[[float], float], longest: float) -> float:
 def normal_rate(touch: Touch, now: Followed, state: PairState) -> Array:
     """Return the rate (3,) of the normal of a pair of features, in world axes [1/s]."""
     n, spin_a, spin_b = now.normal, state.velocity_a[3:], state.velocity_b[3:]
+    if touch.kind in ("face-vertex", "edge-vertex"):
+        mirrored = now._replace(touch=now.touch.mirrored, normal=-n)
+        return -normal_rate(touch.mirrored, mirrored, state.mirrored)
     if touch.kind == "vertex-face":
         return cross(spin_b, n)
-    if touch.kind == "face-vertex":
-        return cross(spin_a, n)
     if touch.kind == "edge-edge":
-        u, w = (
-            np.subtract(*placed.vertices[placed.shape.edges[k]][::-1])
-            for placed, k in zip((state.a, state.b), touch.features, strict=True)
-        )
+        u, w = state.a.edge(touch.features[0]), state.b.edge(touch.features[1])
         return _edges_turn(u, w, n, spin_a, spin_b)
     between = now.touch.point - now.touch.other
-    length = float(np.linalg.norm(between))
     moving = state.velocity_a[:3] + cross(spin_a, now.touch.point)
     moving = moving - state.velocity_b[:3] - cross(spin_b, now.touch.other)
-    line = np.zeros(3)
     if touch.kind == "vertex-edge":  # as the line turns, the point on it that is nearest moves along
-        line = state.b.vertices[state.b.shape.edges[touch.features[1]]]
-        line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+        line = state.b.edge(touch.features[1])
+        line = line / np.linalg.norm(line)
         moving = moving - line * (line @ moving + cross(spin_b, line) @ between)
-    elif touch.kind == "edge-vertex":
-        line = state.a.vertices[state.a.shape.edges[touch.features[0]]]
-        line = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-        moving = moving - line * (line @ moving + cross(spin_a, line) @ between)
-    return np.asarray((moving - (moving @ n) * n) / length)
+    return np.asarray((moving - (moving @ n) * n) / np.linalg.norm(between))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,14 +21,13 @@ from ..errors import InputError
 from ..status import Flag, Status
 from ..tables import AXES, by_component, data_frame
 from ._kernels import robot_impact as kernel
-from ._kernels.python_calls import raise_kept_error
 from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
-from .held import HELD_TOLERANCE, HeldContactWarning
+from .held import HeldContactWarning, moves, pull
 from .matrices import contact_matrices
 from .names import coordinate_names, free_velocities, joint_keys, model_of, singular_mass
-from .pinocchio_bridge import call_addresses
-from .robot_impact import Hit, impact, restitution_of_approach
+from .placed_robot import PlacedRobot
+from .robot_impact import LOCKED, Hit, impact, impact_by_pinocchio, restitution_of_approach
 from .struck import strike
 from .touching import check_rims
 
@@ -36,27 +35,22 @@ Array = NDArray[np.float64]
 _INVALID = int(Status.INVALID_NUMBERS)
 
 
-class _Rows:
-    """The input: model, (N, nq) q, (N, nv) v, contact, (N,) μ and e, held contacts and locked joints."""
+class _Rows(NamedTuple):
+    """The input: (N, nq) q, (N, nv) v, (N,) μ and e, usable rows, held contacts and locked joints."""
 
-    def __init__(
-        self,
-        model: pin.Model,
-        q: Array,
-        v: Array,
-        contact: Contact,
-        mu: Array,
-        e: Array,
-        usable: NDArray[np.bool_],
-        held: tuple[Contact, ...],
-        locked: Sequence[str | int],
-        threads: int,
-    ) -> None:
-        self.threads = threads
-        self.model, self.q, self.v, self.contact = model, q, v, contact
-        self.mu, self.e, self.usable, self.held, self.locked = mu, e, usable, held, locked
+    model: pin.Model
+    q: Array
+    v: Array
+    contact: Contact
+    mu: Array
+    e: Array
+    usable: NDArray[np.bool_]
+    held: tuple[Contact, ...]
+    locked: Sequence[str | int]
+    threads: int
 
 
+@dataclass(eq=False, repr=False)
 class Hits:
     """The impacts of one robot, row by row; ``hits[i]`` is the `Hit` of a row.
 
@@ -67,23 +61,12 @@ class Hits:
         flags: (N,) integer values of `Flag`.
     """
 
-    def __init__(
-        self,
-        v: Array,
-        impulse_world: Array,
-        status: NDArray[np.int64],
-        flags: NDArray[np.int64],
-        rows: _Rows,
-        contact_space: tuple[BatchSolution, Array] | None = None,
-    ) -> None:
-        self.v = v
-        self.impulse_world = impulse_world
-        self.status = status
-        self.flags = flags
-        self._rows = rows
-        self._data: pin.Data | None = None
-        if contact_space is not None:
-            self.__dict__["_contact_space"] = contact_space
+    v: Array
+    impulse_world: Array
+    status: NDArray[np.int64]
+    flags: NDArray[np.int64]
+    _rows: _Rows
+    _data: pin.Data | None = None
 
     def __len__(self) -> int:
         return len(self.v)
@@ -215,12 +198,8 @@ def impacts(
     locked = joint_keys(locked)
     in_steps = bool(held or locked)
     usable = np.ones(count, dtype=np.bool_)  # without other information the kernel checks q
-    if cache.tree is None or e is None or in_steps:
-        usable = np.array(np.isfinite(q).all(axis=1))
-        if cache.curved:
-            usable &= np.array([pin.isNormalized(model, row, 1e-8) for row in q], dtype=np.bool_)
-    if contact.rim > 0.0:
-        usable &= np.array([_has_lowest_point(model, data, row, contact) for row in q], dtype=np.bool_)
+    if cache.tree is None or e is None or in_steps or contact.rim > 0.0:
+        usable[:] = [_is_usable(model, data, row, contact) for row in q]
     if e is None:
         e = np.zeros(count)
         for row in np.flatnonzero(usable):
@@ -238,10 +217,10 @@ def impacts(
     return Hits(after, impulses, codes[:, 0].copy(), codes[:, 1].copy(), rows)
 
 
-def _has_lowest_point(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:
-    """Whether a rim does not lie flat, at a configuration that may be invalid."""
+def _is_usable(model: pin.Model, data: pin.Data, q: Array, contact: Contact) -> bool:
+    """Return whether a configuration is finite and normalized, and no rim lies flat there."""
     try:
-        check_rims(model, data, q, (contact,))
+        check_rims(PlacedRobot(model, data, q), (contact,))
     except InputError:
         return False
     return True
@@ -255,31 +234,40 @@ def _solve_by_kernel(
     after, impulses = np.full((count, cache.nv), np.nan), np.full((count, 3), np.nan)
     numbers, codes = np.full((wanted, kernel.SIZE), np.nan), np.empty((count, 2), dtype=np.int64)
     codes[:] = _INVALID, 0
-    struck = strike(cache, model, data, contact)
+    work = strike(cache, model, data, contact)[1]
     given = rows.q, rows.v, rows.usable, rows.mu, rows.e
     results = after, impulses, codes, numbers
-    if struck.work is not None:
-        work = struck.work
+    if work is None:
+        _solve_by_pinocchio(data, rows, *results)
+        return codes, after, impulses, numbers
 
-        def solve(part: slice) -> int:
-            stopped: int = kernel.robot_impacts(work, *(x[part] for x in given), *(x[part] for x in results))
-            return stopped
+    def solve(part: slice) -> int:
+        stopped: int = kernel.robot_impacts(work, *(x[part] for x in given), *(x[part] for x in results))
+        return stopped
 
-        each = in_threads(solve, count, rows.threads)
-        stopped = next((one for one in each if one != kernel.ALL_DONE), kernel.ALL_DONE)
-    else:
-        parts = struck.parts
-        assert parts is not None
-        stopped = kernel.impacts_by_calls(
-            *(call_addresses(parts.calls), parts.q, parts.mass, cache.parents),
-            *(parts.frame, parts.carrier, parts.columns, struck.signs, struck.constants, cache.bounds),
-            *(rows.q, rows.v, rows.usable, rows.mu, rows.e, contact.law_code, struck.room, *results),
-        )
-    if stopped == kernel.CALL_RAISED:
-        raise_kept_error()
+    each = in_threads(solve, count, rows.threads)
+    stopped = next((one for one in each if one != kernel.ALL_DONE), kernel.ALL_DONE)
     if stopped >= 0:
         raise singular_mass(model, stopped)
     return codes, after, impulses, numbers
+
+
+def _solve_by_pinocchio(
+    data: pin.Data, rows: _Rows, after: Array, impulses: Array, codes: NDArray[np.int64], numbers: Array
+) -> None:
+    """Compute the rows by calls of Pinocchio, for joints that the kernels do not support."""
+    model, contact, nv = rows.model, rows.contact, rows.model.nv
+    for row in np.flatnonzero(rows.usable).tolist():
+        placed, out = PlacedRobot(model, data, rows.q[row]), np.empty(nv + kernel.SIZE)
+        ended = impact_by_pinocchio(placed, rows.v[row], contact, rows.mu[row], rows.e[row], out)
+        if ended[0] == kernel.SINGULAR_MASS:
+            raise singular_mass(model, ended[1])
+        codes[row, 0] = ended[0]
+        if ended[0] <= LOCKED:
+            codes[row, 1], after[row] = ended[1], out[:nv]
+            numbers[row : row + 1] = out[nv:]
+            p, axes = out[nv + kernel.AFTER + 3 :][:3], out[nv + kernel.AXES :][:9]
+            impulses[row] = p @ axes.reshape(3, 3)
 
 
 def _solve(rows: _Rows, numbers: Array) -> tuple[BatchSolution, Array]:
@@ -308,7 +296,7 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
         if last < 0 or not np.array_equal(rows.q[row], rows.q[last]):
             found, last = contact_matrices(model, data, rows.q[row], contact, rows.held, rows.locked), row
         v = rows.v[row]
-        if any(_moves(anchor, v) for anchor in found.held):
+        if any(moves(anchor, v) for anchor in found.held):
             continue
         delassus[row], velocity[row] = found.delassus, found.velocity(v)
         scale[row] = found.velocity_scale(v)
@@ -320,14 +308,9 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
     after = rows.v + np.einsum("ijk,ik->ij", response, batch.impulse)
     _warn_of_pull(rows, batch, pulls)
     world = np.einsum("ik,ikj->ij", batch.impulse, axes)
-    return Hits(after, world, batch.status, batch.flags, rows, (batch, surface))
-
-
-def _moves(anchor: Any, v: Array) -> bool:
-    """Whether a held contact moves relative to its surface."""
-    speed = float(np.linalg.norm(anchor.velocity(v)))
-    scale = float(np.linalg.norm(np.abs(anchor.jacobian) @ np.abs(v)))
-    return speed > HELD_TOLERANCE * (scale + float(np.linalg.norm(anchor.surface_velocity)))
+    hits = Hits(after, world, batch.status, batch.flags, rows)
+    hits.__dict__["_contact_space"] = batch, surface
+    return hits
 
 
 def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]]) -> None:
@@ -336,8 +319,7 @@ def _warn_of_pull(rows: _Rows, batch: BatchSolution, pulls: list[tuple[int, Any]
     for row, found in pulls:
         impulses = found.held_response @ batch.impulse[row]
         for anchor, geometry, impulse in zip(rows.held, found.held, impulses, strict=True):
-            pull = -float(geometry.axes[2] @ impulse)
-            counts[anchor.label] += pull > 1e-12 * float(np.linalg.norm(batch.impulse[row]))
+            counts[anchor.label] += pull(geometry, impulse, batch.impulse[row]) > 0.0
     for label, count in counts.items():
         if count:
             warnings.warn(

@@ -29,15 +29,10 @@ from ..geometry._kernels.constants import (
 from ..geometry.collision_shapes import check_rim_points, collision_model, find_shape, shape_frame, shape_tips
 from ..geometry.plane import Plane
 from ..geometry.surfaces import Surface, Vector, check_frame_key, unit_vector, vector
-from ._kernels import contact_kinematics
-from .data_cache import checked_configuration, data_cache
-from .forest import frame_placement
 from .names import frame_id, model_of
+from .placed_robot import PlacedRobot
 
 Array = NDArray[np.float64]
-
-WORLD = np.eye(4)
-"""The placement for kernels of a surface that is not attached to a body."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,7 +119,7 @@ class Contact:
     def constants(self) -> Array:
         """The numbers of the contact for kernels, see `pinimpact.geometry._kernels.constants`."""
         constants = np.array(
-            [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.direction]
+            [*self.offset, self.radius, *self.plane.constants, self.rim, *self.axis, *self.plane.line]
         )
         constants.setflags(write=False)
         return constants
@@ -215,14 +210,7 @@ class Contact:
         """
         if self.geometry is not None:
             return min(tip.gap(model, data, q) for tip in self.tips(model))
-        model = model_of(model)
-        cache = data_cache(model, data)
-        cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
-        frame = frame_placement(model, data, cache.frame(self.frame)).homogeneous
-        carrier = WORLD
-        if self.plane.body is not None:
-            carrier = frame_placement(model, data, cache.frame(self.plane.body, "body")).homogeneous
-        return float(contact_kinematics.locate(frame, carrier, self.constants)[0])
+        return PlacedRobot(model, data, q).locate(self)[0]
 
 
 def contact_constants(model: pin.Model, contact: Contact) -> tuple[int, int, Array]:

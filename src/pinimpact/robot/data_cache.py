@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,33 +11,33 @@ import pinocchio as pin
 
 from ..checks import finite_array
 from ..errors import InputError
-from .forest import Forest, forward_kinematics, joint_jacobian
+from ._kernels.robot_workspace import RobotWorkspace
+from .forest import Forest
 from .joint_limits import slack_bounds, warn_of_limits
 from .names import frame_id, motion_signs
-from .pinocchio_bridge import MassAndColumns, Tree, tree_of
+from .pinocchio_bridge import flaw
+from .tolerances import NORMALIZED
+from .tree_numbers import UNALIGNED, Tree, tree_of
 
 
 class DataCache:
-    """Data of a model and its Data that do not change between calls; see `data_cache`."""
+    """Data of a model and its Data that do not change between calls; see `data_cache`.
 
-    __slots__ = (
-        *(
-            "bounds",
-            "columns",
-            "struck",
-            "_tree",
-            "contacts",
-            "curved",
-            "data",
-            "forward_kinematics",
-            "frames",
-            "joint_jacobian",
-        ),
-        *("frames_seen", "mass_matrix", "model", "nframes", "njoints", "nv", "parents", "q_shape", "v_shape"),
-    )
+    Attributes:
+        model, data: Weak references to the two.
+        parents: (nv,) the next velocity towards the root, or −1.
+        mimics: Whether joints mimic others, so that the joint Jacobian has different columns.
+        flaw: Why Pinocchio gives wrong results for the model, or None.
+        curved: Whether nq is not nv.
+        bounds: (2, nq) bounds beyond which a warning is given.
+        workspaces: By id of a contact the contact and its workspace, see `struck`.
+    """
 
-    def __init__(self, model: pin.Model, data: pin.Data) -> None:
-        self._read(model, data)
+    def __init__(self, model: pin.Model, data: Any) -> None:
+        self.parents = data.parents() if isinstance(data, Forest) else _parents(model, data)
+        self.mimics = len(self.parents) != model.nv
+        if self.mimics:  # M has no tree's pattern, so take it as a chain
+            self.parents = np.arange(-1, model.nv - 1)
         self.model = weakref.ref(model)
         self.data = weakref.ref(data, _forget(_caches, id(data)))
         self.nframes = self.frames_seen = model.nframes
@@ -46,51 +46,17 @@ class DataCache:
         self.q_shape = (model.nq,)
         self.v_shape = (model.nv,)
         self.curved = model.nq != model.nv
+        self.flaw = flaw(model)
         self.bounds = slack_bounds(model)
         self.frames: dict[Any, int] = {}
         self.contacts: dict[Any, tuple[int, int, np.ndarray]] = {}
-        self.struck: dict[int, Any] = {}
-        self._tree: Tree | bool | None = False
+        self.workspaces: dict[int, tuple[Any, RobotWorkspace | None]] = {}
 
-    def _read(self, model: pin.Model, data: pin.Data) -> None:
-        """Set the fields that are read from the Data."""
-        tree = _tree(model)
-        _check_data(tree, model, data)
-        self.parents = np.array(tree.parents, dtype=np.int64)
-        if len(self.parents) != model.nv:  # mimic joints: M has no tree's pattern, so take it as a chain
-            self.parents = np.arange(-1, model.nv - 1)
-        bridge = MassAndColumns(model, data)
-        self.columns = bridge.columns
-        self.mass_matrix = self._first("mass_matrix", bridge.mass_matrix)
-        self.joint_jacobian = self._first("joint_jacobian", bridge.joint_jacobian)
-        self.forward_kinematics = self._first("forward_kinematics", pin.forwardKinematics)
-
-    @property
+    @cached_property
     def tree(self) -> Tree | None:
         """The numbers of the model for `tree_matrices`, or None if it does not support some joints."""
-        if isinstance(self._tree, bool):  # nobody has asked yet
-            self._tree = self._make_tree()
-        return self._tree
-
-    def _make_tree(self) -> Tree | None:
-        model: Any = self.model()
-        return tree_of(model, (model,))
-
-    def _first(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a call that, on its first use, detects data of a model with other joints."""
-
-        def checked(model: pin.Model, data: pin.Data, *arguments: Any) -> Any:
-            try:
-                found = call(model, data, *arguments)
-            except RuntimeError as error:  # boost::bad_get
-                difference = _joint_that_differs(model, data)
-                if difference:
-                    raise _foreign(data, difference) from error
-                raise
-            setattr(self, name, call)
-            return found
-
-        return checked
+        model, data = self.model(), self.data()
+        return tree_of(model, [part.model for part in data.parts] if isinstance(data, Forest) else [model])
 
     def warn_of_limits(self, q: np.ndarray, rows: str = "", stacklevel: int = 4) -> None:
         """Warn of a configuration outside the joint limits, once."""
@@ -123,75 +89,36 @@ class DataCache:
         The id for the world is 0. The signs (nv,) are 1 for a velocity that moves the contact's frame alone,
         −1 the carrier alone, else 0.
         """
-        model: Any = self.model()
-        ends = self.frame(frame), 0 if body is None else self.frame(body, "body")
-        if self.columns is None:  # with mimic joints each column holds what it does to either
-            signs = np.ones(self.nv)
-        else:
-            signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
-        found = self.contacts[frame, body] = (*ends, signs)
+        found = self.contacts.get((frame, body))
+        if found is None:
+            model: Any = self.model()
+            ends = self.frame(frame), 0 if body is None else self.frame(body, "body")
+            signs = np.ones(self.nv)  # with mimic joints each column holds what it does to either
+            if not self.mimics:
+                signs = motion_signs(model, *(model.frames[end].parentJoint for end in ends))
+            found = self.contacts[frame, body] = (*ends, signs)
         return found
 
 
-class _ForestCache(DataCache):
-    """Data of a model and its `Forest` that do not change."""
+class _Joints(NamedTuple):
+    """The fields of Data that depend on their model: parents of the velocities, kinds and axes of joints."""
 
-    __slots__ = ()
-
-    def _read(self, model: pin.Model, data: Forest) -> None:
-        self.parents = data.parents()
-        self.columns = data.J
-
-        def mass_matrix(model: pin.Model, data: Forest, q: np.ndarray, _: Any) -> np.ndarray:
-            data.joint_jacobian(q)
-            return data.mass_matrix(q)
-
-        self.mass_matrix = mass_matrix
-        self.joint_jacobian = joint_jacobian
-        self.forward_kinematics = forward_kinematics
-
-    def _make_tree(self) -> Tree | None:
-        data: Any = self.data()
-        return tree_of(self.model(), [part.model for part in data.parts])
-
-
-class _Tree(NamedTuple):
-    """Constant data of a model that its Data contain as well.
-
-    Attributes:
-        model: A weak reference to the model.
-        sizes: nq, nv and numbers of joints and frames, to detect a model that has grown since.
-        parents: (nv,) the next velocity towards the root, or −1, as in Data.
-        axes: For joints whose axis is in their data: index and (6, 1) motion subspace.
-    """
-
-    model: Any
-    sizes: tuple[int, int, int, int]
     parents: list[int]
-    axes: list[tuple[int, np.ndarray]]
+    kinds: list[str]
+    axes: list[Any]
 
 
-def _tree(model: pin.Model) -> _Tree:
-    key, sizes = id(model), (model.nq, model.nv, model.njoints, model.nframes)
-    found = _trees.get(key)
-    if found is None or found.model() is not model or found.sizes != sizes:
-        own = model.createData()
-        axes = [
-            (k, joint.S)
-            for k, joint in enumerate(own.joints)
-            if joint.shortname() in ("JointDataRevoluteUnaligned", "JointDataPrismaticUnaligned")
-        ]
-        found = _trees[key] = _Tree(
-            weakref.ref(model, _forget(_trees, key)),
-            sizes,
-            own.parents_fromRow.tolist(),
-            axes,
-        )
-    return found
+def _joints(data: pin.Data) -> _Joints:
+    joints = list(data.joints)
+    kinds = [joint.shortname().removeprefix("JointData") for joint in joints]
+    axes = [
+        joint.S.tolist() if kind in UNALIGNED else None for joint, kind in zip(joints, kinds, strict=True)
+    ]
+    return _Joints(data.parents_fromRow.tolist(), kinds, axes)
 
 
-def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
-    """Raise an error for Data of another model, detected by sizes, tree and axes; see `_first`."""
+def _parents(model: pin.Model, data: Any) -> np.ndarray:
+    """Return the parents of velocities; raise an error for Data of another model."""
     if not isinstance(data, pin.Data):
         raise InputError(
             f"data: {type(data).__name__} given, pinocchio Data expected: model.createData(), or a "
@@ -201,22 +128,22 @@ def _check_data(tree: _Tree, model: pin.Model, data: Any) -> None:
         )
     if len(data.oMi) != model.njoints or len(data.oMf) != model.nframes or len(data.M) != model.nv:
         raise outdated(model, data)
-    if data.parents_fromRow.tolist() != tree.parents:
+    key, sizes = id(model), (model.nq, model.nv, model.njoints, model.nframes)
+    known = _known.get(key)
+    if known is None or known[0]() is not model or known[1] != sizes:
+        reference = weakref.ref(model, _forget(_known, key))
+        known = _known[key] = reference, sizes, _joints(model.createData())
+    own, given = known[2], _joints(data)
+    if given.parents != own.parents:
         raise _foreign(data, "whose kinematic tree is another")
-    if any(not np.array_equal(data.joints[k].S, axis) for k, axis in tree.axes):
-        raise _foreign(data, _joint_that_differs(model, data) or "")
-
-
-def _joint_that_differs(model: pin.Model, data: pin.Data) -> str | None:
-    """Return a clause about the first joint of data that differs from the model."""
-    axes = dict(_tree(model).axes)
-    for k, (own, given) in enumerate(zip(model.createData().joints, data.joints, strict=True)):
-        kind, other = (joint.shortname().removeprefix("JointData") for joint in (own, given))
+    for name, kind, other, axis, its in zip(
+        model.names, own.kinds, given.kinds, own.axes, given.axes, strict=True
+    ):
         if kind != other:
-            return f"whose joint {model.names[k]!r} is {other}, not {kind}"
-        if k in axes and not np.array_equal(given.S, axes[k]):
-            return f"whose joint {model.names[k]!r} has another axis"
-    return None
+            raise _foreign(data, f"whose joint {name!r} is {other}, not {kind}")
+        if axis != its:
+            raise _foreign(data, f"whose joint {name!r} has another axis")
+    return np.array(own.parents, dtype=np.int64)
 
 
 def _foreign(data: pin.Data, how: str) -> InputError:
@@ -239,7 +166,7 @@ def outdated(model: pin.Model, data: Any) -> InputError:
 
 
 _caches: dict[int, DataCache] = {}
-_trees: dict[int, _Tree] = {}
+_known: dict[int, tuple[Any, tuple[int, ...], _Joints]] = {}
 
 
 def _forget(known: dict[int, Any], key: int) -> Any:
@@ -255,8 +182,7 @@ def data_cache(model: pin.Model, data: pin.Data) -> DataCache:
     """
     found = _caches.get(id(data))
     if found is None or found.data() is not data or found.model() is not model:
-        kind = _ForestCache if isinstance(data, Forest) else DataCache
-        found = _caches[id(data)] = kind(model, data)
+        found = _caches[id(data)] = DataCache(model, data)
     return found
 
 
@@ -268,7 +194,7 @@ def checked_configuration(cache: DataCache, model: pin.Model, q: Any) -> np.ndar
             to within 1e-8.
     """
     q = finite_array("q", q, cache.q_shape)
-    if cache.curved and not pin.isNormalized(model, q, 1e-8):
+    if cache.curved and not pin.isNormalized(model, q, NORMALIZED):
         raise not_normalized(q)
     return q
 

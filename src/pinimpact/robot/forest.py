@@ -6,7 +6,7 @@ each Data of a `Forest` has a few of them, and the fields of a Data are assemble
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,7 +59,6 @@ class Forest:
         model: The robot's model.
         parts: Its trees, in groups.
         oMi, v, a: Placements and motions of the joints, as in a Data.
-        J: (6, nv) joint Jacobian, updated by `joint_jacobian`.
 
     Args:
         model: The model; its joints are in depth-first order.
@@ -70,38 +69,11 @@ class Forest:
         self.model = model
         self.parts = [_part(model, first, stop) for first, stop in _ranges(model, most)]
         self.oMi, self.v, self.a = (_OfJoints(self.parts, field) for field in ("oMi", "v", "a"))
-        self.J = np.zeros((6, model.nv), order="F")
 
     def refresh(self) -> None:
         """Update the numbers of the model, which may have changed."""
         for part in self.parts:
             _set_numbers(part.model, self.model, part.first, part.v)
-
-    def forward_kinematics(self, q: Array, *motion: Array) -> None:
-        """Compute placements for q (nq,), and motions for v and v̇ (nv,) if given."""
-        for part in self.parts:
-            pin.forwardKinematics(part.model, part.data, q[part.q], *(one[part.v] for one in motion))
-
-    def joint_jacobian(self, q: Array) -> Array:
-        """Compute J and placements for q (nq,), and return J."""
-        for part in self.parts:
-            self.J[:, part.v] = pin.computeJointJacobians(part.model, part.data, q[part.q]).reshape(6, -1)
-        return self.J
-
-    def mass_matrix(self, q: Array) -> Array:
-        """Return M (nv, nv) at q (nq,)."""
-        return self._by_blocks(pin.crba, q)
-
-    def inverse_mass(self, q: Array) -> Array:
-        """Return M⁻¹ (nv, nv) at q (nq,)."""
-        return self._by_blocks(pin.computeMinverse, q)
-
-    def _by_blocks(self, function: Callable[..., Array], q: Array) -> Array:
-        found = np.zeros((self.model.nv,) * 2)
-        for part in self.parts:
-            size = part.model.nv
-            found[part.v, part.v] = function(part.model, part.data, q[part.q]).reshape(size, size)
-        return found
 
     def parents(self) -> NDArray[np.int64]:
         """Return (nv,) the next velocity towards the root, or −1."""
@@ -116,36 +88,47 @@ def data_of(model: pin.Model) -> Any:
     return Forest(model) if model.nv > LARGE and len(_ranges(model, 0)) > 1 else model.createData()
 
 
+def parts_of(model: pin.Model, data: Any) -> list[Part]:
+    """Return the parts of a `Forest`; a Data is one part, the whole."""
+    return data.parts if isinstance(data, Forest) else [Part(model, data, slice(None), slice(None), 1)]
+
+
 def forward_kinematics(model: pin.Model, data: Any, q: Array, *motion: Array) -> None:
     """Compute placements for q (nq,), and motions for v and v̇ (nv,) if given; for a Data or a `Forest`."""
-    if isinstance(data, Forest):
-        data.forward_kinematics(q, *motion)
-    else:
-        pin.forwardKinematics(model, data, q, *motion)
+    for part in parts_of(model, data):
+        pin.forwardKinematics(part.model, part.data, q[part.q], *(one[part.v] for one in motion))
 
 
 def joint_jacobian(model: pin.Model, data: Any, q: Array) -> Array:
     """Return the joint Jacobian (6, nv) at q (nq,), and compute placements; for a Data or a `Forest`."""
-    if isinstance(data, Forest):
-        return data.joint_jacobian(q)
-    return np.asarray(pin.computeJointJacobians(model, data, q)).reshape(6, -1)
+    found = np.empty((6, model.nv), order="F")
+    for part in parts_of(model, data):
+        found[:, part.v] = pin.computeJointJacobians(part.model, part.data, q[part.q]).reshape(6, -1)
+    return found
 
 
 def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
     """Return M (nv, nv) at q (nq,); for a Data or a `Forest`."""
-    return data.mass_matrix(q) if isinstance(data, Forest) else np.array(pin.crba(model, data, q))
+    return _by_blocks(pin.crba, model, data, q)
 
 
 def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
     """Return M⁻¹ (nv, nv) at q (nq,); for a Data or a `Forest`."""
-    if isinstance(data, Forest):
-        return data.inverse_mass(q)
-    return np.array(pin.computeMinverse(model, data, q)).reshape(model.nv, model.nv)
+    return _by_blocks(pin.computeMinverse, model, data, q)
+
+
+def _by_blocks(function: Callable[..., Array], model: pin.Model, data: Any, q: Array) -> Array:
+    found = np.zeros((model.nv, model.nv))
+    for part in parts_of(model, data):
+        size = part.model.nv
+        found[part.v, part.v] = function(part.model, part.data, q[part.q]).reshape(size, size)
+    return found
 
 
 def potential_energy(model: pin.Model, data: Any, q: Array) -> float:
     """Return the potential energy of gravity [J]; for a Data or a `Forest`."""
-    return sum(float(pin.computePotentialEnergy(*part)) for part in states(model, data, q))
+    parts = parts_of(model, data)
+    return sum(float(pin.computePotentialEnergy(part.model, part.data, q[part.q])) for part in parts)
 
 
 def frame_placement(model: pin.Model, data: Any, frame: int) -> pin.SE3:
@@ -153,15 +136,6 @@ def frame_placement(model: pin.Model, data: Any, frame: int) -> pin.SE3:
     if isinstance(data, Forest):
         return data.oMi[model.frames[frame].parentJoint] * model.frames[frame].placement
     return pin.updateFramePlacement(model, data, frame)
-
-
-def states(model: pin.Model, data: Any, q: Array, *motion: Array) -> Iterator[tuple[Any, ...]]:
-    """Yield model, data, q and other vectors (nv,) of each part; a Data is one part, the whole."""
-    if isinstance(data, Forest):
-        for part in data.parts:
-            yield part.model, part.data, q[part.q], *(one[part.v] for one in motion)
-    else:
-        yield model, data, q, *motion
 
 
 def _ranges(model: pin.Model, most: int) -> list[tuple[int, int]]:

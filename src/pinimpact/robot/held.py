@@ -10,29 +10,40 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .contact import Contact
-from .matrices import ContactGeometry
+from .placed_robot import ContactGeometry
+from .tolerances import HELD_TOLERANCE, PULL
 
 Array = NDArray[np.float64]
-
-HELD_TOLERANCE = 1e-6
-"""Tolerance of the velocity of a held point before the impact, relative to the sum of the joints'
-contributions."""
-
-PULL = 1e-12
-"""Smallest pull that is reported, relative to the impulse of the impact."""
 
 
 class HeldContactWarning(UserWarning):
     """A held contact pulls on its surface during an impact."""
 
 
+def moves(geometry: ContactGeometry, v: Array) -> bool:
+    """Whether a held contact moves against its surface."""
+    scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
+    scale += float(np.linalg.norm(geometry.surface_velocity))
+    return float(np.linalg.norm(geometry.velocity(v))) > HELD_TOLERANCE * scale
+
+
+def pull(geometry: ContactGeometry, push: Array, impulse: Array) -> float:
+    """Return with what a held contact would have to pull in an impact [N s], 0 for none.
+
+    Args:
+        geometry: Of the contact.
+        push: (3,) impulse on the robot at it, in world axes.
+        impulse: That of the impact, of any shape.
+    """
+    found = -float(geometry.axes[2] @ push)
+    return found if found > PULL * float(np.linalg.norm(impulse)) else 0.0
+
+
 def check_at_rest(geometries: Sequence[ContactGeometry], held: Sequence[Contact], v: Array) -> None:
     """Raise an error for held contacts that move relative to their surfaces."""
     for anchor, geometry in zip(held, geometries, strict=True):
-        speed = float(np.linalg.norm(geometry.velocity(v)))
-        scale = float(np.linalg.norm(np.abs(geometry.jacobian) @ np.abs(v)))
-        scale += float(np.linalg.norm(geometry.surface_velocity))
-        if speed > HELD_TOLERANCE * scale:
+        if moves(geometry, v):
+            speed = float(np.linalg.norm(geometry.velocity(v)))
             raise InputError(
                 f"held: {anchor.label!r} moves at {speed:.3g} m/s relative to its surface before "
                 "the impact; a held contact must be at rest there: correct v, or remove it from "
@@ -59,10 +70,10 @@ def warn_of_pulls(
         stacklevel: As in `warnings.warn`, seen from the caller.
     """
     for anchor, geometry, push in zip(held, geometries, impulses, strict=True):
-        pull = -float(geometry.axes[2] @ push)
-        if pull > PULL * float(np.linalg.norm(impulse)):
+        needed = pull(geometry, push, impulse)
+        if needed > 0.0:
             warnings.warn(
-                f"held: {anchor.label!r} pulls on its surface with {pull:.3g} N s; if it can lift "
+                f"held: {anchor.label!r} pulls on its surface with {needed:.3g} N s; if it can lift "
                 "off, remove it from held",
                 HeldContactWarning,
                 stacklevel=stacklevel + 1,

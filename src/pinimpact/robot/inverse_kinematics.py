@@ -16,11 +16,10 @@ from .data_cache import checked_configuration, data_cache
 from .joint_limits import bounds, degrees_hint
 from .matrices import contact_geometry
 from .names import model_of
+from .tolerances import LEAST_RANGE, REDUNDANT, SETTLED, TOUCHING
 
 Array = NDArray[np.float64]
 
-TOUCHING = 1e-12
-"""Tolerance of a closed gap, relative to the robot's size and its coordinates."""
 MAX_STEPS = 100
 SHORTEST_PART = 0.01
 """Smallest part of a step."""
@@ -29,8 +28,6 @@ LONGEST_STEP = 0.5
 linear."""
 STARTS = 8
 """Number of restarts, further and further away, of a search that ends without contact."""
-SETTLED = 1e-7
-"""Step length at which the search ends."""
 
 
 class _Found(NamedTuple):
@@ -166,7 +163,7 @@ class _Search:
             lambda x: self._gaps(x)[0],
             np.clip(x, self._lower, self._upper),
             lambda x: self._gaps(x)[1],
-            bounds=(self._lower, np.maximum(self._upper, self._lower + 1e-12)),
+            bounds=(self._lower, np.maximum(self._upper, self._lower + LEAST_RANGE)),
         ).x
         return found
 
@@ -209,7 +206,7 @@ class _Search:
         for _ in range(len(x)):
             start = (centre + np.zeros(len(x)))[free]
             rest = wanted - rows[:, ~free] @ x[~free] - rows[:, free] @ start
-            x[free] = start + np.linalg.lstsq(rows[:, free], rest, rcond=1e-9)[0]
+            x[free] = start + np.linalg.lstsq(rows[:, free], rest, rcond=REDUNDANT)[0]
             beyond = (x < self._lower) | (x > self._upper)
             if not beyond.any():
                 break

@@ -11,12 +11,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..errors import JointLimitWarning
+from .tolerances import SLACK
 
 NO_BOUND = 1e300
 """A bound of at least this size is infinite."""
-
-SLACK = 1e-4
-"""Distance [rad or m] beyond a bound without a warning, for rounded descriptions and compliant stops."""
 
 
 @dataclass(frozen=True, slots=True)

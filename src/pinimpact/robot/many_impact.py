@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array, real_numbers
+from ..checks import finite_array
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import compile_policy
@@ -20,9 +20,9 @@ from ..errors import InputError
 from ._kernels import contact_kinematics
 from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
-from .data_cache import data_cache
 from .held import check_at_rest, warn_of_pulls
-from .matrices import ManyMatrices, contact_points, many_matrices
+from .matrices import ManyMatrices, many_matrices
+from .placed_robot import PlacedRobot
 from .touching import check_rims
 
 Array = NDArray[np.float64]
@@ -83,24 +83,24 @@ def impact_at_many(
     for contact in contacts:
         check_contact("contact", contact)
     held = check_held(held)
-    check_rims(model, data, q, contacts)
+    placed = PlacedRobot(model, data, q)
+    check_rims(placed, contacts)
     compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
     matrices = many_matrices(model, data, q, contacts, held, locked)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
-    configuration = real_numbers("q", q)
-    data_cache(model, data).check_limits(configuration, stacklevel=5)
+    placed.cache.check_limits(placed.q, stacklevel=6)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     problem = many_problem(contacts, matrices, velocity)
     solution = solve_impact(problem, record=record, simultaneous=simultaneous, **options)
     impulse = solution.impulse.ravel()
     held_impulses = matrices.held_response @ impulse
-    warn_of_pulls(matrices.held, held, held_impulses, impulse, 3)
+    warn_of_pulls(matrices.held, held, held_impulses, impulse, 4)
     return ManyHit(
         v + matrices.response @ impulse,
         np.einsum("ni,nij->nj", solution.impulse, matrices.axes),
         tuple(contacts),
-        contact_points(model, data, configuration, contacts),
+        np.array([placed.locate(contact)[2] for contact in contacts]),
         matrices.axes,
         problem,
         solution,

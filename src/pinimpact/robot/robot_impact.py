@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, overload
 
 import numpy as np
@@ -20,13 +21,14 @@ from ..display import html_table, in_a_line
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
-from .data_cache import DataCache, _caches, checked_configuration, data_cache, not_normalized
+from .data_cache import DataCache, _caches, data_cache, not_normalized
 from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
 from .names import model_of, singular_mass
+from .placed_robot import PlacedRobot
 from .shape_pair import is_pair, touching_points
-from .struck import Struck, strike
+from .struck import strike
 from .touching import check_rims, touching_tips
 
 LOCKED = int(Status.LOCKED)
@@ -51,6 +53,7 @@ def _factor(numbers: Array) -> tuple[Array | None, float | None]:
     return triangle_of(numbers), float(numbers[-1])
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class Hit:
     """The result of an impact of a robot.
 
@@ -58,30 +61,17 @@ class Hit:
         held_impulses: (k, 3) impulse on the robot at each held contact, in world axes [N s].
     """
 
-    __slots__ = ("_contact", "_ended", "_numbers", "_nv", "_restitution", "_solution", "held_impulses")
-
-    def __init__(
-        self,
-        numbers: Array,
-        nv: int,
-        ended: tuple[int, ...],
-        contact: Contact,
-        restitution: float,
-        solution: Solution | None = None,
-        held_impulses: Array = _NONE_HELD,
-    ) -> None:
-        self._numbers = numbers
-        self._nv = nv
-        self._ended = ended
-        self._contact = contact
-        self._restitution = restitution
-        self._solution = solution
-        self.held_impulses = held_impulses
+    _numbers: Array
+    _ended: tuple[int, ...]
+    _contact: Contact
+    _restitution: float
+    _solution: Solution | None = None
+    held_impulses: Array = field(default_factory=lambda: _NONE_HELD)
 
     @property
     def v(self) -> Array:
         """(nv,) post-impact generalized velocity."""
-        return self._numbers[: self._nv]
+        return self._numbers[:-SIZE]
 
     @property
     def impulse_world(self) -> Array:
@@ -148,25 +138,14 @@ class Hit:
         )
 
     def _part(self, start: int, count: int) -> Array:
-        start += self._nv
+        start += len(self._numbers) - SIZE
         return self._numbers[start : start + count]
 
 
 @overload
 def impact(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contact,
-    held: Sequence[Contact] = ...,
-    locked: Sequence[str | int] = ...,
-    method: str = ...,
-    record: bool = ...,
-    **options: Any,
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *more: Any, **options: Any
 ) -> Hit: ...
-
-
 @overload
 def impact(
     model: pin.Model,
@@ -174,15 +153,9 @@ def impact(
     q: ArrayLike,
     v: ArrayLike,
     contact: Sequence[Contact],
-    held: Sequence[Contact] = ...,
-    locked: Sequence[str | int] = ...,
-    method: str = ...,
-    record: bool = ...,
-    simultaneous: str = ...,
+    *more: Any,
     **options: Any,
 ) -> ManyHit: ...
-
-
 def impact(
     model: pin.Model,
     data: pin.Data,
@@ -238,19 +211,11 @@ def impact(
     cache = _caches.get(id(data))
     if cache is None or cache.model() is not model:
         cache = data_cache(model, data)
-    if type(contact) is not Contact:
-        if isinstance(contact, Sequence) and not isinstance(contact, str):
-            return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
-        check_contact("contact", contact)
-        raise AssertionError
-    if contact.geometry is not None:
-        nearest = touching_points if is_pair(robot, contact) else touching_tips
-        tips = nearest(robot, data, q, contact)
-        data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=4)
-        one_or_many: Any = tips[0] if len(tips) == 1 else tips
-        return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
+    if type(contact) is not Contact or contact.geometry is not None:
+        rest: Any = held, locked, method, record, simultaneous
+        return _impact_of_many(robot, data, q, v, contact, *rest, **options)
     if contact.rim > 0.0:
-        check_rims(model, data, q, (contact,))
+        check_rims(PlacedRobot(model, data, q), (contact,))
     if held or locked or record or options or method != "exact":
         return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
     # the common case of what `float_array` returns, in a tenth of its time
@@ -261,45 +226,72 @@ def impact(
     restitution = contact.restitution
     if callable(restitution):
         restitution = restitution_of_approach(model, data, q_now, v_now, contact)
-    nv = cache.nv
-    numbers = _empty(nv + SIZE)
-    struck = cache.struck.get(id(contact))
+    numbers = _empty(cache.nv + SIZE)
+    struck = cache.workspaces.get(id(contact))
     if struck is None or model.nframes != cache.frames_seen or model.njoints != cache.njoints:
         struck = strike(cache, model, data, contact)
-    work = struck.work
+    work = struck[1]
     if work is not None:
         ended = _robot_impact(work, q_now, v_now, restitution, numbers)
     else:
-        ended = _impact_by_calls(model, cache, struck, q_now, v_now, restitution, numbers)
-    hit = Hit(numbers, nv, ended, contact, restitution)
+        placed = PlacedRobot(model, data, q_now)
+        ended = impact_by_pinocchio(placed, v_now, contact, contact.friction, restitution, numbers)
+    hit = Hit(numbers, ended, contact, restitution)
     if not 0 <= ended[0] <= LOCKED:
-        if ended[0] == kernel.SINGULAR_MASS:
-            raise singular_mass(model, ended[1])
-        finite_array("q", q, cache.q_shape)
-        finite_array("v", v, cache.v_shape)
-        if ended[0] == kernel.NOT_NORMALIZED:
-            raise not_normalized(q_now)
-        solve_inputs(hit._inputs())
+        _refuse(ended, cache, q_now, v_now, hit)
     if ended[3]:
         cache.warn_of_limits(q_now)
     return hit
 
 
-def _impact_by_calls(
-    model: pin.Model, cache: DataCache, struck: Struck, q: Array, v: Array, e: float, numbers: Array
+def _refuse(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: Hit) -> None:
+    """Raise the error of an impact that has no answer."""
+    if ended[0] == kernel.SINGULAR_MASS:
+        raise singular_mass(cache.model(), ended[1])
+    finite_array("q", q, cache.q_shape)
+    finite_array("v", v, cache.v_shape)
+    if ended[0] == kernel.NOT_NORMALIZED:
+        raise not_normalized(q)
+    solve_inputs(hit._inputs())
+
+
+def _impact_of_many(
+    robot: Any,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Any,
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    method: str,
+    record: bool,
+    simultaneous: str,
+    **options: Any,
+) -> Hit | ManyHit:
+    """Compute the impact at several contacts, or at what a collision shape touches."""
+    if isinstance(contact, Sequence) and not isinstance(contact, str):
+        model = model_of(robot)
+        return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
+    if not isinstance(contact, Contact):
+        check_contact("contact", contact)
+    nearest = touching_points if is_pair(robot, contact) else touching_tips
+    tips = nearest(robot, data, q, contact)
+    data_cache(model_of(robot), data).check_limits(real_numbers("q", q), stacklevel=5)
+    one_or_many: Any = tips[0] if len(tips) == 1 else tips
+    return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
+
+
+def impact_by_pinocchio(
+    placed: PlacedRobot, v: Array, contact: Contact, mu: float, e: float, numbers: Array
 ) -> tuple[int, ...]:
     """Compute the impact by calls of Pinocchio, for joints that the kernels do not support."""
-    parts, contact = struck.parts, struck.contact
-    assert parts is not None
-    if not np.isfinite(q).all() or (cache.curved and not pin.isNormalized(model, q, 1e-8)):
-        checked_configuration(cache, model, q)
-    parts.q[:] = q
-    for call in parts.calls:
-        call.function(*call.arguments)
+    mass, cache, model = placed.mass_matrix(), placed.cache, placed.model
+    frame, carrier = (matrix[:3].T.ravel() for matrix in placed.placements(contact))
+    columns, signs = placed.columns(contact)
+    room = _empty(kernel.room_to_resolve(model.nv))
     ended: tuple[int, ...] = kernel.resolve(
-        *(parts.mass, cache.parents, parts.frame, parts.carrier, parts.columns, struck.signs),
-        *(struck.constants, cache.bounds, q, v, contact.friction, e, contact.law_code),
-        *(struck.room, numbers),
+        *(mass, cache.parents, frame, carrier, columns, signs, contact.constants, cache.bounds),
+        *(placed.q, v, mu, e, contact.law_code, room, numbers),
     )
     return ended
 
@@ -355,4 +347,4 @@ def _impact_in_steps(
         ]
     )
     ended = (solution.status, solution.flags, solution.iterations)
-    return Hit(numbers, nv, ended, contact, restitution, solution, held_impulses)
+    return Hit(numbers, ended, contact, restitution, solution, held_impulses)

@@ -20,9 +20,10 @@ from ..geometry.lines import Edge, Line
 from ..geometry.plane import Plane
 from ..geometry.sphere import Sphere
 from ..geometry.surfaces import Surface, Vector
+from ..geometry.tolerances import NEAREST
 from .contact import Contact
-from .data_cache import checked_configuration, data_cache
 from .names import model_of, motion_signs
+from .placed_robot import PlacedRobot
 from .solids import CarriedShape, Solid, collision_shape, solid_sphere
 
 Array = NDArray[np.float64]
@@ -182,76 +183,68 @@ def point_contact(
         touch: The point.
         basis: A contact with the coefficients and the name.
     """
-    a, b = pair.a, pair.b
-    radius_a, radius_b = a.shape.radius, b.shape.radius
+    one, other = _Side(pair.a, data, basis), _Side(pair.b, data, basis)
+    instant = one.tip(touch.point, other.plane(touch.other, normal))
+    lasting, swapped, kind = None, False, touch.kind
+    if kind in ("face-vertex", "edge-vertex") or (kind == "vertex-vertex" and not other.radius > 0.0):
+        swapped, one, other, (kind, p, q, features) = True, other, one, touch.mirrored
+        normal, placed = -normal, placed[::-1]
+    else:
+        _, p, q, features = touch
+    if kind == "vertex-face":
+        lasting = one.tip(p, other.plane(q, normal)) if swapped else instant
+    elif kind == "edge-edge":
+        u, w = placed[0].edge(features[0]), placed[1].edge(features[1])
+        w = w if cross(u, w) @ normal > 0.0 else -w
+        edge = Edge(**other.line(q, w, normal))
+        lasting = replace(one.tip(p, edge), axis=one.turn(u / np.linalg.norm(u)))
+    elif one.radius + other.radius > 0.0:
+        if kind == "vertex-edge":
+            surface: Surface = Line(**other.line(q, placed[1].edge(features[1]), normal))
+        else:
+            surface = Sphere(other.place(q), other.radius, body=other.body, name=other.shape.name)
+        lasting = one.tip(p, surface)
+    return PointContact(touch, instant, lasting, swapped and lasting is not None)
 
-    def place(one: CarriedShape, point: Array) -> Vector:
-        x, y, z = (one.in_frame * one.in_joint.inverse() * data.oMi[one.joint].inverse()).act(point).tolist()
+
+class _Side:
+    """One of two shapes that touch, and the contacts of points on it."""
+
+    def __init__(self, shape: CarriedShape, data: pin.Data, basis: Contact) -> None:
+        self.shape, self._basis = shape, basis
+        self.radius, self.body = shape.shape.radius, shape.frame or None
+        self._to_frame = shape.in_frame * shape.in_joint.inverse() * data.oMi[shape.joint].inverse()
+
+    def place(self, point: Array) -> Vector:
+        """Return a point of the world in the axes of the frame."""
+        x, y, z = self._to_frame.act(point).tolist()
         return x, y, z
 
-    def turn(one: CarriedShape, direction: Array) -> Vector:
-        axes = (data.oMi[one.joint] * one.in_joint * one.in_frame.inverse()).rotation
-        x, y, z = (axes.T @ direction).tolist()
+    def turn(self, direction: Array) -> Vector:
+        """Return a direction in the world in the axes of the frame."""
+        x, y, z = (self._to_frame.rotation @ direction).tolist()
         return x, y, z
 
-    def body(one: CarriedShape) -> int | None:
-        return one.frame or None
+    def tip(self, point: Array, surface: Surface) -> Contact:
+        """Return the contact of a point of the core with a surface."""
+        place, frame = self.place(point), self.shape.frame
+        return replace(self._basis, frame=frame, offset=place, radius=self.radius, plane=surface)
 
-    def tip(one: CarriedShape, point: Array, surface: Surface) -> Contact:
-        return replace(
-            basis, frame=one.frame, offset=place(one, point), radius=one.shape.radius, plane=surface
-        )
+    def plane(self, point: Array, outward: Array) -> Plane:
+        """Return the tangent plane of the shape at a point of its core."""
+        place = self.place(point + self.radius * outward)
+        return Plane(place, self.turn(outward), body=self.body, name=self.shape.name)
 
-    def plane(one: CarriedShape, point: Array, outward: Array) -> Plane:
-        return Plane(place(one, point), turn(one, outward), body=body(one), name=one.name)
-
-    def ball(one: CarriedShape, point: Array) -> Sphere:
-        return Sphere(place(one, point), one.shape.radius, body=body(one), name=one.name)
-
-    def line(one: CarriedShape, point: Array, along: Array, outward: Array) -> dict[str, Any]:
+    def line(self, point: Array, along: Array, outward: Array) -> dict[str, Any]:
+        """Return the fields of the line along an edge."""
         return {
-            "point": place(one, point),
-            "line": turn(one, along),
-            "normal": turn(one, outward),
-            "radius": one.shape.radius,
-            "body": body(one),
-            "name": one.name,
+            "point": self.place(point),
+            "line": self.turn(along / np.linalg.norm(along)),
+            "normal": self.turn(outward),
+            "radius": self.radius,
+            "body": self.body,
+            "name": self.shape.name,
         }
-
-    instant = tip(a, touch.point, plane(b, touch.other + radius_b * normal, normal))
-    lasting, swapped = None, False
-    if touch.kind == "vertex-face":
-        lasting = instant
-    elif touch.kind == "face-vertex":
-        lasting, swapped = tip(b, touch.other, plane(a, touch.point, -normal)), True
-    elif touch.kind == "edge-edge":
-        along_a, along_b = _along(placed[0], touch.features[0]), _along(placed[1], touch.features[1])
-        if cross(along_a, along_b) @ normal < 0.0:
-            along_b = -along_b
-        edge = Edge(**line(b, touch.other, along_b, normal))
-        lasting = replace(tip(a, touch.point, edge), axis=turn(a, along_a))
-    elif radius_a + radius_b > 0.0 and touch.kind == "vertex-edge":
-        lasting = tip(
-            a, touch.point, Line(**line(b, touch.other, _along(placed[1], touch.features[1]), normal))
-        )
-    elif radius_a + radius_b > 0.0 and touch.kind == "edge-vertex":
-        along = _along(placed[0], touch.features[0])
-        lasting, swapped = tip(b, touch.other, Line(**line(a, touch.point, along, -normal))), True
-    elif radius_b > 0.0:
-        lasting = tip(a, touch.point, ball(b, touch.other))
-    elif radius_a > 0.0:
-        lasting, swapped = tip(b, touch.other, ball(a, touch.point)), True
-    return PointContact(touch, instant, lasting, swapped)
-
-
-def _along(placed: PlacedShape, edge: int) -> Array:
-    """Return the unit direction of an edge."""
-    first, last = placed.vertices[placed.shape.edges[edge]]
-    return np.asarray((last - first) / np.linalg.norm(last - first))
-
-
-TIE = 4e-12
-"""Tolerance for features that touch together, relative to the shapes' size."""
 
 
 def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
@@ -264,11 +257,9 @@ def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) 
         contact: The contact of two shapes.
     """
     pair = shape_pair(robot, contact)
-    model = model_of(robot)
-    cache = data_cache(model, data)
-    cache.forward_kinematics(model, data, checked_configuration(cache, model, q))
+    PlacedRobot(robot, data, q)
     placed = pair.placed(data)
     found = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
-    points = touches(*placed, found.normal, TIE * size + max(found.value, 0.0))
+    points = touches(*placed, found.normal, NEAREST * size + max(found.value, 0.0))
     return [point_contact(pair, data, placed, found.normal, touch, pair.basis).instant for touch in points]

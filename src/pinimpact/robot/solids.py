@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..checks import above_zero, in_short
-from ..display import changed_fields
 from ..errors import InputError
 from ..geometry._kernels.constants import SOLID
 from ..geometry.collision_shapes import (
@@ -26,7 +25,7 @@ from ..geometry.collision_shapes import (
 )
 from ..geometry.convex_shape import ConvexShape, box, hull, of_collision_geometry, sphere
 from ..geometry.sphere import Sphere
-from ..geometry.surfaces import Surface, Vector, check_frame_key, vector
+from ..geometry.surfaces import Surface, Vector, vector
 from .names import frame_id, model_of
 
 
@@ -51,8 +50,11 @@ class CarriedShape:
     name: str
 
 
-def carried(model: pin.Model, shape: ConvexShape, frame: int, placement: pin.SE3, name: str) -> CarriedShape:
-    """Return a shape attached to a frame at a placement in its axes."""
+def carried(
+    model: pin.Model, shape: ConvexShape, key: str | int | None, placement: pin.SE3, name: str
+) -> CarriedShape:
+    """Return a shape attached to a frame (None: the world) at a placement in its axes."""
+    frame = 0 if key is None else frame_id(model, key, "body")
     body = model.frames[frame]
     return CarriedShape(shape, frame, int(body.parentJoint), placement, body.placement * placement, name)
 
@@ -111,8 +113,6 @@ class Solid(Surface):
     """A surface that is a convex body, for contacts with `geometry` only."""
 
     code: ClassVar[int] = SOLID
-    velocity: Vector = (0.0, 0.0, 0.0)
-    angular_velocity: Vector = (0.0, 0.0, 0.0)
 
     @abstractmethod
     def carried_by(self, robot: Any) -> CarriedShape:
@@ -127,16 +127,6 @@ class Solid(Surface):
         """A point of it."""
         return (0.0, 0.0, 0.0)
 
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """(3, 3) x, y, z."""
-        return np.eye(3)
-
-    @property
-    def constants(self) -> tuple[float, ...]:
-        """Placeholders, since kernels do not support it as a surface."""
-        return *self.origin, *self.axes.ravel().tolist(), *self.velocity, *self.angular_velocity, SOLID, 0.0
-
     def distance(self, point: ArrayLike) -> float:
         """Not available without the robot.
 
@@ -147,13 +137,10 @@ class Solid(Surface):
             f"plane: the distance of a point from {self.label!r} is not known", field="plane", value=self
         )
 
-    def departure(self) -> str | None:
-        """None: it does not move by itself."""
-        return None
 
-    def at_rest(self) -> Surface:
-        """Return itself."""
-        return self
+def _sides(field: str, value: Any) -> Vector:
+    x, y, z = vector(field, value)
+    return above_zero(field, x), above_zero(field, y), above_zero(field, z)
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,28 +158,18 @@ class Box(Solid):
         InputError: A vector that is not three finite numbers, or a side that is not positive.
     """
 
-    size: Vector = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    size: Vector = (0.0, 0.0, 0.0)
     center: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
     body: str | int | None = None
     name: str | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
-
-    def __post_init__(self) -> None:
-        for field in ("size", "center", "rpy"):
-            object.__setattr__(self, field, vector(field, getattr(self, field)))
-        for side in self.size:
-            above_zero("size", side)
-        check_frame_key("body", self.body, optional=True)
+    checks: ClassVar[dict[str, Any]] = {"size": _sides, "center": vector, "rpy": vector}
 
     def carried_by(self, robot: Any) -> CarriedShape:
         """See `Solid`."""
-        model = model_of(robot)
-        frame = 0 if self.body is None else frame_id(model, self.body, "body")
         placement = pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.center))
-        return carried(model, box(self.size), frame, placement, self.label)
+        return carried(model_of(robot), box(self.size), self.body, placement, self.label)
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,9 +189,6 @@ class Shape(Solid):
     name: str | None = None
     rim_points: int | None = None
     body: None = None
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
 
     def __post_init__(self) -> None:
         if not isinstance(self.geometry, str) or not self.geometry:
@@ -248,7 +222,5 @@ def solid_sphere(robot: Any, surface: Sphere) -> CarriedShape:
             field="plane",
             value=surface,
         )
-    model = model_of(robot)
-    frame = 0 if surface.body is None else frame_id(model, surface.body, "body")
     placement = pin.SE3(np.eye(3), np.array(surface.center))
-    return carried(model, sphere(surface.radius), frame, placement, surface.label)
+    return carried(model_of(robot), sphere(surface.radius), surface.body, placement, surface.label)

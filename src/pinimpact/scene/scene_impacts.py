@@ -25,15 +25,10 @@ from ..robot.contact import Contact
 from ..robot.data_cache import data_cache
 from ..robot.forest import inverse_mass
 from ..robot.joint_limits import JointLimit
-from ..robot.matrices import (
-    ContactMatrices,
-    ManyMatrices,
-    checked_matrices,
-    contact_geometry,
-    contact_matrices,
-)
+from ..robot.matrices import ContactMatrices, ManyMatrices, checked_matrices, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.pinocchio_bridge import kinetic_energy
+from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
 from .dynamics import SceneDynamics
@@ -396,9 +391,9 @@ class SceneImpacts:
         stops = np.zeros((len(limits), self._model.nv))
         for row, limit in zip(stops, limits, strict=True):
             row[limit.index_v] = limit.sign
-        model, data, free = self._model, self._data, self._yielding
-        anchors = tuple(contact_geometry(model, data, q, anchor) for anchor in self._held)
-        return every, checked_matrices(model, data, q, contacts, anchors, free, stops)
+        placed = PlacedRobot(self._model, self._data, q)
+        anchors = tuple(placed.geometry(anchor) for anchor in self._held)
+        return every, checked_matrices(placed, contacts, anchors, self._yielding, stops)
 
     def _solve(
         self,

@@ -21,11 +21,11 @@ from ..errors import (
     SimulationError,
 )
 from ..robot.contact import Contact
-from ..robot.forest import forward_kinematics
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
 from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.pinocchio_bridge import check_inertia
+from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import FREE, SLIP, STICK
@@ -409,8 +409,8 @@ class SimulationState:
         """Return u × n (3,) of rims, see `tilt_of_rim`."""
         if not rims:
             return []
-        forward_kinematics(self._model, self._data, q)
-        return [tilt_of_rim(self._model, self._data, self.dynamics.contacts[k]) for k in rims]
+        placed = PlacedRobot(self._model, self._data, q)
+        return [tilt_of_rim(placed, self.dynamics.contacts[k]) for k in rims]
 
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""

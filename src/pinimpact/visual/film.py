@@ -36,9 +36,9 @@ def slowed(stopped: Sequence[float]) -> list[bool]:
     Args:
         stopped: Work of compression of each [J].
     """
-    least = max(WEAK * max(stopped, default=0.0), 1e-300)
+    least = WEAK * max(stopped, default=0.0)
     hardest = sorted(range(len(stopped)), key=lambda i: -stopped[i])[:SLOWED]
-    return [i in hardest and stopped[i] >= least for i in range(len(stopped))]
+    return [i in hardest and stopped[i] >= least > 0.0 for i in range(len(stopped))]
 
 
 def frame_times(

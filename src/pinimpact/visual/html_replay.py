@@ -45,6 +45,7 @@ from .robot_shapes import (
 )
 from .shapes_in_contact import bodies_of, contacts_to_draw, lit_shapes
 from .surface_shapes import surface_as_data
+from .video import write_video
 
 Array = NDArray[np.float64]
 
@@ -91,9 +92,7 @@ class Replay(os.PathLike[str]):
 
     def video(self, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)) -> Path:
         """Write the replay as a video; see `pinimpact.visual.video.write_video`."""
-        from .video import write_video
-
-        return write_video(self, path, rate=rate, size=size)
+        return write_video(self.html, path, rate=rate, size=size)
 
     def _repr_html_(self) -> str:
         return (
@@ -272,6 +271,18 @@ def _configuration(model: pin.Model, q: Any) -> Array:
     return finite_array("q", q, (model.nq,))
 
 
+def _scales(marks: Sequence[ImpactMark], forces: Sequence[Array | None], size: float) -> dict[str, Any]:
+    """Return how long arrows are [m] per unit of what they show, and the largest of that."""
+    longest = {
+        "impulse": max((mark.strength for mark in marks), default=0.0),
+        "velocity": max((mark.speed for mark in marks), default=0.0),
+        "force": max((float(np.linalg.norm(f, axis=1).max()) for f in forces if f is not None), default=0.0),
+    }
+    parts = {"impulse": LONGEST_IMPULSE, "velocity": LONGEST_VELOCITY, "force": LONGEST_FORCE}
+    scales = {name: parts[name] * size / value if value > 0.0 else 0.0 for name, value in longest.items()}
+    return {**scales, "longest": longest}
+
+
 def _page(
     robot: Any,
     model: pin.Model,
@@ -329,13 +340,6 @@ def _page(
     )
     grid = 0.0 if floor or not configurations[0].size else grid_square(size)
     send_background(recorder, low, grid)
-    longest = {
-        "impulse": max((mark.strength for mark in marks), default=0.0),
-        "velocity": max((mark.speed for mark in marks), default=0.0),
-        "force": max((float(np.linalg.norm(f, axis=1).max()) for f in forces if f is not None), default=0.0),
-    }
-    parts = {"impulse": LONGEST_IMPULSE, "velocity": LONGEST_VELOCITY, "force": LONGEST_FORCE}
-    scales = {name: parts[name] * size / value if value > 0.0 else 0.0 for name, value in longest.items()}
     motion = {
         **settings,
         "times": packed(times, np.float64),
@@ -354,7 +358,7 @@ def _page(
         ],
         "modes": modes,
         "impacts": [mark.as_data() for mark in marks],
-        "scales": {**scales, "longest": longest},
+        "scales": _scales(marks, forces, size),
         "view": {"points": packed(points), "size": size, "thickness": 0.006 * size, "grid": grid},
     }
     return page(model.name or "impact", recorder.commands, motion)

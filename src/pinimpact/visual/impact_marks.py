@@ -141,7 +141,7 @@ def contact_mark(
         velocity, impulse = path.velocity[shown], path.impulse[shown]
         segments = [(s.mode, s.phase, s.start, s.end) for s in solution.segments]
         if whole is not None:  # all of them go through the impact together
-            clock = whole.path.clock / max(float(whole.path.clock[-1]), 1e-300)
+            clock = whole.path.clock / (float(whole.path.clock[-1]) or 1.0)
     else:
         velocity = np.array([problem.velocity, solution.velocity], dtype=float)
         impulse = np.array([np.zeros(3), solution.impulse])

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ..geometry.collision_shapes import tips_of
 from ..robot.contact import Contact
 from ..scene.trajectory import Trajectory
 from .impact_marks import short
@@ -101,23 +102,12 @@ def surface_points(solid: Any) -> Array:
         return np.array(solid.vertices(), dtype=np.float64)
     if hasattr(solid, "points"):
         return np.array(solid.points(), dtype=np.float64)
-    kind = type(solid).__name__
-    if kind == "TriangleP":
-        return np.array([solid.a, solid.b, solid.c], dtype=np.float64)
-    if kind == "Box":
-        signs = np.array([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
-        return signs * np.asarray(solid.halfSide)
-    angles = 2.0 * np.pi * np.arange(ROUND) / ROUND
-    if kind == "Ellipsoid":
+    if isinstance(solid, coal.Ellipsoid):
         return np.asarray(solid.radii) * surface_points(coal.Sphere(1.0))
-    circle = solid.radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(ROUND)])
-    if kind in ("Sphere", "Capsule"):
-        heights = np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND // 2 + 1))
-        half = solid.halfLength if kind == "Capsule" else 0.0
-        rings = [
-            circle * np.sqrt(max(1.0 - z * z, 0.0)) + [0.0, 0.0, solid.radius * z + np.copysign(half, z)]
-            for z in heights
-        ]
-        return np.vstack(rings)
-    up = np.array([0.0, 0.0, float(solid.halfLength)])
-    return np.vstack([circle - up, up if kind == "Cone" else circle + up])
+    tips = tips_of(solid, ROUND)
+    if tips.radius == 0.0:
+        return tips.centres
+    turns = 2.0 * np.pi * np.arange(ROUND) / ROUND
+    heights = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND // 2 + 1)
+    ball = [[np.cos(z) * np.cos(a), np.cos(z) * np.sin(a), np.sin(z)] for z in heights for a in turns]
+    return (tips.centres[:, None] + tips.radius * np.array(ball)).reshape(-1, 3)

@@ -62,7 +62,7 @@ def invariant_directions(problem: ImpactProblem) -> Array:
     first = 0.5 * (b2 + 1j * b1)
     second = -0.5 * mu * (w[0, 1] - 0.5j * (w[1, 1] - w[0, 0]))
     scale = max(abs(first), abs(second))
-    if scale <= 1e-14 * max(np.abs(w[:2]).max() * max(mu, 1.0), 1e-300):
+    if scale <= 1e-14 * np.abs(w[:2]).max() * max(mu, 1.0):
         return np.empty(0)
     coefficients = np.array([second, first, 0.0, np.conj(first), np.conj(second)]) / scale
     if abs(coefficients[0]) < 1e-14:

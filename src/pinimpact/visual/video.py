@@ -9,14 +9,10 @@ import subprocess
 import tempfile
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..checks import above_zero
 from ..errors import InputError
 from .browser import find_browser, open_page
-
-if TYPE_CHECKING:
-    from .html_replay import Replay
 
 COLORS = 128
 """Number of colours of a GIF that cover most of it, and of those that differ most."""
@@ -25,7 +21,7 @@ FILMS = (".mp4", ".webm", ".mkv", ".mov")
 
 
 def write_video(
-    replay: Replay, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)
+    page: str, path: str | Path, *, rate: float = 25.0, size: tuple[int, int] = (960, 540)
 ) -> Path:
     """Write a replay as a video.
 
@@ -33,7 +29,7 @@ def write_video(
     the page does the same in any browser.
 
     Args:
-        replay: The result of `pinimpact.replay`.
+        page: The page of what `pinimpact.replay` returned.
         path: Ends in .gif, .mp4, .webm, .mkv or .mov.
         rate: Frames per second, > 0; at most 50 for a GIF.
         size: Width and height of the window [px].
@@ -70,7 +66,7 @@ def write_video(
         )
     if kind == ".gif":
         rate = min(rate, 50.0)
-    frames = _frames(replay, browser, rate, size, "png" if kind == ".gif" else "jpeg")
+    frames = _frames(page, browser, rate, size, "png" if kind == ".gif" else "jpeg")
     if kind == ".gif":
         _write_gif(frames, path, rate)
     else:
@@ -79,11 +75,11 @@ def write_video(
     return path
 
 
-def _frames(replay: Replay, browser: str, rate: float, size: tuple[int, int], kind: str) -> list[bytes]:
-    """Return the frames of a video as files."""
+def _frames(text: str, browser: str, rate: float, size: tuple[int, int], kind: str) -> list[bytes]:
+    """Return the pictures of a film as files of a kind."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
-        page.write_text(replay.html, encoding="utf-8")
+        page.write_text(text, encoding="utf-8")
         opened = open_page(browser, page, f"frames={rate:.9g},{size[0]},{size[1]},{kind}", size=size)
     found = re.search(r'<pre id="frames">([^<]*)</pre>', opened.dom)
     if found is None:
@@ -113,19 +109,9 @@ def _write_gif(frames: list[bytes], path: Path, rate: float) -> None:
 
 
 def _write_film(frames: list[bytes], path: Path, rate: float, ffmpeg: str) -> None:
-    command = [
-        ffmpeg,
-        "-y",
-        "-loglevel",
-        "error",
-        "-f",
-        "image2pipe",
-        "-framerate",
-        f"{rate:.9g}",
-        "-c:v",
-        "mjpeg",
-    ]
-    command += ["-i", "-", "-vf", "scale=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p", str(path)]
+    read = f"-y -loglevel error -f image2pipe -framerate {rate:.9g} -c:v mjpeg -i -"
+    even = "-vf scale=trunc(iw/2)*2:trunc(ih/2)*2 -pix_fmt yuv420p"
+    command = [ffmpeg, *read.split(), *even.split(), str(path)]
     done = subprocess.run(command, input=b"".join(frames), capture_output=True)
     if done.returncode:
         raise InputError(

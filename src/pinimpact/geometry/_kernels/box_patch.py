@@ -11,24 +11,10 @@ import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
+from ..tolerances import COINCIDE, FACE, PARALLEL, TIE
 
 MOST = 8
 """Corners of a patch: a face clipped by another."""
-
-FACE = 1.0 - 1e-6
-"""Cosine of the angle between a normal and that of a face within which the face is the reference."""
-
-TIE = 1e-13
-"""Tolerance for equal separations relative to the boxes' size; faces then precede edges."""
-
-PARALLEL = 1e-9
-"""Sine of the angle below which two edges do not determine a normal."""
-
-NEAREST = 1e-9
-"""Tolerance for equally close points, relative to the boxes' size."""
-
-COINCIDE = 1e-9
-"""Distance below which corners of a patch coincide, relative to a box's size."""
 
 
 @inlined
@@ -215,9 +201,9 @@ def nearest_edges(a, half_a, b, half_b, size, points, others):
                 p, q = 1.0 - 2.0 * (c % 2), 1.0 - 2.0 * (c // 2 % 2)
                 k, o = 1.0 - 2.0 * (c // 4 % 2), 1.0 - 2.0 * (c // 8)
                 distance = nearest_of_two_edges(a, half_a, i, p, q, b, half_b, j, k, o, one, other)
-                if distance < best - NEAREST * size:
+                if distance < best - COINCIDE * size:
                     best, count = distance, 0
-                if distance <= best + NEAREST * size:
+                if distance <= best + COINCIDE * size:
                     for e in range(3):
                         before = points[0, e] * count, others[0, e] * count
                         points[0, e] = (before[0] + one[0, e]) / (count + 1) if count else one[0, e]
@@ -269,7 +255,7 @@ def box_patch(a, half_a, b, half_b, within, normal, points, others, gaps):
         if value <= 0.0:
             return 0
         value = nearest_edges(a, half_a, b, half_b, size, points, others)
-        if value <= NEAREST * size:
+        if value <= COINCIDE * size:
             return 0
         for e in range(3):
             normal[e] = (points[0, e] - others[0, e]) / value

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from ..._compile.jit import inlined
+from . import surface_sphere
 from .constants import LINE_AXIS, SIZE
 
 
@@ -20,23 +19,15 @@ def across(k, x1, x2, x3):
 def distance(k, x1, x2, x3):
     """Return |y| − R and y/|y|, with y the part of x across the line; on the line itself n is z."""
     y1, y2, y3 = across(k, x1, x2, x3)
-    away = math.sqrt(y1 * y1 + y2 * y2 + y3 * y3)
-    if away == 0.0:
-        return -k[SIZE], 0.0, 0.0, 1.0
-    return away - k[SIZE], y1 / away, y2 / away, y3 / away
+    return surface_sphere.distance(k, y1, y2, y3)
 
 
 @inlined
 def normal_rate(k, x1, x2, x3, v1, v2, v3):
     """Return (w − n n·w)/|y|, with w the part of v across the line."""
     y1, y2, y3 = across(k, x1, x2, x3)
-    away = math.sqrt(y1 * y1 + y2 * y2 + y3 * y3)
-    if away == 0.0:
-        return 0.0, 0.0, 0.0
-    n1, n2, n3 = y1 / away, y2 / away, y3 / away
     w1, w2, w3 = across(k, v1, v2, v3)
-    rise = n1 * w1 + n2 * w2 + n3 * w3
-    return (w1 - rise * n1) / away, (w2 - rise * n2) / away, (w3 - rise * n3) / away
+    return surface_sphere.normal_rate(k, y1, y2, y3, w1, w2, w3)
 
 
 @inlined

@@ -30,10 +30,8 @@ from ...geometry._kernels.constants import (
     VELOCITY,
 )
 from ...geometry._kernels.contact_axes import contact_axes
+from ..tolerances import LEAST_RISE
 from .placement import cross, direction, place, pose, rotate, rotate_back
-
-LEAST_RISE = 1e-12
-"""Lower bound of 1 + a₃·n: next to n = −a₃ the carried axes are arbitrary, but finite."""
 
 
 @inlined

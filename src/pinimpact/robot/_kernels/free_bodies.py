@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import inlined, jit
-from .placement import cross, rotate, rotate_back
+from .placement import along, cross, rotate, rotate_back, slide, turn_by_quaternion
 
 MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
 """Layout of the numbers of a body: mass, centre, inertia about it and its inverse, placement."""
@@ -18,29 +18,16 @@ MASS, CENTER, INERTIA, INVERSE, PLACEMENT, BODY = 0, 1, 4, 13, 22, 34
 @inlined
 def times(k, at, a, b, c):
     """Return the product of the symmetric (3, 3) matrix at k[at:at + 9] and a vector."""
-    return (
-        k[at] * a + k[at + 1] * b + k[at + 2] * c,
-        k[at + 3] * a + k[at + 4] * b + k[at + 5] * c,
-        k[at + 6] * a + k[at + 7] * b + k[at + 8] * c,
-    )
+    return along(k, at, a, b, c), along(k, at + 3, a, b, c), along(k, at + 6, a, b, c)
 
 
 @inlined
 def set_placement(k, q, i, out):
     """Fill the placement (12,) of a joint with the coordinates q[i:i + 7]."""
-    x, y, z, w = q[i + 3], q[i + 4], q[i + 5], q[i + 6]
-    turn = (
-        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        *(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        *(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    base = k[PLACEMENT : PLACEMENT + 12]
-    for c in range(3):
-        out[3 * c], out[3 * c + 1], out[3 * c + 2] = rotate(
-            base, turn[3 * c], turn[3 * c + 1], turn[3 * c + 2]
-        )
-    x, y, z = rotate(base, q[i], q[i + 1], q[i + 2])
-    out[9], out[10], out[11] = x + base[9], y + base[10], z + base[11]
+    for e in range(12):
+        out[e] = k[PLACEMENT + e]
+    slide(out, q[i], q[i + 1], q[i + 2])
+    turn_by_quaternion(out, q[i + 3], q[i + 4], q[i + 5], q[i + 6])
 
 
 @inlined

@@ -39,11 +39,13 @@ def rotate(R, a, b, c):
 @inlined
 def rotate_back(R, a, b, c):
     """Return a vector in the axes that R places."""
-    return (
-        R[0] * a + R[1] * b + R[2] * c,
-        R[3] * a + R[4] * b + R[5] * c,
-        R[6] * a + R[7] * b + R[8] * c,
-    )
+    return along(R, 0, a, b, c), along(R, 3, a, b, c), along(R, 6, a, b, c)
+
+
+@inlined
+def along(k, i, a, b, c):
+    """Return the dot product of the vector k[i:i + 3] and another."""
+    return k[i] * a + k[i + 1] * b + k[i + 2] * c
 
 
 @inlined
@@ -57,3 +59,31 @@ def place(R, k, i):
     """Transform the point k[i:i + 3]."""
     a, b, c = rotate(R, k[i], k[i + 1], k[i + 2])
     return a + R[9], b + R[10], c + R[11]
+
+
+@inlined
+def slide(R, x, y, z):
+    """Translate a placement along its own axes."""
+    x, y, z = rotate(R, x, y, z)
+    R[9] += x
+    R[10] += y
+    R[11] += z
+
+
+@inlined
+def turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
+    """Rotate a placement by a rotation matrix, given column by column."""
+    x, y, z = rotate(R, l11, l21, l31), rotate(R, l12, l22, l32), rotate(R, l13, l23, l33)
+    for i in range(3):
+        R[i], R[3 + i], R[6 + i] = x[i], y[i], z[i]
+
+
+@inlined
+def turn_by_quaternion(R, x, y, z, w):
+    """Rotate a placement by a unit quaternion."""
+    turn_by(
+        R,
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        *(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        *(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )

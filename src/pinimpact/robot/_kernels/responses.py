@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..tolerances import COUPLED
 from .tree import factor, solve, solve_transposed
 
 
@@ -55,10 +56,6 @@ def respond(lower, parents, y, delassus, response):
         for i in range(y.shape[1]):
             response[a, i] = y[a, i]
     solve(lower, parents, response)
-
-
-COUPLED = 1e-12
-"""Ratio of an off-diagonal block of W to the diagonal ones below which two contacts are not coupled."""
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)

@@ -28,7 +28,6 @@ from ...contact_space._kernels.tolerances import WELL_CONDITIONED
 from ...contact_space.inputs import FACTOR
 from .contact_kinematics import contact_rows, fill_by_axes
 from .delassus_factor import delassus_factor
-from .python_calls import call
 from .robot_workspace import RobotWorkspace
 from .tree import factor, solve, solve_transposed
 from .tree_matrices import BODY, placed, tree_matrices
@@ -44,8 +43,8 @@ SINGULAR_MASS = -1
 NOT_NORMALIZED = -2
 """Status: a quaternion or a (cos, sin) pair is not of unit length."""
 
-CALL_RAISED, ALL_DONE = -2, -1
-"""Results of a batch without a singular M."""
+ALL_DONE = -1
+"""Result of a batch without a singular M."""
 
 
 @inlined
@@ -251,67 +250,4 @@ def robot_impacts(work, q, v, usable, mu, e, after, impulses, codes, numbers):
         if status != NOT_NORMALIZED:
             last = row
             _keep(row, status, flags, out, after, impulses, codes, numbers)
-    return ALL_DONE
-
-
-@declared(
-    *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGERS, FLOATS, FLOATS, FLOAT_COLUMNS, FLOATS, FLOATS, FLOAT_ROWS),
-    *(FLOAT_ROWS, FLOAT_ROWS, FLAGS, FLOATS, FLOATS, int, FLOATS),
-    *(FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS),
-)
-@jit
-def impacts_by_calls(
-    calls, buffer, mass, parents, frame, carrier, columns, signs, constants, bounds,
-    q, v, usable, mu, e, law, room, after, impulses, codes, numbers,
-):  # fmt: skip
-    """Resolve one contact's impact from N states, by calls of Pinocchio.
-
-    Args:
-        calls: (2 k,) addresses of functions and their arguments, see `python_calls`; after them mass, frame,
-            carrier and columns are those of the buffer.
-        buffer: (nq,) the configuration for the calls.
-        mass: As in `resolve`, like the arguments up to `bounds`.
-        parents: See `resolve`.
-        frame: See `resolve`.
-        carrier: See `resolve`.
-        columns: See `resolve`.
-        signs: See `resolve`.
-        constants: See `resolve`.
-        bounds: See `resolve`.
-        q: As in `robot_impacts`, like the arguments that follow except `law` and `room`.
-        v: See `robot_impacts`.
-        usable: See `robot_impacts`.
-        mu: See `robot_impacts`.
-        e: See `robot_impacts`.
-        law: Code of the law.
-        room: See `resolve`.
-        after: See `robot_impacts`.
-        impulses: See `robot_impacts`.
-        codes: See `robot_impacts`.
-        numbers: See `robot_impacts`.
-
-    Returns:
-        `ALL_DONE`, or the velocity at which the factorization of M stops, or `CALL_RAISED`.
-    """
-    out = np.empty(v.shape[1] + SIZE)
-    fresh = False
-    for row in range(len(v)):
-        if not usable[row]:
-            continue
-        for i in range(len(buffer)):
-            if buffer[i] != q[row, i]:
-                fresh = False
-                buffer[i] = q[row, i]
-        if not fresh:
-            for k in range(0, len(calls), 2):
-                if not call(calls[k], calls[k + 1]):
-                    return CALL_RAISED
-            fresh = True
-        status, flags, _, _ = resolve(
-            *(mass, parents, frame, carrier, columns, signs, constants, bounds),
-            *(q[row], v[row], mu[row], e[row], law, room, out),
-        )
-        if status == SINGULAR_MASS:
-            return flags
-        _keep(row, status, flags, out, after, impulses, codes, numbers)
     return ALL_DONE

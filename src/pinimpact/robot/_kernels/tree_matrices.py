@@ -12,7 +12,8 @@ import math
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import external, inlined, jit
-from .placement import rotate
+from ..tolerances import NORMALIZED
+from .placement import rotate, slide, turn_by, turn_by_quaternion
 from .robot_workspace import (
     FREE_FLYER,
     PLANAR,
@@ -27,9 +28,6 @@ from .robot_workspace import (
 BODY = 22
 """Numbers of a joint: its placement, then mass, centre and inertia of its composite body."""
 
-NORMALIZED = 1e-8
-"""Tolerance of the length of a quaternion or (cos, sin) pair."""
-
 
 @inlined
 def placed(body, placement, out):
@@ -38,15 +36,6 @@ def placed(body, placement, out):
         out[k], out[k + 1], out[k + 2] = rotate(body, placement[k], placement[k + 1], placement[k + 2])
     x, y, z = rotate(body, placement[9], placement[10], placement[11])
     out[9], out[10], out[11] = x + body[9], y + body[10], z + body[11]
-
-
-@inlined
-def _slide(R, x, y, z):
-    """Translate a placement along its own axes."""
-    x, y, z = rotate(R, x, y, z)
-    R[9] += x
-    R[10] += y
-    R[11] += z
 
 
 @inlined
@@ -59,34 +48,15 @@ def _turn(R, axis, cos, sin):
 
 
 @inlined
-def _turn_by(R, l11, l21, l31, l12, l22, l32, l13, l23, l33):
-    """Rotate a placement by a rotation matrix, given column by column."""
-    x, y, z = rotate(R, l11, l21, l31), rotate(R, l12, l22, l32), rotate(R, l13, l23, l33)
-    for i in range(3):
-        R[i], R[3 + i], R[6 + i] = x[i], y[i], z[i]
-
-
-@inlined
 def _turn_about(R, a, cos, sin):
     """Rotate a placement about a unit vector in its axes."""
     x, y, z = a[0], a[1], a[2]
     m = 1.0 - cos
-    _turn_by(
+    turn_by(
         R,
         *(cos + m * x * x, m * x * y + sin * z, m * x * z - sin * y),
         *(m * x * y - sin * z, cos + m * y * y, m * y * z + sin * x),
         *(m * x * z + sin * y, m * y * z - sin * x, cos + m * z * z),
-    )
-
-
-@inlined
-def _turn_by_quaternion(R, x, y, z, w):
-    """Rotate a placement by a unit quaternion."""
-    _turn_by(
-        R,
-        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        *(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        *(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
     )
 
 
@@ -106,18 +76,18 @@ def _move(work, j, q, R):
         return kind == REVOLUTE or abs(math.sqrt(cos * cos + sin * sin) - 1.0) <= NORMALIZED
     if kind == PRISMATIC:
         a = work.velocity_axis[work.joint_v[j]]
-        _slide(R, q[at] * a[0], q[at] * a[1], q[at] * a[2])
+        slide(R, q[at] * a[0], q[at] * a[1], q[at] * a[2])
         return True
     if kind == PLANAR:
-        _slide(R, q[at], q[at + 1], 0.0)
+        slide(R, q[at], q[at + 1], 0.0)
         _turn(R, 2, q[at + 2], q[at + 3])
         return abs(math.sqrt(q[at + 2] * q[at + 2] + q[at + 3] * q[at + 3]) - 1.0) <= NORMALIZED
     if kind in (TRANSLATION, FREE_FLYER):
-        _slide(R, q[at], q[at + 1], q[at + 2])
+        slide(R, q[at], q[at + 1], q[at + 2])
         at += 3
     if kind in (SPHERICAL, FREE_FLYER):
         x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
-        _turn_by_quaternion(R, x, y, z, w)
+        turn_by_quaternion(R, x, y, z, w)
         return abs(math.sqrt(x * x + y * y + z * z + w * w) - 1.0) <= NORMALIZED
     return True
 

@@ -139,7 +139,7 @@ def hodograph(impact: Impact, *, contact: int | None = None, ax: Axes | None = N
     impact = solved(impact, contact)
     ax = axes_for(ax, (5.6, 6.4))
     path = smooth_path(impact.problem, impact.solution)
-    radius = 1.15 * max(float(np.abs(path.velocity[:, :2]).max()), 1e-12)
+    radius = 1.15 * float(np.abs(path.velocity[:, :2]).max()) or 1.0
     if impact.solution.part_of is None:
         _draw_flow(ax, impact.problem, radius)
         _draw_directions(ax, impact.problem, radius)
@@ -173,15 +173,11 @@ def velocities(impact: Impact, *, contact: int | None = None, ax: Axes | None = 
     Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
     """
     impact = solved(impact, contact)
-    ax = axes_for(ax)
-    path = smooth_path(impact.problem, impact.solution)
-    rows = (("v₁", GREEN, "-"), ("v₂", RESUMED, "--"), ("v₃ (normal)", BLACK, "-"))
-    for row, (name, color, dash) in enumerate(rows):
-        ax.plot(path.normal_impulse, path.velocity[:, row], dash, color=color, label=name)
-    _mark_segments(ax, impact.solution)
-    ax.set(xlabel="normal impulse P₃ [N s]", ylabel="[m/s]", title="Contact velocity")
-    legend(ax)
-    return ax
+    path, ax = smooth_path(impact.problem, impact.solution), axes_for(ax)
+    curves = (("v₁", GREEN, "-"), ("v₂", RESUMED, "--"), ("v₃ (normal)", BLACK, "-"))
+    for values, (name, color, dash) in zip(path.velocity.T, curves, strict=True):
+        ax.plot(path.normal_impulse, values, dash, color=color, label=name)
+    return _mark_segments(ax, impact.solution, "Contact velocity", "[m/s]")
 
 
 def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
@@ -190,19 +186,14 @@ def impulses(impact: Impact, *, contact: int | None = None, ax: Axes | None = No
     Stick is shaded, and the end of compression marked. Arguments and errors as in `hodograph`.
     """
     impact = solved(impact, contact)
-    ax = axes_for(ax)
-    path = smooth_path(impact.problem, impact.solution)
+    path, ax = smooth_path(impact.problem, impact.solution), axes_for(ax)
     p3, mu = path.normal_impulse, float(impact.problem.friction)
-    rows = ((path.impulse[:, 0], "P₁", GREEN, "-"), (path.impulse[:, 1], "P₂", RESUMED, "--"))
-    for values, name, color, dash in rows:
-        ax.plot(p3, values, dash, color=color, label=name)
+    ax.plot(p3, path.impulse[:, 0], "-", color=GREEN, label="P₁")
+    ax.plot(p3, path.impulse[:, 1], "--", color=RESUMED, label="P₂")
     ax.plot(p3, np.hypot(path.impulse[:, 0], path.impulse[:, 1]), color=BLACK, label="|Pₜ|")
     for sign in (1.0, -1.0):
         ax.plot(p3[[0, -1]], sign * mu * p3[[0, -1]], ":", color=COMPRESSION, label="± μP₃")
-    _mark_segments(ax, impact.solution)
-    ax.set(xlabel="normal impulse P₃ [N s]", ylabel="[N s]", title="Tangential impulse")
-    legend(ax)
-    return ax
+    return _mark_segments(ax, impact.solution, "Tangential impulse", "[N s]")
 
 
 def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None = None) -> Axes:
@@ -255,7 +246,8 @@ def parts(path: Path, segments: tuple[Segment, ...]) -> list[tuple[Segment, slic
     return found
 
 
-def _mark_segments(ax: Axes, solution: Solution) -> None:
+def _mark_segments(ax: Axes, solution: Solution, title: str, unit: str) -> Axes:
+    """Finish axes over the normal impulse."""
     compressed = [segment.end for segment in solution.segments if segment.phase == "compression"]
     for segment in solution.segments:
         if segment.mode == "stick":
@@ -263,6 +255,9 @@ def _mark_segments(ax: Axes, solution: Solution) -> None:
     if compressed:
         ax.axvline(compressed[-1], color=COMPRESSION, ls="-.", lw=1.0, label="compression ends")
     ax.axhline(0.0, color=BLACK, lw=0.5)
+    ax.set(xlabel="normal impulse P₃ [N s]", ylabel=unit, title=title)
+    legend(ax)
+    return ax
 
 
 def _number(ax: Axes, start: float, value: float, row: int) -> None:

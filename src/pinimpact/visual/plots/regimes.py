@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import in_short
-from ...contact_space.batch import solve_impacts
+from ...contact_space.batch import BatchSolution, solve_impacts
 from ...contact_space.problem import ImpactProblem
 from ...errors import InputError
 from ...status import Flag, Status
@@ -32,6 +32,24 @@ REGIMES = (
 
 MARKED = ((Flag.JAM, "jam", "////"), (Flag.SECOND_COMPRESSION, "second compression", "...."))
 """Hatched flags."""
+
+
+def _over_grid(
+    problem: ImpactProblem, turns: bool, most: float, resolution: int
+) -> tuple[Array, Array, BatchSolution]:
+    """Return μ up to `most` (n,), angle or restitution (n,), and the impacts of all pairs, row by row."""
+    v = np.asarray(problem.velocity, dtype=float)
+    low, high = (-np.pi, np.pi) if turns else (0.0, 1.0)
+    middles = (np.arange(resolution) + 0.5) / resolution  # beside lines of symmetry, where all is special
+    mu, other = most * middles, low + (high - low) * middles
+    all_mu, all_other = (values.ravel() for values in np.meshgrid(mu, other))
+    velocity = np.tile(v, (len(all_mu), 1))
+    if turns:
+        speed = np.hypot(v[0], v[1])
+        velocity[:, 0], velocity[:, 1] = speed * np.cos(all_other), speed * np.sin(all_other)
+    restitution = float(problem.restitution) if turns else all_other
+    w = np.tile(np.asarray(problem.delassus, dtype=float), (len(all_mu), 1, 1))
+    return mu, other, solve_impacts(w, velocity, all_mu, restitution, law=problem.law)
 
 
 def regime_map(
@@ -79,16 +97,7 @@ def regime_map(
     own = float(problem.friction)
     most = max(2.0 * own, 2.0 * threshold, 1.0) if friction is None else friction
     turns = against == "slip angle"
-    low, high = (-np.pi, np.pi) if turns else (0.0, 1.0)
-    middles = (np.arange(resolution) + 0.5) / resolution  # beside lines of symmetry, where all is special
-    mu, other = most * middles, low + (high - low) * middles
-    all_mu, all_other = (values.ravel() for values in np.meshgrid(mu, other))
-    count = len(all_mu)
-    velocity = np.tile(v, (count, 1))
-    if turns:
-        velocity[:, 0], velocity[:, 1] = speed * np.cos(all_other), speed * np.sin(all_other)
-    restitution = float(problem.restitution) if turns else all_other
-    batch = solve_impacts(np.tile(w, (count, 1, 1)), velocity, all_mu, restitution, law=problem.law)
+    mu, other, batch = _over_grid(problem, turns, most, resolution)
     codes, hatches = classified(batch.status, batch.flags)
     shape = (resolution, resolution)
     shown = np.degrees(other) if turns else other

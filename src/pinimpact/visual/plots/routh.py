@@ -73,7 +73,7 @@ def _plane(problem: ImpactProblem, impulse: Array) -> Array | None:
         direction = -direction
     across = np.array([-direction[1], direction[0]])
     for row in (impulse[:, :2], velocity[:2], w[:2, 2], w[:2, :2] @ direction):
-        if np.abs(row @ across).max() > 1e-9 * max(float(np.abs(row).max()), 1e-300):
+        if np.abs(row @ across).max() > 1e-9 * float(np.abs(row).max()):
             return None
     return direction
 

@@ -1,0 +1,61 @@
+"""Tolerances of geometry: lengths relative to the size of the shapes, unless a unit is given."""
+
+from __future__ import annotations
+
+GJK = 1e-12
+"""Tolerance of coal's distance: a hundredth of `COAL_ERROR`."""
+
+COAL_ERROR = 1e-10
+"""Largest error of coal's distance, which makes boxes larger."""
+
+CLOSE = 1e-6
+"""Gap below which coal's distance is replaced by one that is exact to rounding; far above `COAL_ERROR`."""
+
+LOCAL = 1e-5
+"""Distance of a corner behind the extreme one up to which it may belong to the closest feature."""
+
+TOUCHING = 1e-9
+"""Gap up to which all edges are tried, and tolerance of extreme vertices."""
+
+COINCIDE = 1e-9
+"""Distance below which points of contact, and corners of a patch, coincide."""
+
+WITHIN = 1e-12
+"""Distance beyond the sides of a face of a point that lies above it: rounding of some operations."""
+
+TIE = 1e-13
+"""Tolerance for equal separations; faces then precede edges."""
+
+NEAREST = 4e-12
+"""Tolerance for equally close points, and for features that touch together."""
+
+PARALLEL = 1e-9
+"""Sine of the angle below which two edges do not determine a normal."""
+
+ALONGSIDE = 1e-12
+"""Squared sine of the angle between edges below which they are parallel: four digits of a determinant."""
+
+FACE = 1.0 - 1e-6
+"""Cosine of the angle between a normal and that of a face within which the face is the reference: 1.4e-3 rad,
+wide enough for normals that GJK finds, and far below the angle between two faces."""
+
+FACING = 0.9
+"""Cosine of the angle within which a face faces a direction."""
+
+COPLANAR = 1e-9
+"""Facets of a hull whose normals differ by less than this form one face."""
+
+SAME_DIRECTION = 1.0 - 1e-15
+"""Cosine of the angle between edges above which they are parallel: rounding."""
+
+FLAT = 1e-9
+"""Extent of points across a plane or a line, relative to the largest, below which they lie in it."""
+
+NOT_CONVEX = 1e-3
+"""Depth of a vertex of a mesh inside its hull from which on the mesh is not convex."""
+
+FAR = 0.1
+"""Gap beyond which the normal need not follow the extreme features."""
+
+IN_PLACE = 1e-12
+"""Velocity normal to a plane of its material, relative to its velocity, that is rounding."""
