@@ -19,7 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from pinimpact._numeric.coulomb_problem import USABLE, solve_coulomb
+from pinimpact._numeric.coulomb_problem import solve_coulomb
+from pinimpact._numeric.tolerances import USABLE
 from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 
 Problem = tuple[Any, ...]

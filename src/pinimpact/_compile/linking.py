@@ -365,8 +365,7 @@ class KernelCompiler(CompilerBase):
         passes.passes = [
             (KernelLowering if one is NativeLowering else one, why)
             for one, why in passes.passes
-            if one.__name__
-            not in {"InlineClosureLikes", "ReconstructSSA", "PreLowerStripPhis", "NopythonRewrites"}
+            if one.__name__ not in _LEFT_OUT
         ]
         passes.finalize()
         return [passes]

@@ -301,14 +301,10 @@ class Workspace(array.array):
             else:
                 self.integers[field.slot] = value
 
-    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+    def __reduce_ex__(self, *arguments: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")
 
-    def __copy__(self) -> NoReturn:
-        self.__reduce_ex__(0)
-
-    def __deepcopy__(self, memo: Any) -> NoReturn:
-        self.__reduce_ex__(0)
+    __copy__ = __deepcopy__ = __reduce_ex__
 
     def __repr__(self) -> str:
         rows = [f"{type(self).__name__}:"]
@@ -316,8 +312,6 @@ class Workspace(array.array):
             value = getattr(self, name)
             rows.append(f"  {name} = {value.shape if isinstance(field, _Array) else value}: {field.meaning}")
         return "\n".join(rows)
-
-    __str__ = __repr__
 
 
 class _Plan(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from .._compile.jit import external, inlined
 from .loops import assign, ones
+from .tolerances import FALLS_BACK, ROUNDING
 
 CONE = np.int64(3)
 """Size of the cones of friction."""
@@ -22,11 +23,6 @@ CONE = np.int64(3)
 MAX_ITERATIONS = 60
 """Largest number of iterations; only badly scaled programs reach it."""
 
-FALLS_BACK = 1e-6
-"""Accuracy from which on an increase of the residual means that double precision is exhausted."""
-
-ROUNDING = 1e-13
-"""Residual of the equations, of order one, that is rounding."""
 
 STEP = 0.99
 """Step length relative to the distance to the boundary of the cone."""

@@ -25,6 +25,8 @@ from .cone_program import cholesky, substitute
 from .least_norm import least_norm
 from .loops import assign, flags, repeated
 from .products import apply
+from .tolerances import ACCURATE, COMPLIANCE, EXACT, NEAR, PIVOT, POLISHED, SMALL
+from .tolerances import USABLE as USABLE  # for those who solve
 
 SYSTEM = (FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLAGS, FLOATS, FLOATS, FLOATS)
 """Types: W, u_free, velocities of slip, friction, least normal forces, held, bounds, and the forces."""
@@ -36,12 +38,6 @@ PENALTY, FACTOR, IMBALANCE = 1.0, 10.0, 10.0
 """Its first penalty (for rows with a diagonal of one), the factor of its changes, and the ratio of the
 residuals of f = y and of u from which on it changes."""
 
-COMPLIANCE = 1e-9
-"""Added to the diagonal, so that it is definite, relative to the forces of the previous iteration; it does
-not change the fixed point."""
-
-NEAR = 1e-2
-"""Residual below which Newton's method is tried."""
 
 LONG = 500
 """Iterations after which it is tried at any residual."""
@@ -49,18 +45,9 @@ LONG = 500
 POLISH = 8
 """Steps of Newton's method per trial."""
 
-ACCURATE, USABLE = 1e-11, 1e-10
-"""Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
 
-ROUNDING = 1e-15
-"""A residual that is rounding."""
-
-SMALL = 1e-5
-"""A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
-10⁻¹⁰."""
-
-CLOSED, AS_FORCES_SAY = np.int64(1), np.int64(-1)
-"""Modes of a contact for the first iteration of `polish`."""
+AS_FORCES_SAY = np.int64(-1)
+"""Instead of a mode of a contact in `linearize`."""
 
 
 @inlined
@@ -108,7 +95,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         x: (3 nc + ns,) the start, unless zero forces have a smaller residual; takes the forces.
 
     Returns:
-        The residual of the law, relative to u_free; more than `USABLE` if no forces are found.
+        The residual of the law, relative to u_free; more than `tolerances.USABLE` if no forces are found.
     """
     nc, ns = len(mu), len(lower)
     size = 3 * nc + ns
@@ -157,7 +144,7 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
                 delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
             )
             before = math.inf
-            while ROUNDING < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
+            while EXACT < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
                 before = now
                 now = newton(
                     delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
@@ -307,39 +294,18 @@ def scale(delassus, free, contacts, d, scale_a, scale_f):
 @external
 def newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Refine forces x to rounding by Newton's method on their active set; return the residual."""
-    worst = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
-    if not 0.0 < worst < math.inf:
-        return worst
-    undecided = repeated(len(mu), AS_FORCES_SAY)
-    return polish(
-        delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, undecided
-    )
-
-
-@declared(*SYSTEM, FLOATS, FLOATS, FLOATS, float, INTEGERS)
-@external
-def polish(
-    delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, worst, closed
-):
-    """Newton's method on the equations of the present active set; improvements are kept.
-
-    In the first iteration `closed` has the contacts that are closed (1; those at rest stick) or open (0); −1
-    leaves that to the forces.
-    """
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
+    best = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
+    if not 0.0 < best < math.inf:
+        return best
+    size = len(free)
     system, right, step = np.empty((size, size)), np.empty(size), np.empty(size)
-    trial = x.copy()
-    best = worst
-    no_basis, undecided = np.empty((0, size)), repeated(nc, AS_FORCES_SAY)
-    chosen = closed
+    trial, no_basis, undecided = x.copy(), np.empty((0, size)), repeated(len(mu), AS_FORCES_SAY)
     for _ in range(POLISH):
         linearize(
             *(delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f),
-            *(chosen, system, right),
+            *(undecided, system, right),
         )
-        chosen = undecided
-        least_norm(system, right, 1e-11, step, no_basis)
+        least_norm(system, right, PIVOT, step, no_basis)
         for a in range(size):
             trial[a] += step[a] * scale_f[a]
         now = residual(
@@ -347,9 +313,8 @@ def polish(
         )
         if now < best:
             best = now
-            for a in range(size):
-                x[a] = trial[a]
-        if now <= 1e-14 or not now < 10.0 * best:
+            assign(x, trial)
+        if now <= POLISHED or not now < 10.0 * best:
             break
     return best
 

@@ -6,9 +6,7 @@ import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
-
-RANK = 1e-10
-"""A pivot or singular value below this part of the largest is taken as zero."""
+from .tolerances import RANK as RANK  # for those who solve
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float)

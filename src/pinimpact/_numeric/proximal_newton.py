@@ -22,6 +22,7 @@ from .._compile.jit import external, inlined
 from .coulomb_problem import into_cone
 from .loops import assign
 from .products import apply, dot
+from .tolerances import BALANCED, STALLED
 
 SYSTEM = (
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
@@ -30,9 +31,6 @@ SYSTEM = (
 """Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, r, accuracy, begin, w and
 the impulses."""
 
-PROXIMAL = 3e-3
-"""The largest r, relative to the largest of W: larger values take more iterations, smaller ones longer
-iterations."""
 
 ITERATIONS = 40
 """Largest number of iterations of the proximal point method."""
@@ -40,14 +38,6 @@ ITERATIONS = 40
 STEPS = 40
 """Largest number of steps of Newton's method in an iteration, and of a line search."""
 
-BALANCED = 1e-11
-"""Residual of M w − Jᵀf after Newton's method, relative to the largest momentum."""
-
-ACCURATE = 1e-9
-"""Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
-
-STALLED = 1e-5
-"""The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
 
 PATIENCE = 3
 
@@ -360,8 +350,8 @@ def solve_velocities(
         lower: (ns,) lower bounds of scalar impulses.
         upper: (ns,) upper bounds of scalar impulses.
         compliance: (nc,) of the contacts, up to a factor.
-        proximal: The largest r, relative to the largest of W, see `PROXIMAL`.
-        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `ACCURATE`.
+        proximal: The largest r, relative to the largest of W, see `tolerances.PROXIMAL`.
+        accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
         begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
             start for a nearly equal problem.
         w: (m,) takes the change by the impulses.

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._compile.declared import FLOAT_ROWS, FLOATS, declared
 from .._compile.jit import external, inlined
-from .elimination import RANK
+from .tolerances import RANK
 
 
 @inlined

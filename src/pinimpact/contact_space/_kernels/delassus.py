@@ -119,6 +119,12 @@ class Delassus(NamedTuple):
 
 
 @inlined
+def _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, least, spread):
+    """Return the `Delassus` of a W of full rank."""
+    return Delassus(np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, least, spread, 0.0, 0.0, 1.0, False)
+
+
+@inlined
 def eliminate(w11, w12, w13, w22, w23, w33):
     """Solve for stick by elimination with the larger pivot first.
 
@@ -220,9 +226,7 @@ def _graded(w11, w12, w13, w22, w23, w33):
         return True, _rank_two(*cleared, n, 0.0, min(l3 / l2, _spread(*cleared)), 0.0)
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = l1 > CORRELATED and det > 0.0 and largest > CORRELATED
-    return regular, Delassus(
-        np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False
-    )
+    return regular, _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0)
 
 
 @inlined
@@ -240,47 +244,16 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
     nought, one = 0.0, 1.0
     if l1 < -zero or not (l3 >= 0.0):
         return Delassus(
-            np.int64(-1),
-            w11,
-            w12,
-            w13,
-            w22,
-            w23,
-            w33,
-            nought,
-            nought,
-            nought,
-            l1,
-            one,
-            nought,
-            nought,
-            one,
-            False,
-        )
+            np.int64(-1), *(w11, w12, w13, w22, w23, w33, nought, nought, nought, l1, one),
+            *(nought, nought, one, False),
+        )  # fmt: skip
     if l1 > zero:
         # κ = −(w₁, w₂)/w₃ and s = 1/w₃ with w = W⁻¹e₃, summed over the eigenvectors
         g1, g2, g3 = x[2] / l1, y[2] / l2, z[2] / l3
         q3 = g1 * x[2] + g2 * y[2] + g3 * z[2]
         k1 = -(g1 * x[0] + g2 * y[0] + g3 * z[0]) / q3
         k2 = -(g1 * x[1] + g2 * y[1] + g3 * z[1]) / q3
-        return Delassus(
-            np.int64(3),
-            w11,
-            w12,
-            w13,
-            w22,
-            w23,
-            w33,
-            k1,
-            k2,
-            1.0 / q3,
-            l1,
-            l3 / l1,
-            nought,
-            nought,
-            one,
-            False,
-        )
+        return _regular(w11, w12, w13, w22, w23, w33, k1, k2, 1.0 / q3, l1, l3 / l1)
     if l2 > zero + max(l1, 0.0):  # else rounding would decide between their directions
         w11 -= l1 * x[0] * x[0]
         w12 -= l1 * x[0] * x[1]
@@ -298,24 +271,12 @@ def nearly_singular(w11, w12, w13, w22, w23, w33):
                 *(nought, nought, one, False),
             )  # fmt: skip
         z3 = z[2] if abs(z[2]) > ZERO else 0.0
+        x1, x2, x3 = l3 * z[0], l3 * z[1], l3 * z3
         return Delassus(
-            np.int64(1),
-            l3 * z[0] * z[0],
-            l3 * z[0] * z[1],
-            l3 * z[0] * z3,
-            l3 * z[1] * z[1],
-            l3 * z[1] * z3,
-            l3 * z3 * z3,
-            z3 / tangential * z[0],
-            z3 / tangential * z[1],
-            nought,
-            l1,
-            one,
-            nought,
-            nought,
-            math.sqrt(tangential),
-            False,
-        )
+            np.int64(1), *(x1 * z[0], x1 * z[1], x1 * z3, x2 * z[1], x2 * z3, x3 * z3),
+            *(z3 / tangential * z[0], z3 / tangential * z[1], nought, l1, one),
+            *(nought, nought, math.sqrt(tangential), False),
+        )  # fmt: skip
     return Delassus(
         np.int64(0), *(nought, nought, nought, nought, nought, nought, nought, nought, nought, l1, one),
         *(nought, nought, one, False),
@@ -328,9 +289,7 @@ def clear(w11, w12, w13, w22, w23, w33, least):
     trace = w11 + w22 + w33
     det, k1, k2, s = eliminate(w11, w12, w13, w22, w23, w33)
     regular = det > 0.0 and det > least * trace * trace * trace
-    return regular, Delassus(
-        np.int64(3), w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0, 0.0, 0.0, 1.0, False
-    )
+    return regular, _regular(w11, w12, w13, w22, w23, w33, k1, k2, s, 0.0, 1.0)
 
 
 FORMED = 4.0 * EPS

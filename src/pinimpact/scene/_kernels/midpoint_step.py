@@ -10,7 +10,8 @@ from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGE
 from ..._compile.jit import inlined, jit
 from ..._numeric.loops import flags
 from ..._numeric.products import apply_symmetric
-from ..._numeric.proximal_newton import ACCURATE, rates
+from ..._numeric.proximal_newton import rates
+from ..._numeric.tolerances import SETTLED
 from ...geometry._kernels.constants import RADIUS
 from .contact_forces import FREE, HELD, SLIP, STICK
 from .dynamics import (
@@ -284,7 +285,7 @@ def midpoint_step(
             compliance,
             active,
             tree,
-            ACCURATE,
+            SETTLED,
         ),
         *(begin, mean, impulse),
     )

@@ -13,7 +13,8 @@ from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.proximal_newton import PROXIMAL, solve_velocities
+from ..._numeric.proximal_newton import solve_velocities
+from ..._numeric.tolerances import PROXIMAL
 
 USABLE = 1e-5
 """What the contact problem may miss, in parts of its velocities, before it is tried otherwise and noted: far

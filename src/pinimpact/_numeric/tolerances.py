@@ -1,0 +1,53 @@
+"""Tolerances of the solvers. Their problems are scaled: residuals are of order one at the start."""
+
+from __future__ import annotations
+
+# ---- pivots
+
+RANK = 1e-10
+"""A pivot or singular value below this part of the largest is taken as zero."""
+
+PIVOT = 1e-11
+"""The same for Newton's equations at a solution, whose entries are known to rounding."""
+
+# ---- Coulomb's law by multipliers and Newton's method
+
+COMPLIANCE = 1e-9
+"""Added to the diagonal, so that it is definite, relative to the forces of the previous iteration; it does
+not change the fixed point."""
+
+NEAR = 1e-2
+"""Residual below which Newton's method is tried."""
+
+ACCURATE, USABLE = 1e-11, 1e-10
+"""Residuals of forces: one at which to stop, and one that is accepted if it does not decrease further."""
+
+POLISHED, EXACT = 1e-14, 1e-15
+"""A residual below which Newton's method stops, and one below which it does not start: rounding."""
+
+SMALL = 1e-5
+"""A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
+10⁻¹⁰."""
+
+# ---- Coulomb's law by proximal steps
+
+PROXIMAL = 3e-3
+"""The largest r, relative to the largest of W: larger values take more iterations, smaller ones longer
+iterations."""
+
+BALANCED = 1e-11
+"""Residual of M w − Jᵀf after Newton's method, relative to the largest momentum."""
+
+SETTLED = 1e-9
+"""Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
+
+STALLED = 1e-5
+"""The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
+
+# ---- cone programs
+
+FALLS_BACK = 1e-6
+"""Accuracy from which on an increase of the residual means that double precision is exhausted."""
+
+ROUNDING = 1e-13
+"""Residual of the equations, of order one, that is rounding."""
