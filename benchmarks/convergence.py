@@ -66,7 +66,7 @@ def main() -> None:
 
 def errors_of(seed: int, controlled: bool, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Return times (m,), and per power but the last the largest error of q until then, (powers − 1, m)."""
-    _, scene, q, v, _ = drawn(seed, controlled)
+    _, scene, q, v, _ = drawn(seed, controlled, others=False)
     model = scene.model
     runs = [simulate(scene, q, v, duration, rtol=10.0**-p, atol=10.0 ** -(p + 2)) for p in POWERS]
     times = np.linspace(0.0, duration, 401)

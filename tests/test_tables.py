@@ -213,5 +213,5 @@ def test_the_command_line_writes_tables(tmp_path, suffix):
     assert len(read(tmp_path / f"motion-impacts.{suffix}")) == len(run.impacts)
     again = CliRunner().invoke(main, [*call[:2], "-o", str(tmp_path / "out2"), "--output", str(file)])
     assert again.exit_code == 2 or again.exit_code == 1
-    assert "exist already" in again.output
+    assert "already exist" in again.output
     assert not (tmp_path / "out2").exists()
