@@ -17,9 +17,8 @@ the numbers that C was formed from."""
 
 def triangle_of(numbers: Array) -> Array:
     """Return C (3, 3) from the numbers of a factor."""
-    triangle = np.zeros((3, 3))
-    triangle[np.tril_indices(3)] = numbers[:-1]
-    return triangle
+    c11, c21, c22, c31, c32, c33 = numbers[:-1].tolist()
+    return np.array([[c11, 0.0, 0.0], [c21, c22, 0.0], [c31, c32, c33]])
 
 
 NO_FACTOR: Array = np.empty(0)

@@ -88,9 +88,12 @@ def data_of(model: pin.Model) -> Any:
     return Forest(model) if model.nv > LARGE and len(_ranges(model, 0)) > 1 else model.createData()
 
 
+_ALL = slice(None)
+
+
 def parts_of(model: pin.Model, data: Any) -> list[Part]:
     """Return the parts of a `Forest`; a Data is one part, the whole."""
-    return data.parts if isinstance(data, Forest) else [Part(model, data, slice(None), slice(None), 1)]
+    return data.parts if isinstance(data, Forest) else [Part(model, data, _ALL, _ALL, 1)]
 
 
 def forward_kinematics(model: pin.Model, data: Any, q: Array, *motion: Array) -> None:
