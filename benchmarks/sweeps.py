@@ -45,6 +45,7 @@ def main() -> None:
             panel.plot([value] * 6, [float(z) for z in (*s.velocity, *s.impulse)], "ko", ms=4, mfc="none")
         panel.set_title(name)
         panel.set_xlabel(sweep.label)
+        panel.locator_params(axis="x", nbins=6)
         panel.grid(alpha=0.3)
     names = ["v₁⁺", "v₂⁺", "v₃⁺", "P₁", "P₂", "P₃"]
     lines = panels.flat[0].lines[:6]

@@ -252,6 +252,15 @@ def test_named_robots_can_be_loaded_here():
 def test_objects_show_themselves_in_a_line():
     robot = pinimpact.load_robot("panda")
     scene = Scene(robot).contacts_from_geometry(Plane(), friction=0.3)
+    many = pinimpact.solve_impact(
+        ImpactProblem(np.kron([[1, 0.5], [0.5, 1]], W), [U, U], 0.3, 0.5), record=True
+    )
+    ends = [
+        Contact("center", Plane(), radius=0.1, name=name, offset=(x, 0, 0))
+        for name, x in (("a", 0.1), ("b", 0))
+    ]
+    events = [pinimpact.Event(lambda t, q, v: t - 0.01, name="soon")]
+    landing = simulate(Scene(ball(), ends, events=events), [0, 0, 0.11, *UP], [0, 0, -1, 0, 0, 0], 0.02)
     shown = [
         scene,
         scene.contacts[0],
@@ -259,6 +268,15 @@ def test_objects_show_themselves_in_a_line():
         SCENE,
         ImpactProblem(W, U, 0.5, 0.5),
         simulate(SCENE, Q, V, 0.01),
+        many,
+        many.path,
+        many.range(stiffness=(0.5, 2)),
+        pinimpact.METHODS["exact"],
+        pinimpact.POLICIES["together"],
+        landing.events[0],
+        landing.impacts[0],
+        landing.impacts[0].group,
+        landing.modes[0],
     ]
     for one in shown:
         assert "\n" not in repr(one)

@@ -135,6 +135,23 @@ def test_a_robot_on_two_legs_lands_on_its_feet(name: str) -> None:
     assert shown.stopped is None
 
 
+@pytest.mark.slow
+def test_a_hand_strikes_a_table_that_faces_up_with_moderate_joint_speeds() -> None:
+    """Its thumb can hardly move in one direction, which is left out: exactly, it would take 100 rad/s."""
+    shown = run_demo("allegro_right_hand")
+    assert not shown.turned
+    assert np.abs(shown.impact.v_before).max() < 20.0
+
+
+@pytest.mark.slow
+def test_an_arm_on_a_tall_robot_does_not_reach_over_its_head() -> None:
+    shown = run_demo("tiago_dual")
+    data = shown.robot.model.createData()
+    pin.framesForwardKinematics(shown.robot.model, data, shown.impact.q)
+    head = data.oMf[shown.robot.model.getFrameId("head_2_link")].translation
+    assert shown.contact.plane.point[2] < head[2] - 0.2
+
+
 ARMS = ("panda", "ur5", "ur3", "xarm7", "kinova", "z1", "talos_arm", "allegro_left_hand")
 WITH_FREE_BASES = ("solo12", "anymal_c", "talos", "icub", "iris", "hector", "bolt")
 

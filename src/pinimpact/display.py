@@ -45,6 +45,11 @@ def changed_fields(instance: Any, but: Sequence[str] = (), width: int = 60) -> l
     return found
 
 
+def short_repr(instance: Any) -> str:
+    """Return a dataclass in a line, without fields at their defaults; for ``__repr__`` of dataclasses."""
+    return f"{type(instance).__name__}({', '.join(changed_fields(instance))})"
+
+
 def in_a_line(values: ArrayLike, width: int = 70) -> str:
     """Return an array as text with six digits, cut beyond `width` characters."""
     digits = {"float_kind": lambda x: f"{x:.6g}"}

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ..checks import finite_array, in_short
+from ..checks import counted, finite_array, in_short
 from ..display import html_lines, html_table, in_a_line
 from ..errors import InputError
 from ..status import EFFECTS, Flag, Status
@@ -28,7 +28,7 @@ MOST_CORNERS = 6
 """Contacts up to which `ManySolution.range` takes each combination of extreme stiffnesses, 64 of them."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class ManyPath:
     """The recorded path of an impact at n contacts.
 
@@ -47,6 +47,10 @@ class ManyPath:
         """(m, n) P₃ of each contact, not decreasing [N s]."""
         return self.impulse[:, :, 2]
 
+    def __repr__(self) -> str:
+        count, contacts, _ = self.impulse.shape
+        return f"ManyPath({counted(count, 'point')}, {counted(contacts, 'contact')})"
+
 
 class VelocityRange(NamedTuple):
     """Between which post-impact contact velocities answers lie.
@@ -57,6 +61,9 @@ class VelocityRange(NamedTuple):
 
     low: Array
     high: Array
+
+    def __repr__(self) -> str:
+        return f"VelocityRange(low={in_a_line(self.low)}, high={in_a_line(self.high)})"
 
 
 class ManyStory(NamedTuple):

@@ -32,7 +32,7 @@ class Method:
         options: Names of its keyword options and their defaults.
     """
 
-    load: Callable[[], Run]
+    load: Callable[[], Run] = field(repr=False)
     summary: str
     options: Mapping[str, Any] = field(default_factory=dict)
 

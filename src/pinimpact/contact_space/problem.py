@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import at_least_zero, finite_array, float_array, real_number
-from ..display import changed_fields
+from ..display import short_repr
 from ..errors import InputError
 from ._kernels.tolerances import FITTING
 from .inputs import NO_FACTOR, Array, Inputs
@@ -55,8 +55,7 @@ class ImpactProblem:
     factor: ArrayLike | None = None
     factor_scale: float | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+    __repr__ = short_repr
 
 
 def contact_inputs(problem: ImpactProblem) -> Inputs:

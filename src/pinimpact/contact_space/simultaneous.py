@@ -41,8 +41,8 @@ class Policy:
         options: Names of its keyword options and their defaults.
     """
 
-    run: Run
-    kernels: Callable[[], tuple[Any, ...]]
+    run: Run = field(repr=False)
+    kernels: Callable[[], tuple[Any, ...]] = field(repr=False)
     summary: str
     options: Mapping[str, Any] = field(default_factory=dict)
 

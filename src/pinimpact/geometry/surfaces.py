@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, in_short
-from ..display import changed_fields
+from ..display import short_repr
 from ..errors import InputError
 
 Vector = tuple[float, float, float]
@@ -46,8 +46,7 @@ class Surface(ABC):
     body: str | int | None
     name: str | None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+    __repr__ = short_repr
 
     @property
     @abstractmethod

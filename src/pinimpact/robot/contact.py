@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, as_tuple, at_least_zero, coefficient, in_short
 from ..contact_space.laws import law_code
-from ..display import changed_fields
+from ..display import short_repr
 from ..errors import InputError
 from ..geometry._kernels.constants import (
     AXES,
@@ -90,8 +90,7 @@ class Contact:
     pair: Contact | None = None
     law_code: int = field(init=False, repr=False, compare=False)
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         self._check_kind()

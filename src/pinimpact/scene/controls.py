@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, float_array, real_numbers
-from ..display import changed_fields
+from ..display import short_repr
 from ..errors import InputError, SimulationError
 from ..robot.names import joint_of_velocity
 from ._kernels.workspace import SceneWorkspace
@@ -74,8 +74,7 @@ class JointPD:
     q_ref: ArrayLike
     limits: ArrayLike | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+    __repr__ = short_repr
 
     def drives(self, model: pin.Model) -> Drives:
         """Return the drives of a robot.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array, in_short, real_number
-from ..display import changed_fields
+from ..display import short_repr
 from ..errors import InputError, SimulationError
 from .crossing import crossing
 from .dense_step import DenseStep
@@ -53,8 +53,7 @@ class Event:
     direction: float = 0
     name: str | None = None
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(changed_fields(self))})"
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for field in ("guard", "callback"):

@@ -17,13 +17,14 @@ from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
 from ..contact_space.solve import solve_impact
+from ..display import short_repr
 from ..errors import BoundReachedWarning
 from ..robot.contact import Contact
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImpactGroup:
     """An impact at several contacts and limits at once, shared by the records of what has had an impulse.
 
@@ -34,6 +35,8 @@ class ImpactGroup:
 
     problem: ImpactProblem
     policy: str
+
+    __repr__ = short_repr
 
     @cached_property
     def solution(self) -> ManySolution:
@@ -125,7 +128,7 @@ class ImpactRecord:
         return state | {"contact_space": partial(tuple, self._contact_space)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class EventRecord:
     """One user event.
 
@@ -141,6 +144,8 @@ class EventRecord:
     q: Array
     v_before: Array
     v_after: Array
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,7 +221,7 @@ def energy_ledger(impact: Impact, *, contact: int | None = None, ax: Axes | None
         ax.plot([reached, reached], [row - 0.4, row + 1.4], color=BLACK, lw=0.6)
     ax.barh(len(bars), reached, color=BLACK)
     _number(ax, 0.0, reached, len(bars))
-    ax.set_yticks(range(len(bars) + 1), [*(name for name, _ in bars), "all together"])
+    ax.set_yticks(range(len(bars) + 1), [*(name for name, _ in bars), "total"])
     ax.invert_yaxis()
     ax.use_sticky_edges = False
     ax.margins(x=0.16)
