@@ -146,6 +146,7 @@ import numpy as np
 from numba.core import event
 import pinimpact as p
 from pinimpact.app.warmup import warm_up
+from pinimpact.studies.cost import run_cost
 from tests.scene_models import UP, ball, pendulum
 
 warm_up()
@@ -180,6 +181,7 @@ with event.install_recorder("numba:compile") as record:
     for scheme in ("auto", "time-stepping"):
         p.simulate(p.Scene(hinged, [tip]), [1.4], [0.0], 0.5, scheme=scheme)
     p.Stepper(p.Scene(hinged, [tip]), [1.4], [0.0]).step([0.1], 0.1)
+    run_cost({"a problem": problem}, ("exact", "euler", "rk4", "adaptive"), repeats=1, time_cap=1e-3)
 print({one.data["dispatcher"].py_func.__qualname__ for _, one in record.buffer if one.is_start} or {})
 """
 

@@ -11,6 +11,8 @@ import pinocchio as pin
 import pinimpact
 
 from .._compile.jit import compile_all, is_declared, kept_in
+from ..contact_space._kernels.butcher import RK4
+from ..contact_space._kernels.timing import repeat_exact, repeat_stepping
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..geometry.plane import Plane
@@ -35,12 +37,11 @@ def _one_joint() -> None:
 
 
 def warm_up() -> str | None:
-    """Compile or load all kernels that impacts and scenes can call.
+    """Compile or load all kernels that impacts, scenes and their measurements can call.
 
     Returns:
         The common folder of their caches, if they have one; None if no folder is writable, so that every
-            process
-        compiles its own.
+        process compiles its own.
     """
     modules = [
         importlib.import_module(module.name)
@@ -51,5 +52,7 @@ def warm_up() -> str | None:
     compile_all(*((kernel,) for kernel in kernels))
     problem = ImpactProblem([[2, 0, 0.5], [0, 3, 0.4], [0.5, 0.4, 1]], (1, 0.5, -1), 0.3, 0.5)
     solve_impact(problem, "rk4")  # whose table no signature declares
+    numbers = (*11 * (1.0,), 0)
+    compile_all((repeat_exact, 1, *numbers), (repeat_stepping, 1, *numbers, RK4, 1, 0.0))  # for `cost`
     _one_joint()
     return kept_in(list(kernels))
