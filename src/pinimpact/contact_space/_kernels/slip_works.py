@@ -28,6 +28,9 @@ def _collocation() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np
 ABSCISSAE, WEIGHTS, INTEGRALS = _collocation()
 
 
+AT0, AT4, AT8 = np.int64(0), np.int64(4), np.int64(8)
+"""Where the nodes stand, four at a time; no literals: see `codes`."""
+
 WORK_SCRATCH = 5 * NODES
 """Floats of scratch space that works need, `nodes`: rows of what there is at the NODES. They are dP₃/dx and
 dv₃/dx over the series' unit, times the weights; S (1 + t²); the terms of the last sum; x or y."""
@@ -114,7 +117,7 @@ def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     """
     k = len(coefficients) - 1  # even
     z, first = x * x, coefficients[k]
-    at0, at4, at8 = _places(0, x), _places(4, x), _places(8, x)
+    at0, at4, at8 = _places(AT0, x), _places(AT4, x), _places(AT8, x)
     y0, y4, y8 = _product(at0, at0), _product(at4, at4), _product(at8, at8)
     s0 = s4 = s8 = (first, first, first, first)
     u0 = u4 = u8 = (0.0, 0.0, 0.0, 0.0)
@@ -125,9 +128,9 @@ def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
         s0, s4, s8 = _raised(s0, y0, even), _raised(s4, y4, even), _raised(s8, y8, even)
         u0, u4, u8 = _raised(u0, y0, odd), _raised(u4, y4, odd), _raised(u8, y8, odd)
         here, odd_here = here * z + even, odd_here * z + odd
-    _kept(values, 0, at0, s0, u0, h, j0, j1, j2)
-    _kept(values, 4, at4, s4, u4, h, j0, j1, j2)
-    _kept(values, 8, at8, s8, u8, h, j0, j1, j2)
+    _kept(values, AT0, at0, s0, u0, h, j0, j1, j2)
+    _kept(values, AT4, at4, s4, u4, h, j0, j1, j2)
+    _kept(values, AT8, at8, s8, u8, h, j0, j1, j2)
     work, change = _collocated(values, v3, unit * x)
     return work, change, here + x * odd_here
 
