@@ -11,9 +11,7 @@ from scipy.optimize import brentq
 
 from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact.scene._kernels import contact_forces
-from pinimpact.scene._kernels.contact_modes import hold_on
-from pinimpact.scene._kernels.lasting_forces import take_lasting
-from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
+from pinimpact.scene._kernels.acting_forces import driven_in, find_forces
 
 
 @numba.njit
@@ -166,23 +164,6 @@ def forces_obey_the_law(delassus, free, velocity, mu, bound):
             assert force == pytest.approx(-np.copysign(bound, rate))
 
 
-def test_sweeps_that_grow_without_end_have_found_no_forces():
-    """Slip of each of two contacts drives the other in: f₁ = 1 + p f₂ and f₂ = 1 + p f₁, for no f ≥ 0."""
-    mu, p, reach = 1.2, 11.88, 100.0
-    delassus = np.diag([reach, reach, 1.0] * 2)
-    for normal, tangent in ((2, 3), (5, 0)):
-        delassus[normal, tangent] = delassus[tangent, normal] = p / mu
-    assert np.linalg.eigvalsh(delassus).min() > 0.0
-    velocity, free = np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([0.0, 0.0, -1.0] * 2)
-    along = delassus.reshape(2, 3, 2, 3)[:, 2] @ [-mu, 0.0, 1.0]
-    assert along == pytest.approx(np.array([[1.0, -p], [-p, 1.0]]))
-    force, no_force, held = np.zeros((2, 3)), np.zeros(0), np.zeros(2, dtype=bool)
-    iterations, _ = forces_by_gauss_seidel(
-        delassus, free, velocity, np.full(2, mu), held, no_force, no_force, force, no_force
-    )
-    assert iterations < 0
-
-
 def choices_that_hold(delassus, free, directions, mu):
     """Return the forces of each choice of which slipping contacts are closed that obeys the law."""
     contacts = len(mu)
@@ -272,9 +253,19 @@ def test_slip_that_jams_while_joints_hold_has_forces_at_which_they_yield(joints,
 
 
 @numba.njit
-def stay(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
+def find(delassus, free, slip, mu, held, lower, upper, x, pressed, before):
     """Call the kernel, which only kernels can."""
-    hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
+    least = np.zeros(len(mu))
+    return find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed, before, True)
+
+
+def found_from(delassus, free, slip, mu, bound, pressed, before=0.0):
+    """Return what `find_forces` finds for contacts and joints with these bounds."""
+    nc, x = len(mu), np.zeros(len(free))
+    limits = np.full(len(free) - 3 * nc, bound)
+    held, start = np.zeros(nc, dtype=bool), np.zeros(len(free)) + before
+    assert find(delassus, free, slip, mu, held, -limits, limits, x, np.array(pressed), start)
+    return x
 
 
 def could_open_or_stay(seed, bound):
@@ -311,31 +302,11 @@ def could_slip_or_stay(seed, bound):
             return delassus, free, sliding, resting
 
 
-def held_beside_a_joint(delassus, free, forces, bound, pressed):
-    """Return what `hold_on` makes of the forces (4,) on a contact at rest, μ = 1, and a joint so bounded."""
-    force, strength = forces[None, :3].copy(), forces[3:].copy()
-    stay(
-        np.array([pressed, False]),
-        delassus,
-        free,
-        np.zeros((1, 2)),
-        np.ones(1),
-        np.zeros(1, dtype=np.bool_),
-        np.array([-bound]),
-        np.array([bound]),
-        force,
-        strength,
-    )
-    return np.array([*force[0], *strength])
-
-
-@pytest.mark.parametrize("pressed", [True, False])
-def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip(pressed):
-    bound = 1.0
+def test_what_is_pressed_and_at_rest_stays_so_where_it_could_slip():
     for seed in range(40):
-        delassus, free, sliding, resting = could_slip_or_stay(seed, bound)
-        found = held_beside_a_joint(delassus, free, sliding, bound, pressed)
-        np.testing.assert_allclose(found, resting if pressed else sliding, rtol=1e-9, atol=1e-9)
+        delassus, free, _, resting = could_slip_or_stay(seed, 1.0)
+        found = found_from(delassus, free, np.zeros((1, 2)), np.ones(1), 1.0, [True, False])
+        np.testing.assert_allclose(found, resting, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("slides", [0.0, 0.6])
@@ -360,32 +331,18 @@ def test_what_stays_at_rest_beside_a_contact_that_slips_bears_what_that_needs(sl
         found += 1
         opened = np.array([[0.0, 0.0, 0.0], alone * friction])
         lasts = np.linalg.det(effects[[0, 1, 2, 5]]) > 0.0
-        force, none = opened.copy(), np.zeros(0)
-        stay(
-            np.ones(2, dtype=np.bool_),
-            delassus,
-            free,
-            np.array([[0.0, 0.0], [0.6, 0.8]]),
-            mu,
-            np.zeros(2, dtype=np.bool_),
-            none,
-            none,
-            force,
-            none.copy(),
-        )
+        force = found_from(delassus, free, np.array([[0.0, 0.0], [0.6, 0.8]]), mu, 0.0, [True, True])
         expected = [resting, push * friction] if lasts else opened
-        np.testing.assert_allclose(force, expected, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(force, np.ravel(expected), rtol=1e-8, atol=1e-8)
     assert found > 0
 
 
 @pytest.mark.parametrize("bound", [0.1, 10.0])
-@pytest.mark.parametrize("pressed", [True, False])
-def test_what_is_pressed_stays_closed_where_it_could_open(pressed, bound):
+def test_what_is_pressed_stays_closed_where_it_could_open(bound):
     for seed in range(40):
-        delassus, free, alone, resting = could_open_or_stay(seed, bound)
-        open_one = np.array([0.0, 0.0, 0.0, alone])
-        found = held_beside_a_joint(delassus, free, open_one, bound, pressed)
-        np.testing.assert_allclose(found, resting if pressed else open_one, rtol=1e-9, atol=1e-9)
+        delassus, free, _, resting = could_open_or_stay(seed, bound)
+        found = found_from(delassus, free, np.zeros((1, 2)), np.ones(1), bound, [True, False])
+        np.testing.assert_allclose(found, resting, rtol=1e-9, atol=1e-9)
 
 
 def every_solution(delassus, free, mu, bound):
@@ -449,25 +406,18 @@ def test_of_several_forces_those_where_the_search_begins_are_taken():
     assert several > 50
 
 
-@numba.njit
-def last(delassus, free, velocity, mu, held, lower, upper, x):
-    take_lasting(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
-
-
-def test_forces_from_which_any_deviation_grows_give_way_to_others():
-    """Those of a negative determinant do, where there are others."""
-    several = 0
-    for *problem, solutions in problems_with_several_solutions():
-        lasting = [x for x, positive in solutions if positive]
-        for x, positive in solutions:
-            taken = x.copy()
-            last(*slipping(*problem, taken))
-            if positive:
-                assert (taken == x).all()
-            elif lasting:
-                several += 1
-                assert min(np.abs(taken - x).max() for x in lasting) <= 1e-9 * np.abs(taken).max()
+@pytest.mark.parametrize("pressed", [[True, True, True], [True, False, False], [False] * 3])
+def test_forces_from_which_any_deviation_grows_give_way_to_others(pressed):
+    """Those of a negative determinant do, nearly wherever there are others."""
+    several = lasts = 0
+    for delassus, free, mu, bound, solutions in problems_with_several_solutions():
+        taken = found_from(delassus, free, np.array([[1.0, 0.0]]), np.array([mu]), bound, pressed)
+        off = [np.abs(taken - x).max() <= 1e-8 * np.abs(taken).max() for x, _ in solutions]
+        assert any(off)
+        several += 1
+        lasts += any(near and positive for near, (_, positive) in zip(off, solutions, strict=True))
     assert several > 50
+    assert lasts >= several - 2
 
 
 def slip_that_begins(delassus, free, mu, bound):
@@ -512,20 +462,17 @@ def slip_that_begins(delassus, free, mu, bound):
 @pytest.mark.parametrize("seed", [2, 7, 9, 14])
 def test_slip_that_begins_lasts_in_the_direction_it_takes(seed):
     """Of all equations the determinant may be positive where neither the forces last nor the direction."""
-    rng, turned = np.random.default_rng(seed), 0
+    rng, begun = np.random.default_rng(seed), 0
     for _ in range(100):
         factor = rng.normal(size=(4, 4))
         delassus, free = factor @ factor.T, 3.0 * rng.normal(size=4)
         mu, bound = rng.uniform(1.0, 3.0), rng.uniform(0.1, 1.0)
-        limits, solutions = np.full(1, bound), slip_that_begins(delassus, free, mu, bound)
-        for x, determinant, lasts in solutions:
-            taken = x.copy()
-            last(delassus, free, np.zeros((1, 2)), np.array([mu]), np.array([False]), -limits, limits, taken)
-            changed = np.abs(taken - x).max() > 1e-6 * np.abs(x).max()
-            assert not (lasts and changed)
-            assert changed or lasts
-            turned += bool(changed and determinant < 0.0)
-    assert turned > 0
+        solutions = slip_that_begins(delassus, free, mu, bound)
+        x = found_from(delassus, free, np.zeros((1, 2)), np.array([mu]), bound, [False, False])
+        taken = [lasts for one, _, lasts in solutions if np.abs(one - x).max() <= 1e-6 * np.abs(x).max()]
+        assert all(taken)
+        begun += len(taken)
+    assert begun > 10
 
 
 def could_move_or_hold(seed, bound):
@@ -544,28 +491,30 @@ def could_move_or_hold(seed, bound):
             return delassus, free, mu, push * friction, -side * bound, resting[0] * friction, resting[1]
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move(held):
-    bound = 1.0
+def test_a_joint_that_has_been_held_beside_slip_stays_so_where_it_could_move():
     for seed in range(40):
-        delassus, free, mu, force, strength, force_held, strength_held = could_move_or_hold(seed, bound)
-        force, strength = force[None].copy(), np.array([strength])
-        stay(
-            np.array([True, held]),
-            delassus,
-            free,
-            np.array([[0.6, 0.8]]),
-            np.array([mu]),
-            np.zeros(1, dtype=np.bool_),
-            np.array([-bound]),
-            np.array([bound]),
-            force,
-            strength,
-        )
-        assert (abs(strength[0]) == bound) != held
-        if held:
-            assert force[0] == pytest.approx(force_held, rel=1e-8)
-            assert strength[0] == pytest.approx(strength_held, rel=1e-8)
+        delassus, free, mu, _, _, force, strength = could_move_or_hold(seed, 1.0)
+        found = found_from(delassus, free, np.array([[0.6, 0.8]]), np.array([mu]), 1.0, [True, True])
+        np.testing.assert_allclose(found, [*force, strength], rtol=1e-8)
+
+
+@numba.njit
+def driven(delassus, free, slip, mu, held, x):
+    """Call the kernel, which only kernels can."""
+    return driven_in(delassus, free, slip, mu, held, x)
+
+
+def test_slip_drives_a_surface_in_where_no_force_of_its_own_helps():
+    """Painlevé: c − μ b·s < 0 and a surface that is approached; another force may keep it off."""
+    delassus = np.array([[4.0, 0.0, 1.9], [0.0, 4.0, 0.0], [1.9, 0.0, 1.0]])
+    free, mu, held = np.array([0.0, 0.0, -1.0]), np.array([0.8]), np.array([False])
+    for direction, expected in ((1.0, 0), (-1.0, -1), (0.0, -1)):
+        assert driven(delassus, free, np.array([[direction, 0.0]]), mu, held, np.zeros(3)) == expected
+    lifted = np.block([[delassus, np.array([[0.0], [0.0], [2.0]])], [np.array([0.0, 0.0, 2.0, 5.0])]])
+    more = np.append(free, 0.0)
+    for push, expected in ((0.4, 0), (0.6, -1)):
+        forces = np.array([0.0, 0.0, 0.0, push])
+        assert driven(lifted, more, np.array([[1.0, 0.0]]), mu, held, forces) == expected
 
 
 @numba.njit

@@ -83,6 +83,7 @@ def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motio
     assert trajectory.complete
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize(
     ("seed", "duration"),
     [
@@ -193,6 +194,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
     assert simulate(scene, np.zeros(4), v, 1.0, rtol=1e-8, atol=1e-10).complete
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize(
     ("seed", "duration"),
     [
@@ -244,6 +246,7 @@ def test_a_stop_that_opens_leaves_the_slip_that_begins_with_it():
     assert (np.hypot(x, y) <= (1.0 + 1e-6) * 0.4 * normal).all()
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize("seed", [205000540, 227000657])
 def test_a_step_across_a_pole_of_the_forces_is_not_believed(seed):
     """A foot slips beside one that turns its slip: in a longer step both seem to jam, or friction drives."""

@@ -272,6 +272,7 @@ def test_a_solo12_without_control_falls_onto_its_feet_and_slides(seed, friction)
         assert min(heights) - lowest + 0.05 > -1e-7
 
 
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize(
     "seed", [31000334, 31001224, 31001820, 71000554, 72000253, 72000435, 72000798, 72000900]
 )
@@ -297,6 +298,7 @@ def test_slip_that_stops_shortly_before_its_forces_have_no_bound_does_not_jam():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 @pytest.mark.parametrize("seed", [3000072, 3000170, 5000621, *range(4000001, 4000013)])
 def test_robots_dropped_at_random_come_to_the_end_with_their_energy(seed):
     _, scene, q, v, rtol = draw(seed)

@@ -13,7 +13,6 @@ from scipy.optimize import linprog
 from pinimpact import Contact, Plane, Scene
 from pinimpact.scene._kernels import active_set
 from pinimpact.scene._kernels.contact_forces import FREE, HELD, SLIP, STICK
-from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 from pinimpact.scene.dynamics import SceneDynamics
 
 from .scene_models import G
@@ -116,64 +115,6 @@ def test_accelerations_and_forces_solve_the_whole_system(seed, modes):
             margins.append(mu * expected[k, 2] - np.hypot(*expected[k, :2]))
     margins += [1e6 - abs(forces[-1])]
     assert work.force_margin == pytest.approx(min(margins), abs=1e-8 * np.abs(forces).max())
-
-
-@pytest.mark.parametrize("contacts", [1, 2, 3])
-@pytest.mark.parametrize("seed", range(8))
-def test_forces_by_sweeps_obey_coulomb_and_their_bounds(contacts, seed):
-    """Each contact: no pull, no sinking, one of force and acceleration zero, friction against what slides."""
-    rng = np.random.default_rng(100 * contacts + seed)
-    scalars = 2
-    size = 3 * contacts + scalars
-    J = rng.normal(size=(size, size + 3))
-    delassus, free = J @ J.T, rng.normal(size=size)
-    mu, held = rng.uniform(0.0, 0.5, contacts), np.zeros(contacts, dtype=bool)
-    slip = np.zeros((contacts, 2))
-    slip[0] = rng.normal(size=2)
-    lower, upper = np.array([0.0, -0.3]), np.array([np.inf, 0.3])
-    force, scalar = np.zeros((contacts, 3)), np.zeros(scalars)
-    iterations, jammed = forces_by_gauss_seidel(delassus, free, slip, mu, held, lower, upper, force, scalar)
-    assert iterations > 0
-    assert jammed == -1
-    a = free + delassus @ np.concatenate([force.ravel(), scalar])
-    for k in range(contacts):
-        tangent, normal = force[k, :2], force[k, 2]
-        at, an = a[3 * k : 3 * k + 2], a[3 * k + 2]
-        assert normal >= 0.0
-        assert an >= -1e-9
-        assert normal * an == pytest.approx(0.0, abs=1e-9)
-        assert np.linalg.norm(tangent) <= mu[k] * normal * (1 + 1e-12)
-        if slip[k].any():
-            assert tangent == pytest.approx(-mu[k] * normal * slip[k] / np.linalg.norm(slip[k]), abs=1e-12)
-        elif np.linalg.norm(at) > 1e-8:  # begins to slip: the whole friction against it
-            assert tangent == pytest.approx(-mu[k] * normal * at / np.linalg.norm(at), abs=1e-7)
-    for m in range(scalars):
-        value, rate = scalar[m], a[3 * contacts + m]
-        assert lower[m] <= value <= upper[m]
-        if value > lower[m]:
-            assert rate <= 1e-9
-        if value < upper[m]:
-            assert rate >= -1e-9
-
-
-def test_forces_by_sweeps_tell_where_slip_drives_the_surface_in():
-    """Painlevé: with c − μ b·s < 0 and a surface that is approached, no force helps."""
-    delassus = np.array([[4.0, 0, 1.9], [0, 4.0, 0], [1.9, 0, 1.0]])
-    force, scalar, none = np.zeros((1, 3)), np.zeros(0), np.zeros(0)
-    for direction, expected in ((1.0, 0), (-1.0, -1)):
-        slip = np.array([[direction, 0.0]])
-        _, jammed = forces_by_gauss_seidel(
-            delassus,
-            np.array([0, 0, -1.0]),
-            slip,
-            np.array([0.8]),
-            np.array([False]),
-            none,
-            none,
-            force,
-            scalar,
-        )
-        assert jammed == expected
 
 
 def bar(length):

@@ -75,10 +75,3 @@ class SimulationError(PinimpactError, RuntimeError):
 
 class IrregularMotionError(SimulationError):
     """Events that cannot be located one after another; time stepping crosses them."""
-
-
-class LockedPostureError(SimulationError):
-    """Friction locks a contact in a direction in which no joint can move it, while other joints still move.
-
-    The rigid-body equations have neither forces nor impulses there. (theory.md, 13)
-    """

@@ -19,7 +19,7 @@ from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
 from .effects import CROWD
 from .events import EventWatch
-from .integrator import Integrator
+from .integrator import RUBBING, Integrator
 from .records import SteppedInterval
 from .scene import Scene
 from .time_stepping import TimeStepping
@@ -33,7 +33,10 @@ FIRST = 1e-4
 """Part of a step that the first one takes: what arrives without restitution is stopped in it, where it is."""
 
 MOST_PARTS = 16
-"""Parts of `dt` down to which steps are shortened where that keeps to the tolerance."""
+"""Parts of a step down to which they are shortened where that keeps to the tolerance."""
+
+SHORTER = 16
+"""Part of `dt` with which a crossing begins; intervals that follow each other soon double it, up to `dt`."""
 
 STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
@@ -45,7 +48,17 @@ LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
 
 
-OWN = "_crossing", "_prepared", "_entering", "_until", "_interval", "_handed_back", "_begun_at", "_unsolved"
+OWN = (
+    "_crossing",
+    "_prepared",
+    "_entering",
+    "_until",
+    "_interval",
+    "_coarse",
+    "_handed_back",
+    "_begun_at",
+    "_unsolved",
+)
 """Attributes that are replaced and never changed in place, so that copies share them."""
 
 
@@ -78,7 +91,7 @@ class Alternating(TimeStepping):
     ) -> None:
         self._crossed: list[SteppedInterval] = []
         self._crossing = self._prepared = self._entering = False
-        self._until, self._interval, self._handed_back = 0.0, 0.0, -math.inf
+        self._until, self._interval, self._coarse, self._handed_back = 0.0, 0.0, dt, -math.inf
         self._begun_at = 0  # the step at which events began to be located again
         self._longest, self._unsolved = dt, 0.0
         Integrator.__init__(self, scene, q0, v0, rtol, atol, max_step, max_impacts)
@@ -184,11 +197,19 @@ class Alternating(TimeStepping):
                 return length
             except IrregularMotionError as error:
                 self._cross(error)
-        length = (FIRST if self._entering else CHUNK) * self._longest
-        self._entering = False
-        self._step_until(min(stop, self._until, self.state.t + length))
+        entering, self._entering = self._entering, False
+        length, begun = FIRST * self._longest if entering else CHUNK * self._coarse, self._lengths_reached()
+        try:
+            self._step_until(min(stop, self._until, self.state.t + length))
+        except IrregularMotionError:  # where nothing moves a contact only longer steps leave that posture
+            if not entering and self._coarse >= self._longest:
+                raise
+            self._return_to(begun)
+            self._coarse *= 1.0 if entering else 2.0
+            self._until = max(self._until, self.state.t + CHUNK * self._coarse)
+            return self._coarse
         if self.state.t < self._until or self.ended_by is not None:
-            return self._longest
+            return self._coarse
         return self._hand_back()
 
     def _watch_events(self) -> None:
@@ -227,10 +248,16 @@ class Alternating(TimeStepping):
                 stacklevel=2,
             )
         soon = state.t - self._handed_back <= self._interval
-        self._interval = 2.0 * self._interval if soon else CHUNK * self._longest
+        lasts = bool(state.shapes) or self.work.active_contacts > CROWD  # aligned faces stay so for a while
+        if soon or lasts:
+            self._coarse = self._longest if lasts else min(2.0 * self._coarse, self._longest)
+            self._interval = max(2.0 * self._interval * soon, CHUNK * self._coarse)
+        else:
+            self._coarse = self._longest / SHORTER
+            self._interval = CHUNK * self._coarse
         self._until = state.t + self._interval
         if not (self._crossed and self._crossed[-1].end == state.t):
-            self._crossed.append(SteppedInterval(state.t, state.t, self._longest, str(refusal), 0.0))
+            self._crossed.append(SteppedInterval(state.t, state.t, self._coarse, str(refusal), 0.0))
         self._crossing = self._entering = True
         state.crowds_refused = False
         state.shapes.clear()
@@ -249,12 +276,12 @@ class Alternating(TimeStepping):
         Steps of two lengths are compared; of first order, they tell the length that keeps to it.
         """
         start, begun = self._lengths_reached(), self.state.t
-        coarse = self._try(start, end, self._longest)
-        fine = self._try(start, end, 0.5 * self._longest)
+        coarse = self._try(start, end, self._coarse)
+        fine = self._try(start, end, 0.5 * self._coarse)
         error, parts = math.nan, 2
         if coarse.order == fine.order:
             by_position = np.abs(pin.difference(self.model, coarse.q, fine.q)).max(initial=0.0)
-            by_velocity = 0.5 * self._longest * np.abs(coarse.v - fine.v).max(initial=0.0)
+            by_velocity = 0.5 * self._coarse * np.abs(coarse.v - fine.v).max(initial=0.0)
             error = float(max(by_position, by_velocity))
             allowed = self.atol + self.rtol * max(self._made_of[0].extent, np.abs(fine.q).max(initial=0.0))
             wanted = 2 * math.ceil(error / allowed)
@@ -262,12 +289,12 @@ class Alternating(TimeStepping):
                 error, parts = 2.0 * error / wanted, wanted
         if self.events or parts > 2:
             self._return_to(start)
-            self._run(end, self._longest / parts)
+            self._run(end, self._coarse / parts)
         last = self._crossed[-1]
         self._crossed[-1] = SteppedInterval(
             last.start,
             self.state.t,
-            min(last.dt, self._longest / parts),
+            min(last.dt, self._coarse / parts),
             last.reason,
             last.error + error * (self.state.t - begun) / (end - begun),
         )
@@ -315,10 +342,11 @@ class Alternating(TimeStepping):
             self._begin_motion()
         except IrregularMotionError as error:
             self._cross(error)
-            return self._longest
+            return self._coarse
         self._sample()
         self._mark_progress()
         self._cut_short, self._begun_at = False, len(self.dense_steps)
+        self.rubbed = self.w[RUBBING]
         return self.dynamics.first_length(self.rtol, self.atol)
 
 

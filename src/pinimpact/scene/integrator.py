@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from types import ModuleType
@@ -21,9 +20,8 @@ from ..robot.names import coordinate_names
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
-from ._kernels.events.registry import EVENTS, force_bound, friction_reversal, gap, saturation, slip_end
+from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
 from ._kernels.slip import CERTAIN
-from .chatter import check_chatter
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
@@ -31,9 +29,9 @@ from .events import EventWatch, Interruption, as_events
 from .forces import ClosedSet, EvaluatedForces, directions_within
 from .mode_intervals import drive_name
 from .records import Energy, ImpactRecord, ModeInterval, SteppedInterval
-from .scene import STANDARD_GRAVITY, Scene
+from .scene import Scene
 from .shape_watch import Meeting
-from .simulation_state import SINGULAR, Arriving, SimulationState
+from .simulation_state import Arriving, SimulationState
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -43,34 +41,22 @@ Progress = Callable[[float, float], None]
 DIRECTED = 1e-3
 """Part of the speed of sticking below which slip has no direction but the one last known."""
 
-CROWD = 10
-"""How often slip ends within the time in which gravity changes a velocity by the speed of sticking, after
-which it counts as none below that: where its ends accumulate, as in a spiral, it comes to rest."""
-
 MAX_STALLED = 200
-"""Steps without progress in time, after which a jam is looked for, or a simulation gives up."""
+"""Steps without progress after which a simulation gives up."""
 
-LOOK_EVERY = 1000
-"""Steps from one look for chatter to the next."""
+JUMPING, FEW = 1e-3, 0.1
+"""So many steps that cover less than this part of the scene's time scale, this part of them refused before,
+are those of a control that jumps again and again."""
 
-JAMS = 3
-"""How often slip may jam again at one instant before it is left to go on."""
+RUBBING = slice(1, 3)
+"""Which of the works are those of friction, in joints and in contacts: it takes energy."""
+
+GAINED = 10.0
+"""Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps; rtol m g L is
+none, for a robot of size L."""
 
 NEARLY_SINGULAR = 1e-4
 """The part to which the effects of forces cancel where their growth lets no step be short enough."""
-
-UNSETTLED = 1e-3
-"""The same where slip or dry joints turn back again and again, however short the steps: no way goes on."""
-
-MOST_HALVED = 6
-"""How often a step in which friction does positive work is halved before modes are set again; where that does
-not help either it is taken, and told."""
-
-RUBBING = 2
-"""Which of the works is that of sliding friction."""
-
-BRIEF = 1000.0
-"""Steps of fewer units in the last place of time are not asked for."""
 
 FALSE_ALARM = 0.2
 """Part of a step to try next where forces have left their bounds only by its error."""
@@ -93,9 +79,8 @@ ACCELERATED = 1e-3
 
 
 PLAIN = (
-    *("w", "steps", "rejected", "last_progress", "forces_were_unique", "friction_drove", "forces_beyond"),
-    *("bounce", "ended_by", "_length", "_cut_short", "_low_order_from", "_ahead_at", "_modes_reset_at"),
-    *("_struck", "_rested_at", "_all_rested_at", "_ahead", "_consistent", "_closed"),
+    *("w", "steps", "rejected", "last_progress", "forces_were_unique", "forces_beyond", "rubbed"),
+    *("bounce", "ended_by", "_length", "_cut_short", "_low_order_from", "_struck", "_consistent", "_closed"),
 )
 """Attributes of a motion that are replaced and never changed in place, so that copies share them."""
 
@@ -196,12 +181,14 @@ class Integrator:
         self.sources = (*layout.sources, *names)
         self.max_impacts = max_impacts
         self.w = np.zeros(WORKS)
+        self.rubbed = self.w[RUBBING]
+        self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
         self.dense_steps: list[DenseStep] = []
         self.samples: list[tuple[float, Array, Array, Array, float]] = []
         self.steps = self.rejected = 0
         self._mark_progress()
         self.forces_were_unique = True
-        self.friction_drove = self.forces_beyond = False
+        self.forces_beyond = False
         self.bounce = math.inf
         self._closed: ClosedSet | None = None
         seen_every = SEEN_EVERY * scene.time_scale
@@ -221,10 +208,6 @@ class Integrator:
         self.max_step = float(max_step)
         self._length = 0.0
         self._cut_short, self._low_order_from = False, 0
-        self._ahead_at = self._modes_reset_at = self._rested_at = self._all_rested_at = -math.inf
-        self._ahead = 0.0
-        self._ends: dict[int, deque[float]] = {}
-        self._settling_time = self.work.stick_speed / STANDARD_GRAVITY
         self._struck = 0  # instants with impacts
         self._sample()
         self._consistent = self._lengths()
@@ -298,7 +281,6 @@ class Integrator:
             "work": self.work.values(),
             "events": self.events.values(),
             "steps": (self.dense_steps.copy(), self.samples.copy()),
-            "ends": {source: times.copy() for source, times in self._ends.items()},
             "plain": {name: getattr(self, name) for name in PLAIN},
         }
 
@@ -308,7 +290,6 @@ class Integrator:
         self.work.take_over(values["work"])
         self.events.take_over(values["events"])
         self.dense_steps, self.samples = (list(part) for part in values["steps"])
-        self._ends = {source: times.copy() for source, times in values["ends"].items()}
         for name, value in values["plain"].items():
             setattr(self, name, value)
 
@@ -391,13 +372,9 @@ class Integrator:
         error = state.error(state.v)
         work.certain_speed = min(CERTAIN * error, work.stick_speed)
         work.direction_speed = min(CERTAIN * error, DIRECTED * work.stick_speed)
-        work.friction_may_drive = False
         self.dynamics.set_saturation(state.q, state.v)
         # no step is taken far beyond the end of a bounce
         self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
-        if work.flat_bounce > 0.0 and work.resting_speed > 0.0:
-            state.rest_below(work.flat_bounce)
-            self.bounce = 1.3 * self.dynamics.begin(state.t, state.q, state.v)
         work.force_bound_ignored = bool(work.force_bound_ignored) and self.dynamics.forces_doubtful
         unique = work.forces_unique
         if self.forces_were_unique and not unique:
@@ -415,35 +392,22 @@ class Integrator:
         """
         state, work, t = self.state, self.work, self.state.t
         if self.steps - self.last_progress[0] > MAX_STALLED:
-            _, then, velocity = self.last_progress
-            least = max(ACCELERATED * np.abs(velocity).max(), state.error(velocity))
-            changed = np.abs(state.v - velocity).max() > least
-            if changed or t - then > STALLED * scale:
-                self._mark_progress()
-            else:
-                if self._resolve_stall():
-                    return self.dynamics.first_length(self.rtol, self.atol)
-                raise IrregularMotionError(
-                    f"scene: {MAX_STALLED} steps at t = {t:.6g} s without progress; the contact "
-                    "modes do not converge; a larger resting_speed may help",
-                    field="scene",
-                )
+            refusal = self._check_progress(scale)
+            if refusal is not None:
+                return self._jam_or_refuse(refusal)
         left = stop - t
         natural = h
         h = min(h, self.max_step, self.bounce)
-        halved = 0
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
-                if self._resolve_stall():
-                    return self.dynamics.first_length(self.rtol, self.atol)
-                raise IrregularMotionError(
-                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is "
-                    "not smooth (a discontinuous control, forces beyond bounds?), or the "
-                    "tolerance is too small",
+                refusal = IrregularMotionError(
+                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
+                    "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
                     field="rtol",
                     value=self.rtol,
                 )
+                return self._jam_or_refuse(refusal)
             method: ModuleType = step_dop853
             if trial * work.slip_stiffness > step_radau.STIFF:
                 method = step_radau
@@ -466,28 +430,15 @@ class Integrator:
                 continue
             directions = directions_within(work) if self._closed is not None and self._closed.slips else None
             self.dynamics.finish(t, trial, error, method is step_dop853)
-            h = self._believed(t, trial)
-            if h == trial:
+            if work.event_time >= t:
                 break
             self.rejected += 1
-            if work.friction_power > 0.0:
-                halved += 1
-                if halved == MOST_HALVED:
-                    if self._modes_reset_at != t:
-                        self._modes_reset_at = t
-                        state.resolve_jam(UNSETTLED)
-                        self._settle_and_begin()
-                        self._sample()
-                        return h
-                    work.friction_may_drive = True
-        if work.friction_power > 0.0:
-            self._note_driving(work.friction_power)
+            h = 0.5 * trial
         self.steps += 1
         step = self.dynamics.dense_step(t, trial, state.q, state.v, self.w)
         step.closed, step.directions = self._closed, directions
+        self._check_friction(step, min(work.event_time, step.end))
         self.dense_steps.append(step)
-        if self.steps % LOOK_EVERY == 0:
-            self._check_for_chatter()
         time, arriving = work.event_time, self._arriving()
         meeting = None
         if state.shapes:
@@ -527,37 +478,6 @@ class Integrator:
         self._cut_short = trial == left
         return max(longer, natural) if self._cut_short else longer
 
-    def _believed(self, t: float, trial: float) -> float:
-        """Return the length of the step if what it shows is to be believed, else a shorter one.
-
-        Half of it where slip turns too fast. Where forces cease to exist within it, it is a polynomial that
-        goes on beyond a pole, and tells little of what else is seen in it, or of forces at its end; nothing
-        where friction has done positive work until then.
-        """
-        work = self.work
-        if work.event_time < t:
-            return 0.5 * trial
-        if work.event_time > t + trial or not self.dynamics.constrained:
-            return trial
-        margins = work.sample_margins[: work.samples]
-        if margins[0] == -math.inf or not (margins == -math.inf).any():
-            return trial
-        ends = EVENTS[work.event_kind] is force_bound and margins[-1] == -math.inf
-        if ends:
-            step = self.dynamics.dense_step(t, trial, self.state.q, self.state.v, self.w)
-            ends = step.work_at(work.event_time)[RUBBING] <= self.w[RUBBING]
-        seen = work.event_time > t and 0.5 * trial > BRIEF * math.ulp(t)
-        return 0.5 * trial if seen and not ends else trial
-
-    def _note_driving(self, power: float) -> None:
-        """Tell of friction that does positive work, once."""
-        if not self.friction_drove:
-            self.state.note(
-                f"Friction has a positive power of {power:.3g} W, and shorter steps do not help: "
-                "the motion may be wrong from here on; a smaller rtol may help."
-            )
-        self.friction_drove = True
-
     def _note_beyond(self, excess: float) -> None:
         """Tell of forces beyond their bounds, by more than the tolerance leaves unknown, once."""
         unknown = self.rtol * np.abs(self.work.solution).max(initial=0.0)
@@ -579,44 +499,70 @@ class Integrator:
         return self.work.event_index + (0 if event is gap else self.work.contacts)
 
     def _mark_progress(self) -> None:
-        self.last_progress = self.steps, self.state.t, self.state.v
+        self.last_progress = self.steps, self.state.t, self.state.v, self.rejected
 
-    def _check_for_chatter(self) -> None:
-        if self._continuous is not None:
-            check_chatter(self._continuous, self.model, self.dense_steps)
-
-    def _resolve_stall(self) -> bool:
-        """Continue where steps make no progress; return False if there is no way to.
-
-        Slip whose forces have grown until no step is short enough jams. Else what slips slower than the speed
-        of sticking is taken as at rest, and told: what has come to rest since there was progress, and where
-        that does not help all of it, each once.
+    def _check_friction(self, step: DenseStep, until: float) -> None:
+        """Refuse a step until whose event friction has given energy.
 
         Raises:
-            IrregularMotionError: The control chatters, or a closed rim lies flat.
+            IrregularMotionError: See above.
         """
-        state, work = self.state, self.work
-        self._check_for_chatter()
-        state.refuse_flat_rims()
-        if not state.resolve_jam(NEARLY_SINGULAR):
-            since = self.last_progress[1]
-            ended = [source for source, times in self._ends.items() if times[-1] >= since]
-            if ended and state.t - self._rested_at > STALLED:
-                work.settling[ended] = 1
-            elif state.t - self._all_rested_at > STALLED:
-                self._all_rested_at = state.t
-                work.settling[:] = 1
-            else:
-                return False
-            self._rested_at = state.t
-            state.note(
-                f"The contact modes do not converge: slip slower than {work.stick_speed:.3g} m/s is "
-                "taken as zero."
+        works = step.work_at(until)[RUBBING]
+        self.rubbed = np.minimum(self.rubbed, self.w[RUBBING])
+        gained = float((works - self.rubbed).max())
+        state, least = self.state, self.rtol * self._weight * self._made_of[0].extent
+        if gained > least and gained > GAINED * self.rtol * kinetic_energy(
+            self.model, self.data, state.q, state.v
+        ):
+            raise IrregularMotionError(
+                f"scene: friction would give {gained:.3g} J at t = {state.t:.6g} s, so that the modes of "
+                "contact are none; a smaller rtol may help",
+                field="scene",
             )
+
+    def _check_progress(self, scale: float) -> IrregularMotionError | None:
+        """Return why not to continue where steps make no progress, or None.
+
+        Args:
+            scale: The time of which `STALLED` is a part [s].
+        """
+        steps, then, velocity, rejected = self.last_progress
+        state, count = self.state, self.steps - steps
+        covered, t = state.t - then, state.t
+        refused = self.rejected - rejected > FEW * count
+        if self._continuous is not None and refused and covered < JUMPING * self._made_of[0].time_scale:
+            return IrregularMotionError(
+                f"control: it jumps again and again at t = {t:.6g} s, "
+                f"where {count} steps cover {covered:.2g} s; "
+                "give dry friction as the model's friction, which also holds joints at rest, and sample a "
+                "control that switches, with period=",
+                field="control",
+            )
+        least = max(ACCELERATED * np.abs(velocity).max(), state.error(velocity))
+        if not (np.abs(state.v - velocity).max() > least or covered > STALLED * scale):
+            return IrregularMotionError(
+                f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "
+                "converge; a larger resting_speed may help",
+                field="scene",
+            )
+        self._mark_progress()
+        return None
+
+    def _jam_or_refuse(self, refusal: IrregularMotionError) -> float:
+        """Resolve the jam of slip whose forces grow until no step is short enough, or refuse to continue.
+
+        Returns:
+            The length to try next.
+
+        Raises:
+            IrregularMotionError: It is none.
+        """
+        if not self.state.resolve_jam(NEARLY_SINGULAR):
+            raise refusal
         self._mark_progress()
         self._settle_and_begin()
         self._sample()
-        return True
+        return self.dynamics.first_length(self.rtol, self.atol)
 
     def _interrupt(self, step: DenseStep, interruption: Interruption, arriving: int | None) -> None:
         """End a step at an event of the user's."""
@@ -666,33 +612,15 @@ class Integrator:
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
         modes, impacts = self.work.modes.copy(), len(state.impacts)
         if arriving is None:
-            state.resolve_jam(UNSETTLED if self._ends_again(t) else SINGULAR, leaving=bounded)
+            state.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
-        # forces that a correction has brought back into their bounds leave them again soon; modes ahead that
-        # have led back to this instant are none
+        # forces that a correction has brought back into their bounds leave them again soon
         if bounded and self.work.force_bound_ignored:
-            ahead = state.set_modes_ahead(step, self._ahead if self._ahead_at == t else 0.0)
-            if ahead > 0.0:
-                self._ahead_at, self._ahead = t, ahead
+            state.set_modes_ahead(step)
             self._begin_motion()  # with the forces by which the modes were found, if those ahead are the same
         self._sample()
         same = len(state.impacts) == impacts and bool((self.work.modes == modes).all())
         return not (bounded and same and not self.work.force_bound_ignored)
-
-    def _ends_again(self, t: float) -> bool:
-        """Let what comes to rest at the event last found settle, if it does again and again; tell so."""
-        work = self.work
-        if EVENTS[work.event_kind] is slip_end:
-            source = int(work.active_index[work.event_index])
-        elif EVENTS[work.event_kind] is friction_reversal:
-            source = work.contacts + work.limits + work.event_index
-        else:
-            return False
-        ends = self._ends.setdefault(source, deque(maxlen=CROWD))
-        ends.append(t)
-        again = len(ends) == CROWD and t - ends[0] < self._settling_time
-        work.settling[source] = again
-        return again
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
         """End a step where two shapes touch, or touch elsewhere."""
@@ -709,7 +637,6 @@ class Integrator:
     def _settle_and_begin(self, arriving: Arriving = None) -> None:
         """Let this instant settle, and begin the smooth motion after it."""
         self._settle(arriving)
-        self.work.settling[:] = 0
         self._begin_motion()
 
     def _settle(self, arriving: Arriving = None) -> None:
@@ -722,9 +649,7 @@ class Integrator:
         impacts = self.state.impacts
         before = len(impacts)
         self.state.settle(arriving)
-        for _ in range(JAMS):
-            if not self.state.resolve_jam():
-                break
+        if self.state.resolve_jam():
             self.state.settle()
         if len(impacts) > before:
             self._count_impacts(before)

@@ -178,7 +178,7 @@ class SceneImpacts:
                 _compiled.add(kind)
                 with suppress(PinimpactError):  # what is wrong with it is told when it collides
                     self._impact(replace(contact, restitution=0.0), q, zero)
-                    self.without_collision(q, zero, i, False)
+                    self.without_collision(q, zero, i)
 
     def resolve(self, t: float, q: Array, v: Array, i: int, approach: float) -> Impact:
         """Resolve the impact of a contact or, past those, of a joint limit.
@@ -462,14 +462,13 @@ class SceneImpacts:
         inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
         return inverse
 
-    def without_collision(self, q: Array, v: Array, i: int, stop: bool) -> Impact:
+    def without_collision(self, q: Array, v: Array, i: int) -> Impact:
         """Resolve the impact without collision of a contact that slips.
 
         Args:
             q: (nq,) configuration.
             v: (nv,) velocity before it.
             i: The contact.
-            stop: Whether to stop its slip outright, since such an impact has not.
         """
         contact = self._dynamics.contacts[i]
         matrices = self._matrices_of(q, contact)
@@ -483,10 +482,7 @@ class SceneImpacts:
             factor=matrices.factor,
             factor_scale=matrices.factor_scale,
         )
-        if stop:
-            p = -np.linalg.pinv(matrices.delassus, rcond=1e-10, hermitian=True) @ velocity
-        else:
-            p = solve_impact(problem).impulse
+        p = solve_impact(problem).impulse
         return Impact(v + matrices.response @ p, False, partial(_given, problem, p @ matrices.axes))
 
     def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,22 +16,18 @@ from ..errors import (
     BoundReachedWarning,
     InputError,
     IrregularMotionError,
-    LockedPostureError,
     SimulationError,
 )
 from ..robot.contact import Contact
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
-from ..robot.matrices import ContactMatrices, contact_matrices
 from ..robot.pinocchio_bridge import check_inertia
 from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, STRUCK
-from ._kernels.contact_forces import FREE, SLIP, STICK
-from ._kernels.slip import CERTAIN
+from ._kernels.contact_forces import FREE, SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
-from .locked_posture import full_reach, locked_direction
 from .mode_intervals import ModeIntervals
 from .records import ImpactRecord, Note
 from .scene import STANDARD_GRAVITY, Scene
@@ -70,16 +65,10 @@ PASSED = 1e-4
 """By what part friction may have to be larger where the determinant of the equations has changed its sign."""
 
 MOST_JAMS = 10
-"""Impacts without collision at one instant before slip that jams is stopped outright."""
+"""Impacts without collision at one instant."""
 
 LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
-
-ROUNDING = 1e-9
-"""Part of a speed that is none."""
-
-NEARLY_FLAT = 1e-4
-"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
 
 
 class SimulationState:
@@ -178,7 +167,7 @@ class SimulationState:
             starting: Whether the motion starts now, so that all that touches has just closed its gap.
 
         Raises:
-            SimulationError: Impacts do not settle, or friction locks a contact.
+            SimulationError: Impacts do not end, or neither forces nor impulses are found.
         """
         where, slow, work = self._where, self._slow, self.dynamics.work
         # an approach that the error of a step explains is no impact; modes take it away
@@ -197,36 +186,27 @@ class SimulationState:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
-            before, modes, energy = self.v, self.dynamics.work.modes.copy(), self.impact_energy
-            present = self.dynamics.slipping()
+            before = self.v
             jammed = self._set_modes(slow)
-            reached = self._full_reach(before, modes) if jammed < 0 else None
-            if reached is not None:
-                locked, self.q = reached
-                self.v, self.impact_energy = before, energy
-                self.dynamics.work.modes[:] = modes
-                self.dynamics.slip_as(*present)
-                jammed = self._set_modes(slow)
-                # what forces hold it there are those of rounding
-                if jammed < 0 and self._forces_found and self.dynamics.work.modes[locked] != STICK:
-                    break
-            elif jammed < 0 and self._forces_found:
+            if jammed < 0 and self._forces_found:
                 break
             jams += 1
-            if jams > MOST_IMPACTS:
+            if jams > MOST_JAMS:
                 raise IrregularMotionError(
                     f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not "
                     f"end, the last at {_last(resolved)}; less friction may help",
                     field="scene",
                 )
-            struck = self._without_forces(before, jammed, jams > MOST_JAMS)
+            struck = self._without_forces(before, jammed)
             if not struck and jammed >= 0 and not retried:
                 retried = True  # what has come to rest may have turned the slip that jams
                 continue
             if not struck:
-                self._refuse_locked(before)
-                self.note("The forces of the closed contacts were not found to the usual accuracy.")
-                break
+                raise IrregularMotionError(
+                    f"contacts: neither forces nor impulses were found for what touches at t = "
+                    f"{self.t:.6g} s; less friction may help",
+                    field="contacts",
+                )
             resolved += struck
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
@@ -249,28 +229,24 @@ class SimulationState:
             resolved += self._strike(i, -float(rates[i]), resolved)
         self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
-    def _without_forces(self, v: Array, jammed: int, stop: bool) -> list[dict[str, Any]]:
+    def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.
 
         Args:
             v: (nv,) velocity before modes were looked for.
             jammed: The contact that drives the surface in by itself, or −1.
-            stop: Whether to stop the slip of that one outright, since such impacts do not settle.
 
         Returns:
             Fields of records; none if nothing comes of it.
         """
         touching = self._closed(self._slow)
         slips = self._slipping(touching)
-        if jammed >= 0 and (stop or len(touching) == 1):
+        if jammed >= 0 and len(touching) == 1:
             self.note(
                 f"Slip at {self.names[jammed]} has a negative normal acceleration and no admissible force: "
-                f"an impact without collision{', which stops it' if stop else ''}."
+                "an impact without collision."
             )
-            impact = self._impacts.without_collision(self.q, self.v, jammed, stop)
-            return [self._take_over(jammed, impact)]
-        if stop:
-            return []
+            return [self._take_over(jammed, self._impacts.without_collision(self.q, self.v, jammed))]
         group = self._impacts.without_forces(self.t, self.q, v, touching, slips, 0.0)
         if group is None:
             return []
@@ -281,80 +257,10 @@ class SimulationState:
         )
         return self._take_over_group(group)
 
-    def _full_reach(self, v: Array, modes: Array) -> tuple[int, Array] | None:
-        """Return a contact that has come to rest and counts as at full reach, and the configuration there.
-
-        Args:
-            v: (nv,) velocity before modes were looked for.
-            modes: Those that held.
-        """
-        work = self.dynamics.work
-        rests = np.flatnonzero((work.modes == STICK) & (modes != STICK))
-        if not rests.size or work.bilateral.any():
-            return None
-        error = CERTAIN * self.error(v)
-
-        def seen(i: int, q: Array) -> tuple[Array, Array, Array, Array, Array]:
-            matrices = self._free_matrices(q, i)
-            free = self.dynamics.free_motion_at(self.t, q, v, [i])
-            return matrices.delassus, matrices.response, free.velocity[0], free.acceleration[0], free.joints
-
-        def moved(q: Array, time: float) -> Array:
-            there: Array = pin.integrate(self._model, q, v * time)
-            return there
-
-        for i in rests.tolist():
-            friction = self.dynamics.contacts[i].sustained_friction
-            reached = full_reach(self.q, friction, error, partial(seen, i), moved)
-            if reached is not None:
-                return i, reached
-        return None
-
     def error(self, v: Array) -> float:
         """Return the error of a step in a velocity (nv,)."""
         work, speeds = self.dynamics.work, v.tolist()
         return float(work.atol + work.rtol * max(max(speeds), -min(speeds)))
-
-    def _free_matrices(self, q: Array, i: int) -> ContactMatrices:
-        """Return the matrices of a contact; joints whose velocity no impact changes are as free as others."""
-        return contact_matrices(self._model, self._data, q, self.dynamics.contacts[i])
-
-    def _refuse_locked(self, v: Array) -> None:
-        """Stop where friction locks a contact at rest, if nothing is held.
-
-        No forces have been found for all that touches.
-
-        Args:
-            v: (nv,) velocity before modes were looked for.
-
-        Raises:
-            LockedPostureError: See above.
-        """
-        work, touching = self.dynamics.work, self._closed(self._slow)
-        if work.bilateral.any():
-            return
-        alone = len(touching) == 1 and not work.dry_friction.any()
-        for i, slips in zip(touching, self._slipping(touching).tolist(), strict=True):
-            if i >= work.contacts or slips:
-                continue
-            contact = self.dynamics.contacts[i]
-            matrices = self._free_matrices(self.q, i)
-            acceleration = self.dynamics.free_motion_at(self.t, self.q, v, [i]).acceleration[0]
-            friction = contact.sustained_friction
-            u = locked_direction(matrices.delassus, acceleration, friction, alone)
-            if u is None:
-                continue
-            x, y, z = (u @ matrices.axes).tolist()
-            least = math.hypot(u[0], u[1]) / u[2]
-            raise LockedPostureError(
-                f"contacts: at t = {self.t:.6g} s {contact.label!r} is locked by friction: in "
-                f"this posture nothing moves it along ({x:.3g}, {y:.3g}, {z:.3g}), and its "
-                f"friction of {friction:g} holds it against the motion, so the rigid-body "
-                f"equations have no forces or impulses; friction below {least:.3g}, or a joint "
-                "limit before this posture, avoids this",
-                field="contacts",
-                value=contact,
-            )
 
     def _closed(self, chosen: NDArray[np.int64]) -> list[int]:
         """Return those of contacts and limits that are chosen and not held."""
@@ -382,25 +288,16 @@ class SimulationState:
         tilts = [self._tilts(closed, at) for at in (q, later)]
         return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
 
-    def refuse_flat_rims(self) -> None:
-        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
-
-        Raises:
-            SimulationError: See above.
-        """
-        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
-        self._refuse_flat(closed, NEARLY_FLAT)
-
     def _check_rims(self, where: NDArray[np.int64]) -> None:
         """Stop where a rim touches all round, within the tolerance of touching."""
         touching = [k for k in self._rims if where[k] != APART]
-        self._refuse_flat(touching, 0.0)
+        self._refuse_flat(touching)
 
-    def _refuse_flat(self, rims: list[int], least: float) -> None:
+    def _refuse_flat(self, rims: list[int]) -> None:
         """Stop where a rim lies flat, or is tilted by less than this."""
         for k, tilt in zip(rims, self._tilts(rims, self.q), strict=True):
             contact, size = self.dynamics.contacts[k], float(np.linalg.norm(tilt))
-            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap or size < least:
+            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap:
                 raise SimulationError(
                     f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
                 )
@@ -525,15 +422,6 @@ class SimulationState:
         contacts = self.dynamics.contacts
         return contacts[i] if i < len(contacts) and contacts[i].pair is not None else None
 
-    def rest_below(self, speed: float) -> None:
-        """Let contacts and limits rest that part no faster than this, since they would be back at once."""
-        work = self.dynamics.work
-        usual, work.resting_speed = work.resting_speed, max(work.resting_speed, (1.0 + ROUNDING) * speed)
-        try:
-            self.settle()
-        finally:
-            work.resting_speed = usual
-
     def change_velocity(self, v: Array) -> None:
         """Go on with another velocity, and count the kinetic energy that it brings."""
         energy = self._impacts.kinetic_energy
@@ -541,7 +429,7 @@ class SimulationState:
         self.v = v
 
     def resolve_jam(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
-        """Resolve the impact without collision of slip whose forces have no bound, if there is any.
+        """Resolve the impact without collision of slip whose forces have no bound, if there is any. (13.3)
 
         Args:
             singular: The part to which the effects of the forces cancel at a singularity.
@@ -589,25 +477,16 @@ class SimulationState:
             self._tell_modes()
         return -1
 
-    def set_modes_ahead(self, step: DenseStep, beyond: float) -> float:
-        """Set the modes that the forces call for just after now; return how far ahead they were found [s].
+    def set_modes_ahead(self, step: DenseStep) -> None:
+        """Set the modes that the forces call for just after now, if these are others.
 
         Where forces leave their bounds without a jump nothing moves yet at that very time, so what begins to
-        move is seen a little later, in the smooth continuation of the step.
-
-        Args:
-            step: The step.
-            beyond: How far ahead modes were found that have led back to now [s]; zero for none.
-
-        Returns:
-            Zero where the modes are the same.
+        move is seen a little later, in the smooth continuation of the step. (theory.md, 11.6)
         """
         work = self.dynamics.work
         before = found = work.modes.copy()
         present = self.dynamics.slipping()
         ahead, certain = LEAST_AHEAD * step.h, False
-        while ahead <= beyond:
-            ahead *= 4.0
         while ahead <= MOST_AHEAD * step.h and not certain:
             self.dynamics.slip_as(*present)
             q, v = step.at(self.t + ahead)
@@ -622,10 +501,9 @@ class SimulationState:
             work.modes[:] = before
             self.dynamics.slip_as(*present)
             self._set_modes(self._slow)
-            return 0.0
+            return
         work.force_bound_ignored = False
         self._tell_modes()
-        return ahead
 
     def shapes_meet(self, meeting: Meeting, step: DenseStep) -> Arriving:
         """Let a pair of shapes touch at present, or elsewhere; return what arrives."""

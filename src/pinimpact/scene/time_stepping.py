@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import SimulationError
+from ..errors import IrregularMotionError
 from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
@@ -241,10 +241,9 @@ class TimeStepping(Integrator):
         )
         self.dynamics.check()
         if off > FAILED:
-            raise SimulationError(
+            raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
-                f"impulses violate Coulomb's law by {off:.2g} of its velocities; dt below {h:.3g} "
-                "s may help",
+                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help",
                 field="scene",
             )
         if off > max(USABLE, self._unsolved):

@@ -9,13 +9,13 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.coulomb_problem import SYSTEM, newton, residual, scale, solve_compliant, solve_coulomb
-from ..._numeric.elimination import RANK, largest_of
-from ..._numeric.least_norm import least_norm
+from ..._numeric.coulomb_problem import USABLE, scale
+from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign, flags, nonzero
 from ..._numeric.semidefinite import factor
+from .acting_forces import driven_in, find_forces
 from .active_set import close, scalar_row, scalar_rows, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
@@ -27,14 +27,8 @@ from .dynamics import (
     motion_of_contact,
     set_state,
 )
-from .lasting_forces import orientation, take_lasting
-from .projected_gauss_seidel import forces_by_gauss_seidel
 from .slip import CERTAIN, behind
 from .workspace import SceneWorkspace
-
-ACCURACY = 1e-10
-"""How far forces may be from Coulomb's law, in parts of the largest acceleration."""
-
 
 ROUNDS = 4
 """How often modes are determined again: contacts that close change the velocity, and with it the direction of
@@ -72,8 +66,7 @@ def set_modes(work, t, q, v, slow):
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
                 moves = sliding[j] * v[j] > dry[j] * certain
-                keeps = moves and work.settling[work.contacts + work.limits + j] == 0
-                rests = slow_enough and not keeps and dragged[j] == 0
+                rests = slow_enough and not moves and dragged[j] == 0
                 held = work.modes[work.contacts + work.limits + j] != 0
                 candidates[touching + j] = (PRESSED if held else TOUCHES) if rests else 0
                 # in the first round nothing has been stopped yet
@@ -119,7 +112,7 @@ def set_modes(work, t, q, v, slow):
             energy, stopped, tried = 0.0, math.inf, 0
     for j in range(n):
         if breaking[j] != 0.0:
-            if idles(work, j, v[j], certain) and slid[j] != 0.0:
+            if idles(work, v[j], certain) and slid[j] != 0.0:
                 sliding[j] = slid[j]
             else:
                 sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
@@ -193,43 +186,20 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
         free[3 * nc + m] = work.acceleration[scalars[m]]
     delassus_of_rows(rows, work.minverse, response, delassus)
     force, strength, found, least = np.zeros((nc, 3)), np.zeros(ns), work.found_forces, np.zeros(nc)
-    both, unique, jamming, converged = np.zeros(size), determines_forces(delassus), -1, False
-    if not unique:
-        converged = (
-            solve_compliant(delassus, free, slip, mu, least, held, lower, upper, both, np.ones(nc))
-            <= ACCURACY
-        )
-    if not converged:
-        iterations, jamming = forces_by_gauss_seidel(
-            delassus, free, slip, mu, held, lower, upper, force, strength
-        )
-        converged = iterations >= 0 and jamming < 0
-        for a in range(size):
-            both[a] = force[a // 3, a % 3] if a < 3 * nc else strength[a - 3 * nc]
-    if not converged:
-        known = np.empty(size)
-        forces_of_before(work, contacts, joints, known)
-        converged = continue_from(delassus, free, slip, mu, least, held, lower, upper, known)
-        if converged:
-            assign(both, known)
-        else:
-            converged = solve_coulomb(delassus, free, slip, mu, least, held, lower, upper, both) <= ACCURACY
-        if converged:
-            jamming = -1  # others keep the surface from moving in
-    if converged:
-        take_lasting(delassus, free, slip, mu, least, held, lower, upper, both)
+    both, known, unique = np.empty(size), np.empty(size), determines_forces(delassus)
+    forces_of_before(work, contacts, joints, known)
+    pressed = np.empty(nc + ns, dtype=np.bool_)
+    for k in range(nc):
+        pressed[k] = candidates[contacts[k]] == PRESSED
+    for m in range(ns):
+        pressed[nc + m] = scalar[joints[m]] == PRESSED
+    converged = find_forces(delassus, free, slip, mu, least, held, lower, upper, both, pressed, known, unique)
     for a in range(size):  # if not found, then the nearest to it
         if a < 3 * nc:
             force[a // 3, a % 3] = both[a]
         else:
             strength[a - 3 * nc] = both[a]
-    if converged:
-        pressed = np.empty(nc + ns, dtype=np.bool_)
-        for k in range(nc):
-            pressed[k] = candidates[contacts[k]] == PRESSED
-        for m in range(ns):
-            pressed[nc + m] = scalar[joints[m]] == PRESSED
-        hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength)
+    jamming = -1 if converged else driven_in(delassus, free, slip, mu, held, both)
     if jamming >= 0:
         b = 3 * jamming + 2
         gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
@@ -262,7 +232,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
         stopped[a] = closed
         if rubs and not closed:
             breaking[i] = strength[m]
-            against[a] = 0.0 if idles(work, i, v[i], certain) else math.copysign(1.0, strength[m])
+            against[a] = 0.0 if idles(work, v[i], certain) else math.copysign(1.0, strength[m])
         limit = joints[m]
         modes[work.contacts + limit] = 1 if closed else 0
         parts = limit < work.limits and work.limit_sign[limit] * v[i] > certain
@@ -289,8 +259,7 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
     for m in range(ns):
-        rubs = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
-        moves[3 * nc + m] = rubs and work.settling[work.contacts + joints[m]] == 0
+        moves[3 * nc + m] = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
     limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
     gained, fastest = come_to_rest(
         work.minverse, rows, start, stopped, against, moves, 3 * nc, *limits, on, v
@@ -321,24 +290,6 @@ def forces_of_before(work, contacts, joints, x):
         x[closed + m] = work.found_forces[work.contacts + joints[m], 0]
 
 
-@declared(*SYSTEM)
-@external
-def continue_from(delassus, free, velocity, mu, least, held, lower, upper, x):
-    """Take forces x of before to those of now, by Newton's method; return whether there are such.
-
-    Near where they cease to exist they are a thousand times those of the loads, too far for any other way.
-    """
-    size = len(x)
-    width, a_now = np.empty(size), np.empty(size)
-    scale_a, scale_f = np.empty(size), np.empty(size)
-    if scale(delassus, free, len(mu), width, scale_a, scale_f) == 0.0:
-        return False
-    return (
-        newton(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
-        <= ACCURACY
-    )
-
-
 @inlined
 def turn_rows(direction, rows, velocity):
     """Turn two rows (2, nv) of a contact and their velocities: along a direction (2,), and across it."""
@@ -351,131 +302,9 @@ def turn_rows(direction, rows, velocity):
 
 
 @inlined
-def idles(work, j, speed, certain):
+def idles(work, speed, certain):
     """Whether a joint that yields is too fast for rest, now that less is taken for it. (11.8)"""
-    settles = work.settling[work.contacts + work.limits + j] != 0
-    return certain < abs(speed) <= work.certain_speed and not settles
-
-
-@declared(FLAGS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLOATS, FLOAT_ROWS, FLOATS)
-@external
-def hold_on(pressed, delassus, free, slip, mu, held, lower, upper, force, strength):
-    """Keep pressed contacts at rest where they are, if that obeys Coulomb's law too, and lasts.
-
-    See theory.md, section 11.
-
-    Args:
-        pressed: (nc + ns,) what of contacts and scalar rows has been pressed, or held, until now.
-        delassus, free: Of the rows.
-        slip: (nc, 2) velocities of slip, zero for a contact that may stick.
-        mu, held, lower, upper: As in `forces_by_gauss_seidel`.
-        force: (nc, 3) forces on the contacts that obey the law, replaced by others if there are such.
-        strength: (ns,) those of the scalar rows, likewise.
-    """
-    nc, ns, size = len(mu), len(strength), len(free)
-    x, fixed, stays = np.zeros(size), np.zeros(size, dtype=np.int64), pressed.copy()
-    for k in range(nc):
-        slides = mu[k] == 0.0 or slip[k, 0] != 0.0 or slip[k, 1] != 0.0
-        stays[k] = pressed[k] and not (slides or held[k])
-        for d in range(3):
-            x[3 * k + d] = force[k, d]
-            fixed[3 * k + d] = not (stays[k] or held[k])
-        if slides and not held[k] and force[k, 2] > 0.0:
-            fixed[3 * k + 2] = 0
-    before, most = inside_bounds(stays, mu, lower, upper, force, strength), 0
-    for k in range(nc + ns):
-        most += stays[k]
-    if before == most:
-        return
-    beyond = True
-    while beyond:
-        # what would leave its bounds is at them, and then what would pull is let go, until nothing does
-        stop_rows(delassus, free, slip, mu, fixed, x)
-        beyond = False
-        for m in range(ns):
-            within = min(max(x[3 * nc + m], lower[m]), upper[m])
-            if within != x[3 * nc + m]:
-                x[3 * nc + m], fixed[3 * nc + m] = within, 1
-                beyond = True
-        for k in range(nc):
-            if x[3 * k + 2] < 0.0 and not held[k] and not beyond:
-                beyond = True
-                for a in range(3 * k, 3 * k + 3):
-                    x[a], fixed[a] = 0.0, 1
-    others, other_strength = np.empty((nc, 3)), np.empty(ns)
-    for a in range(size):
-        if a < 3 * nc:
-            others[a // 3, a % 3] = x[a]
-        else:
-            other_strength[a - 3 * nc] = x[a]
-    if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
-        return
-    width, a_now, least = np.empty(size), np.empty(size), np.zeros(nc)
-    scale_a, scale_f = np.empty(size), np.empty(size)
-    if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
-        return
-    off = residual(delassus, free, slip, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
-    if not off <= ACCURACY:
-        iterations, jamming = forces_by_gauss_seidel(
-            delassus, free, slip, mu, held, lower, upper, others, other_strength
-        )
-        if iterations < 0 or jamming >= 0:
-            return
-        for a in range(size):
-            x[a] = others[a // 3, a % 3] if a < 3 * nc else other_strength[a - 3 * nc]
-        if inside_bounds(stays, mu, lower, upper, others, other_strength) <= before:
-            return
-    if orientation(delassus, free, slip, mu, least, held, lower, upper, x, a_now, scale_a, scale_f) < 0:
-        return
-    for k in range(nc):
-        assign(force[k], others[k])
-    assign(strength, other_strength)
-
-
-@inlined
-def inside_bounds(chosen, mu, lower, upper, force, strength):
-    """Return how many of the chosen contacts and scalar rows have forces at which they rest for certain."""
-    nc, count = len(mu), 0
-    for k in range(nc):
-        tangent = math.hypot(force[k, 0], force[k, 1])
-        count += chosen[k] and force[k, 2] > 0.0 and tangent <= INSIDE * mu[k] * force[k, 2]
-    for m in range(len(strength)):
-        count += chosen[nc + m] and INSIDE * lower[m] < strength[m] < INSIDE * upper[m]
-    return count
-
-
-@inlined
-def stop_rows(delassus, free, slip, mu, fixed, x):
-    """Fill the forces x (m,) on rows that are not fixed so that these have no acceleration.
-
-    Where the normal row alone of a contact is not fixed its friction changes with it, against its slip.
-    """
-    rows = nonzero(1 - fixed)
-    m = len(rows)
-    system, right, solution, drag = np.empty((m, m)), np.empty(m), np.empty(m), np.zeros((m, 2))
-    for c in range(m):
-        k, d = rows[c] // 3, rows[c] % 3
-        if k < len(mu) and d == 2 and fixed[rows[c] - 1] != 0:
-            speed = math.hypot(slip[k, 0], slip[k, 1])
-            for e in range(2):
-                x[3 * k + e] = 0.0
-                drag[c, e] = -mu[k] * slip[k, e] / speed if speed > 0.0 else 0.0
-    for c in range(m):
-        right[c] = -free[rows[c]]
-        for b in range(len(x)):
-            if fixed[b] != 0:
-                right[c] -= delassus[rows[c], b] * x[b]
-        for d in range(m):
-            system[c, d] = delassus[rows[c], rows[d]]
-            for e in range(2):
-                if drag[d, e] != 0.0:
-                    system[c, d] += delassus[rows[c], rows[d] - 2 + e] * drag[d, e]
-    least_norm(system, right, RANK, solution, np.empty((0, m)))
-    for c in range(m):
-        x[rows[c]] = solution[c]
-        for e in range(2):
-            if drag[c, e] != 0.0:
-                x[rows[c] - 2 + e] = drag[c, e] * solution[c]
+    return certain < abs(speed) <= work.certain_speed
 
 
 @declared(FLOAT_ROWS)
@@ -518,7 +347,7 @@ def resulting_accelerations(delassus, free, force, scalar_force, unique, pace):
             pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
         pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
         if unit > 0.0:  # forces are no more accurate
-            pace[a] += ACCURACY / scale_a[a]
+            pace[a] += USABLE / scale_a[a]
 
 
 @inlined
@@ -586,6 +415,6 @@ def keeps_sliding(work, i, x, y, certain):
         return True
     index, mode = work.active_index, work.active_mode
     for k in range(len(index)):
-        if index[k] == i and mode[k] == SLIP and work.settling[i] == 0:
+        if index[k] == i and mode[k] == SLIP:
             return speed > certain  # also where it has turned away from the direction last known
     return False

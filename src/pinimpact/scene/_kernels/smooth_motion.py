@@ -25,7 +25,6 @@ from .dynamics import (
 )
 from .events.registry import find_first_event
 from .force_choice import choose_forces
-from .friction_power import friction_drives
 from .samples import along, record_sample
 from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
 from .step_drives import rate_of_drives
@@ -64,12 +63,8 @@ def begin(work, t, q, v):
     record_sample(work, 0, 0.0)
     work.slip_stiffness = stiffness_of_slip(work)
     work.drive_rate = rate_of_drives(work)
-    work.previous_length = work.flat_bounce = 0.0
+    work.previous_length = 0.0
     guess = math.inf
-    for k in range(work.limits):
-        gap, rate = limit_gap(work, k, q, v)
-        if modes[work.contacts + k] == FREE and gap <= work.touching_gap and rate > work.stick_speed:
-            note_flat_bounce(work, rate, -work.limit_sign[k] * rates[0, n + work.limit_v[k]])
     if len(gaps) == 0:
         return guess
     contact_gaps(work, gaps, work.start_spheres)
@@ -82,15 +77,7 @@ def begin(work, t, q, v):
                 fall -= jacobian[2, j] * (rates[0, n + j] - work.acceleration[j])
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
-            note_flat_bounce(work, gaps[i, 1], fall)
     return guess
-
-
-@inlined
-def note_flat_bounce(work, rate, fall):
-    """Keep the rate at which something has bounced off, if it turns before its gap shows."""
-    if rate * rate < 2.0 * fall * work.gap_floor:
-        work.flat_bounce = max(work.flat_bounce, rate)
 
 
 @declared(SceneWorkspace)
@@ -152,11 +139,6 @@ def finish(work, t, h, error, explicit):
     if explicit:
         step_dop853.complete(work, t, h)
     find_first_event(work)
-    work.friction_power = 0.0
-    if work.event_time > -math.inf:
-        work.friction_power = friction_drives(work, explicit)
-        if work.friction_power > 0.0 and not work.friction_may_drive:
-            work.event_time = -math.inf
     set_directions_within(work, min(max(work.event_time - t, 0.0) / h, 1.0))
     work.growth = 1.0
     if work.event_time > t + h:

@@ -101,7 +101,6 @@ class SceneWorkspace(Workspace):
     modes = integers(
         "sources", meaning="of contacts; 1 for a closed limit; 1 for a joint held by dry friction"
     )
-    settling = integers("sources", meaning="1 where slip ends too often to go on below `stick_speed`")
     active_index = integers("active_contacts", meaning="number of the contact")
     active_mode = integers("active_contacts", meaning="its mode")
     active_friction = reals("active_contacts", meaning="its coefficient of friction")
@@ -170,7 +169,6 @@ class SceneWorkspace(Workspace):
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
     drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
-    flat_bounce = real("fastest of the bounces just begun that would not rise above the gaps' floor [m/s]")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
     start_gaps = reals("contacts", 2, meaning="gap and rate at the start; infinite where not looked at")
@@ -192,8 +190,6 @@ class SceneWorkspace(Workspace):
     end_margin = real("the margin of the forces at the end [N]")
     drift_at_end = real("of the active contacts, at the end; see `constraint_drift`")
     growth = real("how much longer the next step may be")
-    friction_power = real("that friction gives in the step, which it must not: the step is refused [W]")
-    friction_may_drive = flag("whether steps are taken nevertheless, for no shorter one has done better")
     force_bound_ignored = flag("whether forces beyond their bounds are no event: no other modes do better")
     event_time = real("[s]; infinite where there is none, minus infinity to ask for a shorter step")
     event_kind = integer("its position in the registry")
