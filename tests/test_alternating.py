@@ -243,7 +243,7 @@ def test_a_stack_hit_by_a_box_moves_as_in_short_time_steps():
     short = simulate(scene, q0, v0, 0.12, scheme="time-stepping", dt=1.25e-4)
     runs = [automatic(scene, q0, v0, 0.12, dt=dt) for dt in (4e-3, 1e-3, 2.5e-4)]
     for trajectory in runs:
-        assert sum(one.end - one.start for one in trajectory.stepped) < 0.05  # the rest by events
+        assert sum(one.end - one.start for one in trajectory.stepped) < 0.1  # the rest by events
         assert deepest(trajectory, sizes) < 1e-6
         assert np.abs(trajectory.q[:, 1::7]).max() < 1e-9  # mirror symmetric, as it begins
         np.testing.assert_allclose(trajectory.q[-1], short.q[-1], atol=1e-4)

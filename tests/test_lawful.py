@@ -51,6 +51,7 @@ def test_velocity_is_known_to_the_error_of_the_step_before(sliding, speed, told)
         v=np.array([[speed, 0.0, 0.0], [1e-5, 0.0, 0.0], [9e-6, 0.0, 0.0]]),
         modes=[ModeInterval("point on plane", "slip", 0.0, 0.2)],
         impacts=[],
+        stepped=(),
     )
     assert bool(lost(scene, motion, RTOL)) == told
 
