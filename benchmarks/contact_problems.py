@@ -1,4 +1,4 @@
-"""Forces by Coulomb's law: how many are found, how fast, with Gauss–Seidel iterations first and without.
+"""Forces by Coulomb's law: how many are found by the solver alone, and how fast.
 
 Problems recorded in runs are read from a file (arrays one after the other; `contacts` and `scalars` give the
 sizes), others are drawn: four contacts, some of which slip, with and without three dry joints, of full rank,
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ import numpy as np
 
 from pinimpact._numeric.coulomb_problem import solve_coulomb
 from pinimpact._numeric.tolerances import USABLE
-from pinimpact.scene._kernels.projected_gauss_seidel import forces_by_gauss_seidel
 
 Problem = tuple[Any, ...]
 """W, accelerations, velocities of slip, friction, held, lower, upper."""
@@ -30,19 +29,6 @@ Problem = tuple[Any, ...]
 @numba.njit
 def alone(delassus, free, velocity, mu, held, lower, upper, x):
     """Call the kernel, which only kernels can."""
-    return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
-
-
-@numba.njit
-def gauss_seidel_first(delassus, free, velocity, mu, held, lower, upper, x):
-    """Iterate first and solve where that does not converge, as scenes do."""
-    force, strength = np.zeros((len(mu), 3)), np.zeros(len(lower))
-    iterations, jamming = forces_by_gauss_seidel(
-        delassus, free, velocity, mu, held, lower, upper, force, strength
-    )
-    x[: 3 * len(mu)], x[3 * len(mu) :] = force.ravel(), strength
-    if iterations >= 0 and jamming < 0:
-        return 0.0
     return solve_coulomb(delassus, free, velocity, mu, np.zeros(len(mu)), held, lower, upper, x)
 
 
@@ -86,13 +72,13 @@ def drawn(seed: int) -> Problem:
     return delassus, free, velocity, rng.uniform(0.2, 1.2, size=4), np.zeros(4, dtype=bool), -bound, bound
 
 
-def measure(solve: Callable[..., float], problems: list[Problem]) -> tuple[np.ndarray, np.ndarray]:
+def measure(problems: list[Problem]) -> tuple[np.ndarray, np.ndarray]:
     """Return which are solved, and the times [ms]."""
     found, times = np.empty(len(problems), dtype=bool), np.empty(len(problems))
     for k, problem in enumerate(problems):
         x = np.zeros(len(problem[1]))
         start = time.perf_counter()
-        found[k] = solve(*problem, x) <= USABLE
+        found[k] = alone(*problem, x) <= USABLE
         times[k] = 1e3 * (time.perf_counter() - start)
     return found, times
 
@@ -107,16 +93,12 @@ def main() -> None:
     else:
         print("recorded problems are left out: no file is given")
     for kind, problems in kinds.items():
-        found = {}
-        for name, solve in (("after iterations", gauss_seidel_first), ("alone", alone)):
-            measure(solve, problems[:1])
-            found[name], times = measure(solve, problems)
-            print(
-                f"{kind}, {name}: {found[name].sum()} of {len(problems)}, {times.mean():.3f} ms as a mean, "
-                f"{np.median(times):.3f} as a median, {times.max():.2f} at most"
-            )
-        only = {name: np.flatnonzero(found[name] & ~np.all(list(found.values()), axis=0)) for name in found}
-        print("    found by one alone:", {name: which.tolist() for name, which in only.items()})
+        measure(problems[:1])
+        found, times = measure(problems)
+        print(
+            f"{kind}: {found.sum()} of {len(problems)}, {times.mean():.3f} ms as a mean, "
+            f"{np.median(times):.3f} as a median, {times.max():.2f} at most"
+        )
 
 
 if __name__ == "__main__":
