@@ -33,6 +33,7 @@ from .random_control import DURATION, draw, wrong_in
         pytest.param(61000205, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
 def test_modes_settle(seed):
     run = draw(seed)
     trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
