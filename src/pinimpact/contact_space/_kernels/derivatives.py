@@ -365,6 +365,25 @@ def _book(problem, columns, event, rate, p3):
     return sign * p3
 
 
+@inlined
+def _needed(problem, moves, rows):
+    """Return the last move of slip that anything depends on, and the one at whose end v_t = 0; −1: none.
+
+    In stick nothing of the path is left but events before it, unless its work counts.
+    """
+    stop, last = NONE_YET - 1, NONE_YET - 1
+    resumed = problem.counts == WORK
+    for i in range(rows):
+        if moves[i, 0] == IN_RESUMED_SLIP:
+            resumed = True
+        if moves[i, 0] == IN_SLIP and moves[i + 1, 9] == 0.0 and problem.mu > 0.0:
+            stop = i
+    for i in range(stop + 1):
+        if moves[i, 6] != NO_EVENT or resumed:
+            last = i
+    return last, stop
+
+
 @declared(Problem, Units, View, *5 * [FLOAT_ROWS], int, float)
 @external
 def _follow(problem, units, view, moves, values, found, columns, out, rows, after3):
@@ -393,14 +412,21 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
     q1 = q2 = rest_at = total = 0.0
     if not at_rest:
         found[VT1, 0] = found[VT2, 1] = 1.0
+    last_needed, stop = _needed(problem, moves, rows)
     for i in range(rows):
         move, after = moves[i], moves[i + 1]
         event, rate, last = move[6], move[13], i == rows - 1
         start, p3 = unit * move[2], unit * move[3]
-        n1, n2, gain = _cross(problem, units, move, after, start, p3, rest_at, values, found)
+        n1 = n2 = gain = 0.0
+        if not last_needed < i <= stop:
+            n1, n2, gain = _cross(problem, units, move, after, start, p3, rest_at, values, found)
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
-        if move[0] == IN_SLIP and after[9] == 0.0 and problem.mu > 0.0:
+        if i == stop:
             rest_at = p3
+            if 0.0 < abs(move[11]) < math.inf:  # it still turned, so P* depends on directions as from rest
+                boundary |= START_AT_REST
+            for j in range(DATA):
+                found[VT1, j] = found[VT2, j] = 0.0
         if works and move[1] == COMPRESSION:
             total += work_unit * move[4]
         if event == NO_EVENT:
@@ -445,9 +471,14 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
         boundary |= STICK_THRESHOLD
         _fill(out, W11, W33, math.nan)
         _fill(out, MU, E, math.nan)
-    if problem.speed <= VANISHED and (flags & SLIP_RESUMED > 0 or threshold):
+    turned = boundary & START_AT_REST > 0
+    boundary &= ~START_AT_REST
+    if (problem.speed <= VANISHED or turned) and (flags & SLIP_RESUMED > 0 or threshold):
         boundary |= START_AT_REST
         _fill(out, V1, V3, math.nan)
+        if turned:
+            _fill(out, W11, W33, math.nan)
+            _fill(out, MU, E, math.nan)
     if problem.v3 == 0.0:
         boundary |= JUMP
         _fill(out, V3, W11, math.nan)

@@ -26,17 +26,17 @@ VT1, VT2, PATH, STOP = 0, 1, 2, 3
 _GROWTH, _BEND, _TURNED, _COS, _SIN, _SPEED, _PUSH, _IMPULSE, _BENT, _LAG, _SLID, _SLIDES, _SWEPT, _SWEEPS = (
     range(14)
 )
-_ALONG, _ACROSS = 14, 19
-NODE_ROWS = 24
+_ALONG, _ACROSS, _BY = 14, 19, 24
+NODE_ROWS = 31
 """Rows of scratch for what there is at the nodes; those of integrands have the weights in them."""
 
-EFOLDS = 4.0
+EFOLDS = 6.0
 """Change of ln r or ln g on a panel, at most."""
 
 NEAREST = 1.6
 """Length of a panel, in L, over the distance of the next invariant direction."""
 
-TAIL = 1e-15
+TAIL = 1e-13
 """Part of the path over which slip that settles turns by less than rounding until v_t = 0."""
 
 HALF_ANGLE, INVARIANT, STRAIGHT = 0, 1, 2
@@ -134,18 +134,30 @@ def _fill_sources(values):
 
 
 @inlined
-def _source(values, k, span, lag, bend, slid, swept):
+def _fill_weights(values, span, lag, bend, slid, swept):
+    """Fill the rows by which sources count: in ln r, φ, P₃ and κ·∫v_t dP₃. (D10)"""
+    for i in range(NODES):
+        w = values[_PUSH, i] / values[_SPEED, i]
+        q = w / values[_TURNED, i]
+        here, rest, left = values[_BEND, i], span - values[_IMPULSE, i], slid - values[_SLID, i]
+        values[_BY, i], values[_BY + 1, i], values[_BY + 2, i] = w, q * (bend - here), q
+        values[_BY + 3, i], values[_BY + 4, i] = w * rest, q * (lag - values[_LAG, i] - here * rest)
+        values[_BY + 5, i] = 2.0 * w * left
+        values[_BY + 6, i] = q * (swept - values[_SWEPT, i] - 2.0 * here * left)
+
+
+@inlined
+def _source(values, k, works):
     """Return what a datum changes on a panel: of ln r, φ, P₃ and κ·∫v_t dP₃, in the sense of (D9)."""
     radial = angle = late = path = 0.0
     for i in range(NODES):
-        w = values[_PUSH, i] / values[_SPEED, i]
-        along, across = w * values[_ALONG + k, i], w * values[_ACROSS + k, i] / values[_TURNED, i]
-        here, rest = values[_BEND, i], span - values[_IMPULSE, i]
-        left = slid - values[_SLID, i]
-        radial += along + (bend - here) * across
-        angle += across
-        late += rest * along + (lag - values[_LAG, i] - here * rest) * across
-        path += 2.0 * left * along + (swept - values[_SWEPT, i] - 2.0 * here * left) * across
+        along, across = values[_ALONG + k, i], values[_ACROSS + k, i]
+        radial += values[_BY, i] * along + values[_BY + 1, i] * across
+        angle += values[_BY + 2, i] * across
+        late += values[_BY + 3, i] * along + values[_BY + 4, i] * across
+    if works:
+        for i in range(NODES):
+            path += values[_BY + 5, i] * values[_ALONG + k, i] + values[_BY + 6, i] * values[_ACROSS + k, i]
     return radial, angle, late, path
 
 
@@ -194,15 +206,9 @@ def cross_panel(units, slip, kind, size, root, mu, k1, k2, works, values, found)
     f1, f2 = f * e1 - g * e2, f * e2 + g * e1
     kv = fast * (k1 * e1 + k2 * e2)
     cos2, sin2 = s1 * s1 - s2 * s2, 2.0 * s1 * s2
-    b0, b1 = (
-        _source(values, 0, span, lag, bend, slid, swept),
-        _source(values, 1, span, lag, bend, slid, swept),
-    )
-    a0 = _source(values, 2, span, lag, bend, slid, swept)
-    a1, a2 = (
-        _source(values, 3, span, lag, bend, slid, swept),
-        _source(values, 4, span, lag, bend, slid, swept),
-    )
+    _fill_weights(values, span, lag, bend, slid, swept)
+    b0, b1, a0 = _source(values, 0, works), _source(values, 1, works), _source(values, 2, works)
+    a1, a2 = _source(values, 3, works), _source(values, 4, works)
     for j in range(DATA - 1):
         along = (found[VT1, j] * s1 + found[VT2, j] * s2) / speed
         angle = (found[VT2, j] * s1 - found[VT1, j] * s2) / speed
