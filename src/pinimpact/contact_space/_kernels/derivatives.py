@@ -371,7 +371,7 @@ def _needed(problem, moves, rows):
 
     In stick nothing of the path is left but events before it, unless its work counts.
     """
-    stop, last = NONE_YET - 1, NONE_YET - 1
+    stop = last = -1
     resumed = problem.counts == WORK
     for i in range(rows):
         if moves[i, 0] == IN_RESUMED_SLIP:

@@ -39,6 +39,9 @@ NEAREST = 1.6
 TAIL = 1e-13
 """Part of the path over which slip that settles turns by less than rounding until v_t = 0."""
 
+UNSEEN = 1e-20
+"""Tangent of an angle that changes no double: slip this close to an invariant direction is straight."""
+
 HALF_ANGLE, INVARIANT, STRAIGHT = 0, 1, 2
 """What a panel's length is: x of (3.9), L of (4.2), s of (3.5)."""
 
@@ -329,20 +332,23 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
         steepest = max(abs(p.m0), 0.5 * abs(p.p1))
         size = EFOLDS / steepest if steepest > 0.0 else left
     while abs(left) > 0.0:
-        step, part, whole = min(size, left), min(size, left), 0.0
+        step, part, whole, form = min(size, left), min(size, left), 0.0, kind
         if kind == INVARIANT:
             step, turning = _next_panel(p, root, left)
             slip = Slip(slip.s1, slip.s2, slip.speed, _turn_to(units, slip, root))
             if left == math.inf and turning * slip.speed <= TAIL * first:
                 break
-            whole = root
-            # L in the panel's own axes
             z = math.exp(-step)
-            part = step + math.log1p(root * root * z) - math.log1p(root * root)
+            if abs(root) > UNSEEN:
+                whole = root
+                # L in the panel's own axes
+                part = step + math.log1p(root * root * z) - math.log1p(root * root)
+            else:
+                form, part = STRAIGHT, -2.0 * step / p.p1
             root *= z
         left -= step
         slip, gained, j1, j2, n1, n2 = cross_panel(
-            units, slip, kind, part, whole, mu, k1, k2, works, values, found
+            units, slip, form, part, whole, mu, k1, k2, works, values, found
         )
         m1, m2 = m1 + gained * i1 + n1, m2 + gained * i2 + n2
         i1, i2 = i1 + j1, i2 + j2
