@@ -74,8 +74,8 @@ def apart(count: int) -> Boxes:
     return Boxes(f"{count} boxes apart", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 1.0)
 
 
-def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
-    """Return seconds of computing and a remark."""
+def scene_of(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[Scene, np.ndarray, np.ndarray]:
+    """Return the scene of boxes and of which pairs may touch, with its start: configuration and velocity."""
     model, shapes = pin.Model(), pin.GeometryModel()
     size = np.array(boxes.size)
     inertia = boxes.mass / 12.0 * np.diag(np.sum(size**2) - size**2)
@@ -94,18 +94,23 @@ def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
         contacts.append(
             Contact(geometry=f"box_{j}_0", plane=other, friction=boxes.between, name=f"pair {i} {j}")
         )
-    scene = Scene(model, contacts, geometry=shapes)  # a RobotWrapper has a Data, of nv³ numbers
     q0 = np.hstack([boxes.places, np.tile([0, 0, 0, 1.0], (len(boxes.places), 1))]).ravel()
     v0 = np.zeros(model.nv)
     v0[:6] = boxes.first
+    return Scene(model, contacts, geometry=shapes), q0, v0  # a RobotWrapper has a Data, of nv³ numbers
+
+
+def ours(boxes: Boxes, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+    """Return seconds of computing and a remark."""
+    scene, q0, v0 = scene_of(boxes, pairs)
     simulate(scene, q0, v0, 3 * STEP, scheme="time-stepping", dt=STEP)
     begun = time.process_time()
     run = simulate(scene, q0, v0, boxes.duration, scheme="time-stepping", dt=STEP)
     return time.process_time() - begun, "; ".join(note.text for note in run.notes)
 
 
-def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
-    """Return MuJoCo's seconds of computing."""
+def in_mujoco(boxes: Boxes, pairs: list[tuple[int, int]], step: float = STEP) -> mujoco.MjModel:
+    """Return the same in MuJoCo; its boxes start turned by none."""
     half = " ".join(str(0.5 * x) for x in boxes.size)
     bodies = "".join(
         f'<body name="b{k}" pos="{x} {y} {z}"><freejoint/><geom name="g{k}" type="box" size="{half}" '
@@ -117,11 +122,16 @@ def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
     contact = "".join(
         f'<pair geom1="{a}" geom2="{b}" friction="{mu} {mu} 0 0 0" condim="3"/>' for a, b, mu in touching
     )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{STEP}" cone="elliptic"/><worldbody><geom name="floor" type="plane" '
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{step}" cone="elliptic"/><worldbody><geom name="floor" type="plane" '
         f'size="50 50 1" contype="0" conaffinity="0"/>{bodies}</worldbody>'
         f"<contact>{contact}</contact></mujoco>"
     )
+
+
+def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
+    """Return MuJoCo's seconds of computing."""
+    model = in_mujoco(boxes, pairs)
     data = mujoco.MjData(model)
     data.qvel[:6] = boxes.first
     begun = time.process_time()
@@ -130,13 +140,27 @@ def theirs(boxes: Boxes, pairs: list[tuple[int, int]]) -> float:
     return time.process_time() - begun
 
 
+def may_touch(boxes: Boxes) -> list[tuple[int, int]]:
+    """Return the pairs of boxes that are watched: neighbours in a row, or all."""
+    numbers = range(len(boxes.places))
+    near = boxes.name.endswith(("fall", "stand"))
+    return list(itertools.pairwise(numbers) if near else itertools.combinations(numbers, 2))
+
+
 def main() -> None:
     rows, table = {}, [f"{'scene':<20}{'pinimpact':>12}{'MuJoCo':>10}{'ratio':>8}"]
-    for boxes in (dominoes(5), dominoes(20), stack(5), stack(10), pile(10), apart(10), apart(30), apart(100)):
-        count = len(boxes.places)
-        near = boxes.name.endswith(("fall", "stand"))
-        every = itertools.pairwise(range(count)) if near else itertools.combinations(range(count), 2)
-        pairs = list(every)
+    for boxes in (
+        dominoes(5),
+        dominoes(20),
+        stack(5),
+        stack(10),
+        pile(10),
+        pile(30),
+        apart(10),
+        apart(30),
+        apart(100),
+    ):
+        pairs = may_touch(boxes)
         own, remark = ours(boxes, pairs)
         other = theirs(boxes, pairs)
         rows[boxes.name] = {

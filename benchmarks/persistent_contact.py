@@ -23,6 +23,9 @@ from pinimpact import Contact, JointPD, Plane, Scene, Stepper, Trajectory, load_
 
 ROUNDS = 3
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+ORIGINS = [(foot, (0.0, 0.0, 0.0)) for foot in FEET]
+GAINS = (20.0, 0.5)
+"""Stiffness [N m/rad] and damping [N m s/rad] of the joints of a standing quadruped."""
 STEP = 2e-3
 """Of MuJoCo [s]."""
 SOLES = ("left_sole_link", "right_sole_link")
@@ -49,7 +52,7 @@ def quadruped() -> tuple[pin.Model, np.ndarray, list[Contact]]:
 def standing() -> Run:
     """Solo12 stands for 10 s under joint PD."""
     model, q, contacts = quadruped()
-    scene = Scene(model, contacts, control=JointPD(20.0, 0.5, q))
+    scene = Scene(model, contacts, control=JointPD(*GAINS, q))
     return lambda: simulate(scene, q, np.zeros(model.nv), 10.0, rtol=1e-6, atol=1e-8)
 
 
@@ -133,21 +136,16 @@ def box() -> Run:
     return lambda: simulate(scene, q, np.zeros(6), 2.0, rtol=1e-6, atol=1e-8)
 
 
-def in_mujoco(
-    loader: str,
-    q: np.ndarray,
-    tips: Sequence[tuple[str, tuple[float, float, float]]],
-    gains: tuple[float, float],
-    duration: float,
-) -> Callable[[], None]:
-    """Return a run of a robot with a free base in MuJoCo, with small spheres at points of its links.
+Tips = Sequence[tuple[str, tuple[float, float, float]]]
+"""Bodies, and points on them."""
+
+
+def in_mujoco(loader: str, gains: tuple[float, float]) -> mujoco.MjSpec:
+    """Return a robot with a free base for MuJoCo, its joints drawn by springs and dampers.
 
     Args:
         loader: Name of its loader in example-robot-data.
-        q: (nq,) configuration at the start, to which the joints are drawn.
-        tips: Links, and the points on them.
         gains: Stiffness and damping of each joint.
-        duration: [s].
     """
     text = Path(getattr(robots_loader, loader)().df_path).read_text()
     text = re.sub(r"<(visual|collision|transmission|gazebo)\b[^>]*?(/>|>.*?</\1>)", "", text, flags=re.DOTALL)
@@ -159,28 +157,39 @@ def in_mujoco(
     for joint in spec.joints:
         if joint.type != mujoco.mjtJoint.mjJNT_FREE:
             joint.stiffness[0], joint.damping[0] = gains
-    return stepping(spec, q, [(spec.body(link), point) for link, point in tips], duration)
+    return spec
 
 
-def stepping(
-    spec: mujoco.MjSpec, q: np.ndarray, tips: Sequence[tuple], duration: float
-) -> Callable[[], None]:
-    """Return a run in MuJoCo from rest over a floor, with spheres of 1 mm at points of its bodies."""
-    spec.option.timestep = STEP
+def over_a_floor(
+    spec: mujoco.MjSpec, q: np.ndarray, rest: np.ndarray, tips: Tips, step: float = STEP
+) -> mujoco.MjModel:
+    """Return bodies over a floor, with spheres of 1 mm at points of theirs.
+
+    Args:
+        spec: The bodies.
+        q: (nq,) configuration at the start, as Pinocchio has it,
+        rest: and the one in which springs are slack.
+        tips: Names of bodies, and the points on them.
+        step: [s].
+    """
+    spec.option.timestep = step
     floor = spec.worldbody.add_geom()
     floor.type, floor.size, floor.pos = mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 0.1], [0, 0, -1e-3]
     for body, point in tips:
-        tip = body.add_geom()
+        tip = spec.body(body).add_geom()
         tip.type, tip.size, tip.mass, tip.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [1e-3, 0, 0], 0.0, point
     model = spec.compile()
-    start = q.copy()
-    start[3:7] = q[[6, 3, 4, 5]]  # w first
-    model.qpos_spring[:] = start
+    order = [0, 1, 2, 6, 3, 4, 5, *range(7, len(q))]  # w first
+    model.qpos0[:], model.qpos_spring[:] = q[order], rest[order]
+    return model
+
+
+def stepping(model: mujoco.MjModel, duration: float) -> Callable[[], None]:
+    """Return a run in MuJoCo from rest."""
     data = mujoco.MjData(model)
 
     def run() -> None:
         mujoco.mj_resetData(model, data)
-        data.qpos[:] = start
         for _ in range(round(duration / STEP)):
             mujoco.mj_step(model, data)
         assert np.isfinite(data.qpos).all()
@@ -191,18 +200,18 @@ def stepping(
 def standing_in_mujoco() -> Callable[[], None]:
     """Return the same as `standing`."""
     _, q, _ = quadruped()
-    return in_mujoco("Solo12Loader", q, [(foot, (0.0, 0.0, 0.0)) for foot in FEET], (20.0, 0.5), 10.0)
+    return stepping(over_a_floor(in_mujoco("Solo12Loader", GAINS), q, q, ORIGINS), 10.0)
 
 
 def box_in_mujoco() -> Callable[[], None]:
     """Return the same as `box`."""
     spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body()
+    body = spec.worldbody.add_body(name="box")
     body.mass, body.explicitinertial = 1.0, True
     body.inertia = np.diag(pin.Inertia.FromBox(1.0, 0.4, 0.4, 0.2).inertia)
     body.add_freejoint()
     corners, q = tilted_box()
-    return stepping(spec, q, [(body, corner) for corner in corners], 2.0)
+    return stepping(over_a_floor(spec, q, q, [("box", corner) for corner in corners]), 2.0)
 
 
 CASES = {
