@@ -146,7 +146,8 @@ def keep(name: str, table: str, figures: Mapping[str, Any]) -> None:
     FIGURES.mkdir(parents=True, exist_ok=True)
     (FIGURES / f"{name}.txt").write_text(table, encoding="utf-8")
     record = machine()
-    with contextlib.suppress(metadata.PackageNotFoundError):
-        record["packages"]["mujoco"] = metadata.version("mujoco")
+    for other in ("mujoco", "drake"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            record["packages"][other] = metadata.version(other)
     text = json.dumps({"machine": record, **figures}, indent=1, ensure_ascii=False)
     (FIGURES / f"{name}.json").write_text(text + "\n", encoding="utf-8")

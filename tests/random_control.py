@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinimpact import Contact, JointPD, Scene, Trajectory, load_robot
+from pinimpact.scene.records import SteppedInterval
 
 from .random_scenes import plane_below, unaccounted
 
@@ -115,6 +116,11 @@ def _gains(
     return kp * min(1.0, fastest**2 / stiff), kd * min(1.0, fastest / damped)
 
 
+def _ends(t: np.ndarray, interval: SteppedInterval) -> tuple[int, int]:
+    """Return the samples at the start and at the end of an interval."""
+    return int(np.searchsorted(t, interval.start)), int(np.searchsorted(t, interval.end, side="right")) - 1
+
+
 def wrong_in(trajectory: Trajectory, rtol: float) -> str:
     """Return what cannot be right of a run, or nothing.
 
@@ -126,6 +132,9 @@ def wrong_in(trajectory: Trajectory, rtol: float) -> str:
     located = np.full(len(t), True)  # time steps book what friction stops in part as an impact
     for one in trajectory.stepped:
         located &= (t < one.start) | (t > one.end)
+        gained = np.diff((energy.joints + energy.friction + energy.impacts)[[*_ends(t, one)]])[0] / size
+        if gained > 10.0 * rtol + np.nan_to_num(one.error):
+            return f"friction and impacts gain {gained:.2g} of the energy in time steps"
     for name, work in (("joints", energy.joints), ("contacts", energy.friction)):
         gained = float(np.diff(work, prepend=0.0)[located].max(initial=0.0)) / size
         if gained > 10.0 * rtol:
