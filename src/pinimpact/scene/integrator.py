@@ -401,6 +401,7 @@ class Integrator:
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
+                state.refuse_flat_rims()
                 refusal = IrregularMotionError(
                     f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
                     "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
@@ -504,14 +505,18 @@ class Integrator:
     def _check_friction(self, step: DenseStep, until: float) -> None:
         """Refuse a step until whose event friction has given energy.
 
+        Errors of velocities let the friction of a sticking contact, of the order of the weight, do work that
+        grows with time; what they explain is no gain.
+
         Raises:
             IrregularMotionError: See above.
         """
         works = step.work_at(until)[RUBBING]
         self.rubbed = np.minimum(self.rubbed, self.w[RUBBING])
         gained = float((works - self.rubbed).max())
-        state, least = self.state, self.rtol * self._weight * self._made_of[0].extent
-        if gained > least and gained > GAINED * self.rtol * kinetic_energy(
+        state = self.state
+        explained = self._weight * (self.rtol * self._made_of[0].extent + state.error(state.v) * until)
+        if gained > explained and gained > GAINED * self.rtol * kinetic_energy(
             self.model, self.data, state.q, state.v
         ):
             raise IrregularMotionError(

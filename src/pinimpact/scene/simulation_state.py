@@ -71,6 +71,10 @@ LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
 
 
+NEARLY_FLAT = 1e-4
+"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
+
+
 class SimulationState:
     """The state of a simulation, and what there is to tell of the run so far.
 
@@ -288,16 +292,25 @@ class SimulationState:
         tilts = [self._tilts(closed, at) for at in (q, later)]
         return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
 
+    def refuse_flat_rims(self) -> None:
+        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
+
+        Raises:
+            SimulationError: See above.
+        """
+        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
+        self._refuse_flat(closed, NEARLY_FLAT)
+
     def _check_rims(self, where: NDArray[np.int64]) -> None:
         """Stop where a rim touches all round, within the tolerance of touching."""
         touching = [k for k in self._rims if where[k] != APART]
-        self._refuse_flat(touching)
+        self._refuse_flat(touching, 0.0)
 
-    def _refuse_flat(self, rims: list[int]) -> None:
-        """Stop where a rim lies flat, or is tilted by less than this."""
+    def _refuse_flat(self, rims: list[int], least: float) -> None:
+        """Stop where a rim lies flat, or the sine of its tilt is below `least`."""
         for k, tilt in zip(rims, self._tilts(rims, self.q), strict=True):
             contact, size = self.dynamics.contacts[k], float(np.linalg.norm(tilt))
-            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap:
+            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap or size < least:
                 raise SimulationError(
                     f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
                 )
