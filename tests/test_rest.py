@@ -40,9 +40,12 @@ def test_a_stack_at_rest_for_a_minute_stands_and_bears_its_load():
     assert run.mode_at("floor 0 corner 1", 59.0) == "stick"
 
 
-@pytest.mark.parametrize("height", [0.05, 0.15])
-def test_what_is_hit_wakes_with_what_rests_on_it(height):
-    """A box slides into a stack of three at rest: as in steps in which nothing rests."""
+@pytest.mark.parametrize(("height", "part"), [(0.05, 0.5), (0.08, 1e-3), (0.12, 1e-3), (0.15, 1e-5)])
+def test_what_is_hit_wakes_with_what_rests_on_it(height, part):
+    """A box slides into a stack of three at rest: as in steps in which nothing rests.
+
+    At 0.05 m it slides on the floor, and some of the contact problems are solved to 1e-5 only.
+    """
     scene = boxes(3, (0.2, 0.2, 0.1), 1.0)
     model = scene.model
     other = pin.Model(model)
@@ -72,7 +75,7 @@ def test_what_is_hit_wakes_with_what_rests_on_it(height):
     short = simulate(hit, q0, v0, 0.4, scheme="time-stepping", dt=0.5 * DT)
     by_length = np.abs(one.q[-1] - short.q[-1]).max()  # what such steps miss anyway
     assert np.abs(one.q[-1][:21] - np.array(q0[:21])).max() > 1e-2
-    assert np.abs(one.q[-1] - other.q[-1]).max() < 0.1 * by_length
+    assert np.abs(one.q[-1] - other.q[-1]).max() < part * by_length
 
 
 def test_a_force_that_changes_wakes():
