@@ -30,12 +30,13 @@ from .codes import (
     WORK,
 )
 from .contact_problem import Problem, View, prepare
+from .crossing import cross
 from .ending import Result, no_result
 from .moves import Units, slip_units
 from .path import MAX_MOVES, SCRATCH, VANISHED, solve_into
 from .recording import MOVE
-from .slip_derivatives import DATA, NODE_ROWS, PATH, STOP, VT1, VT2, Slip, cross_move
-from .slip_works import ABSCISSAE, NODES, WEIGHTS
+from .slip_derivatives import DATA, NODE_ROWS, PATH, VT1, VT2
+from .slip_works import NODES
 
 INPUTS = 11
 """v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e: columns of the derivatives. Rows are those of v⁺ and P."""
@@ -92,91 +93,6 @@ def _add_identity(problem, out, row, t, p1, p2, p3):
     out[row, W13] += p1 - k1 * p3
     out[row, W23] += p2 - k2 * p3
     out[row, W33] += p3
-
-
-@inlined
-def _integral_of_direction(x, y, rho, x0, rho0):
-    """Return ∫σ over a straight line of v_t, of the part along it and across.
-
-    From x₀ to x at the distance y from the origin, where |v_t| is ρ₀ and ρ.
-    """
-    along = (x - x0) * (x + x0) / (rho + rho0)
-    if y == 0.0:
-        return along, 0.0
-    same_side = x * x0 > 0.0
-    part = along * (rho + rho0) / (x * rho0 + x0 * rho) if same_side else (x * rho0 - x0 * rho) / (y * y)
-    return along, y * math.asinh(part)
-
-
-@inlined
-def _without_friction(problem, p3, found):
-    """Fill the sensitivities where μ = 0, on the side μ > 0, at P₃ from the start. (D12)"""
-    b1, b2, v1, v2 = problem.b1, problem.b2, problem.v1, problem.v2
-    k1, k2 = problem.k1, problem.k2
-    for j in range(DATA):
-        found[VT1, j] = found[VT2, j] = found[PATH, j] = 0.0
-    found[VT1, 0] = found[VT2, 1] = 1.0
-    found[PATH, 0], found[PATH, 1] = k1 * p3, k2 * p3
-    found[VT1, 2] = found[VT2, 3] = p3
-    found[PATH, 2], found[PATH, 3] = 0.5 * k1 * p3 * p3, 0.5 * k2 * p3 * p3
-    size = math.sqrt(b1 * b1 + b2 * b2)
-    i1 = i2 = m1 = m2 = 0.0
-    if size * p3 <= 0.25 * problem.speed or size == 0.0:
-        # a short part of the line: 1/|v_t| is a polynomial
-        for i in range(NODES):
-            q = p3 * ABSCISSAE[i]
-            u1, u2 = v1 + b1 * q, v2 + b2 * q
-            r = math.sqrt(u1 * u1 + u2 * u2)
-            w = p3 * WEIGHTS[i] / r if r > 0.0 else 0.0
-            i1, i2 = i1 + w * u1, i2 + w * u2
-            m1, m2 = m1 + w * u1 * (p3 - q), m2 + w * u2 * (p3 - q)
-    else:
-        e1, e2 = b1 / size, b2 / size
-        x0, y = e1 * v1 + e2 * v2, e1 * v2 - e2 * v1
-        x = x0 + size * p3
-        rho0, rho = math.hypot(x0, y), math.hypot(x, y)
-        along, across = _integral_of_direction(x, y, rho, x0, rho0)
-        swept = 0.5 * (x * rho - x0 * rho0 - y * across) - x0 * along  # ∫(x − x₀) σ dx along
-        swept_across = y * along - x0 * across
-        a, c = along / size, across / size
-        s, d = p3 * a - swept / (size * size), p3 * c - swept_across / (size * size)
-        i1, i2 = a * e1 - c * e2, a * e2 + c * e1
-        m1, m2 = s * e1 - d * e2, s * e2 + d * e1
-    x1, x2 = problem.a11 * i1 + problem.a12 * i2, problem.a12 * i1 + problem.a22 * i2
-    y1, y2 = problem.a11 * m1 + problem.a12 * m2, problem.a12 * m1 + problem.a22 * m2
-    found[VT1, 7], found[VT2, 7], found[PATH, 7] = -x1, -x2, -(k1 * y1 + k2 * y2)
-
-
-@inlined
-def _resume(problem, s1, s2, gain, start, end, found):
-    """Bring the sensitivities of resumed slip from `start` to `end`, counted from v_t = 0. (D13)
-
-    Args:
-        s1, s2, gain: σ and λ.
-    """
-    mu, k1, k2 = problem.mu, problem.k1, problem.k2
-    u1, u2 = problem.a11 * s1 + problem.a12 * s2, problem.a12 * s1 + problem.a22 * s2
-    across = s1 * (problem.a22 * s1 - problem.a12 * s2) - s2 * (problem.a12 * s1 - problem.a11 * s2)
-    skew = mu * (s1 * u2 - s2 * u1)
-    for j in range(DATA - 1):
-        x1 = x2 = 0.0
-        if j == 2:
-            x1 = 1.0
-        elif j == 3:
-            x2 = 1.0
-        elif j == 4:
-            x1, x2 = -mu * s1, -mu * s2
-        elif j == 5:
-            x1, x2 = -mu * s1, mu * s2
-        elif j == 6:
-            x1, x2 = -mu * s2, -mu * s1
-        angle = (s1 * x2 - s2 * x1) / (gain + mu * across)
-        rise = s1 * x1 + s2 * x2 - skew * angle
-        d1, d2 = rise * s1 - gain * angle * s2, rise * s2 + gain * angle * s1
-        e1, e2 = gain * s1 * found[STOP, j], gain * s2 * found[STOP, j]
-        found[VT1, j], found[VT2, j] = d1 * end - e1, d2 * end - e2
-        middle = 0.5 * (start + end)
-        found[PATH, j] += (end - start) * (k1 * (d1 * middle - e1) + k2 * (d2 * middle - e2))
 
 
 @inlined
@@ -325,37 +241,6 @@ def _without_impact(v3, out):
 
 
 @inlined
-def _cross(problem, units, move, after, start, end, rest_at, values, found):
-    """Bring the sensitivities to the end of a move.
-
-    Args:
-        move, after: Its row and the next of the trace.
-        start, end: P₃ at its ends,
-        rest_at: and where v_t = 0.
-
-    Returns:
-        −∫∫dP_t dP₃ (2) over the move, and the rate λ of resumed slip.
-    """
-    s1, s2, span = move[7], move[8], end - start
-    half, mu, k1, k2 = 0.5 * span * span, problem.mu, problem.k1, problem.k2
-    if mu == 0.0:
-        _without_friction(problem, end, found)
-        return 0.0, 0.0, 0.0
-    if move[0] == IN_SLIP:
-        n1, n2 = cross_move(
-            *(units, Slip(s1, s2, move[9], move[10]), move[11], move[12], units.omega * span, after[9]),
-            *(mu, k1, k2, problem.counts == WORK, values, found),
-        )
-        square = mu * units.per * units.per
-        return square * n1, square * n2, 0.0
-    if move[0] == IN_RESUMED_SLIP:
-        gain = after[9] / (end - rest_at) if end > rest_at else 0.0
-        _resume(problem, s1, s2, gain, start - rest_at, end - rest_at, found)
-        return mu * s1 * half, mu * s2 * half, gain
-    return k1 * half, k2 * half, 0.0
-
-
-@inlined
 def _book(problem, columns, event, rate, p3):
     """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
     sign = 1.0 if event == COMPRESSION_ENDS else -1.0
@@ -419,7 +304,7 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
         start, p3 = unit * move[2], unit * move[3]
         n1 = n2 = gain = 0.0
         if not last_needed < i <= stop:
-            n1, n2, gain = _cross(problem, units, move, after, start, p3, rest_at, values, found)
+            n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values, found)
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
             rest_at = p3
