@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
-from ..contact_space.derivatives import Boundary, Derivatives
-from ..contact_space.problem import ImpactProblem
-from ..contact_space.solve import solve_impact
+from ..contact_space.derivatives import Boundary, differentiate, empty_slopes
+from ..contact_space.inputs import FACTOR, NO_FACTOR
+from ..contact_space.one_contact import solve_inputs
+from ..contact_space.problem import delassus_upper
 from ..errors import InputError, ModelError
 from ..geometry._kernels.constants import PLANE, SPHERE
+from ..status import Status
 from ._kernels import configuration_slopes as kernel
+from ._kernels.impact_slopes import impact_slopes
+from ._kernels.responses import half_solve
+from ._kernels.tree import solve
 from .contact import Contact, check_contact, check_held
-from .data_cache import data_cache
-from .forest import Forest, frame_placement, joint_jacobian
+from .data_cache import DataCache, data_cache
+from .forest import Forest, frame_placement
 from .held import check_at_rest
 from .matrices import ContactGeometry, ContactMatrices, contact_matrices
 from .names import free_velocities, model_of
@@ -61,46 +67,25 @@ class ImpactDerivatives:
         return f"ImpactDerivatives(nv={len(self.v)}, boundary={self.boundary!r})"
 
 
-class _Robot:
-    """The motions and inertias of a robot at a configuration, for `configuration_slopes`."""
+class _Joints(NamedTuple):
+    """Of each velocity its joint, of each joint the one that it stands on, and `DataCache.parents`."""
 
-    def __init__(self, model: pin.Model, data: pin.Data, q: Array) -> None:
-        self.J = np.ascontiguousarray(joint_jacobian(model, data, q))
-        self.parent = np.array(model.parents, dtype=np.int64)
-        self.joint = np.repeat(np.arange(model.njoints), model.nvs)
-        inertias = [pin.Inertia.Zero() for _ in range(model.njoints)]
-        for i in range(model.njoints - 1, 0, -1):
-            inertias[i] += data.oMi[i].act(model.inertias[i])
-            if self.parent[i] > 0:
-                inertias[self.parent[i]] += inertias[i]
-        self.inertia = np.array([inertia.toDynamicParameters() for inertia in inertias])
-        self._scratch = np.empty((2 * model.njoints, 6))
-
-    def of_mass(self, x: Array) -> Array:
-        """Return ∂(M x)/∂q (nv, nv)."""
-        out = np.empty((len(x), len(x)))
-        kernel.mass_slopes(self.J, self.joint, self.parent, self.inertia, x, self._scratch, out)
-        return out
-
-    def of_velocity(self, ends: NDArray[np.int64], at: Array, x: Array, relative: bool = False) -> Array:
-        """Return ∂(J x)/∂q (3, nv); see `velocity_slopes`."""
-        out = np.empty((3, len(x)))
-        kernel.velocity_slopes(self.J, self.joint, self.parent, ends, at, x, relative, self._scratch, out)
-        return out
-
-    def of_axes(self, ends: NDArray[np.int64], at: Array, vector: Array) -> Array:
-        """Return how a vector (3,) that is fixed in the contact axes changes with q, (3, nv) in the world."""
-        out = np.empty((3, len(self.joint)))
-        kernel.turn_slopes(self.J, self.joint, self.parent, ends, at, vector, out)
-        return out
-
-    def add_force(self, ends: NDArray[np.int64], at: Array, force: Array, out: Array) -> None:
-        """Add ∂(JᵀP)/∂q to `out` (nv, nv)."""
-        kernel.force_slopes(self.J, self.joint, self.parent, ends, at, force, out)
+    of_velocity: NDArray[np.int64]
+    parent: NDArray[np.int64]
+    parents: NDArray[np.int64]
 
 
-def _check_joints(model: pin.Model, data: Any) -> None:
-    """Refuse joints whose axes, in the joint's own, depend on q."""
+_JOINTS: WeakKeyDictionary[DataCache, _Joints] = WeakKeyDictionary()
+_WORLD = np.eye(3)
+_TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic", "mimic")
+
+
+def _joints(model: pin.Model, data: Any) -> _Joints:
+    """Return the joints of a model; refuse those whose axes, in the joint's own, depend on q."""
+    cache = data_cache(model, data)
+    found = _JOINTS.get(cache)
+    if found is not None:
+        return found
     if isinstance(data, Forest):
         raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
     for name, joint in zip(model.names, model.joints, strict=True):
@@ -112,19 +97,48 @@ def _check_joints(model: pin.Model, data: Any) -> None:
                 field="model",
                 value=name,
             )
+    of_velocity = np.repeat(np.arange(model.njoints), model.nvs)
+    found = _JOINTS[cache] = _Joints(of_velocity, np.array(model.parents, dtype=np.int64), cache.parents)
+    return found
 
 
-_TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic", "mimic")
+class _Robot:
+    """The motions and inertias of a robot at a configuration."""
+
+    def __init__(self, joints: _Joints, model: pin.Model, data: pin.Data, q: Array) -> None:
+        pin.crba(model, data, q, pin.Convention.WORLD)  # for oYcrb, which the other convention leaves out
+        self.J = np.ascontiguousarray(data.J.reshape(6, -1))
+        self.joint, self.parent, self.parents = joints
+        self.inertia = np.array([inertia.toDynamicParameters() for inertia in data.oYcrb])
+        self.scratch = np.empty((2 * len(self.parent), 6))
+
+    def of_velocity(self, ends: NDArray[np.int64], at: Array, x: Array) -> Array:
+        """Return ∂(J x)/∂q (3, nv); see `velocity_slopes`."""
+        out = np.empty((3, len(x)))
+        kernel.velocity_slopes(self.J, self.joint, self.parent, ends, at, x, False, self.scratch, out)
+        return out
+
+    def add_force(self, ends: NDArray[np.int64], at: Array, force: Array, out: Array) -> None:
+        """Add ∂(JᵀP)/∂q to `out` (nv, nv)."""
+        kernel.force_slopes(self.J, self.joint, self.parent, ends, at, force, out)
 
 
-def _respond(mass: Array, rows: Array, free: NDArray[np.bool_], forces: Array, slip: Array) -> Array:
+def _respond(
+    mass: Array,
+    parents: NDArray[np.int64],
+    free: NDArray[np.bool_],
+    rows: Array,
+    forces: Array,
+    slip: Array,
+) -> Array:
     """Solve M x = f + rowsᵀλ, rows x = −slip, for columns (nv, n), with x = 0 where it is not free."""
-    found = np.zeros_like(forces)
-    mass, forces = mass[np.ix_(free, free)], forces[free]
     if not len(rows):
-        found[free] = np.linalg.solve(mass, forces)
-        return found
-    rows = rows[:, free]
+        lower, columns = np.empty_like(mass), np.ascontiguousarray(forces.T)
+        half_solve(mass, parents, free, lower, columns)
+        solve(lower, parents, columns)
+        return columns.T
+    found = np.zeros_like(forces)
+    mass, forces, rows = mass[np.ix_(free, free)], forces[free], rows[:, free]
     n, m = len(mass), len(rows)
     matrix = np.block([[mass, rows.T], [rows, np.zeros((m, m))]])
     solution = np.linalg.lstsq(matrix, np.vstack([forces, -slip]), rcond=1e-12)[0]
@@ -136,27 +150,23 @@ def _place(
     model: pin.Model, data: pin.Data, contact: Contact, geometry: ContactGeometry, turns: bool
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return the joints of tip and surface, where the contact is, and the surface's axes in the world."""
-    cache = data_cache(model, data)
-    frame = cache.frame(contact.frame)
-    tip, base, carrier = model.frames[frame].parentJoint, 0, pin.SE3.Identity()
-    placement = frame_placement(model, data, frame)
-    if contact.plane.body is not None:
-        body = cache.frame(contact.plane.body, "body")
-        base, carrier = model.frames[body].parentJoint, frame_placement(model, data, body)
-    n = geometry.axes[2]
-    centre, origin = placement.act(np.array(contact.offset)), carrier.act(np.array(contact.plane.origin))
-    away = float(np.linalg.norm(centre - origin))
-    rate = 1.0 / away if contact.plane.code == SPHERE else 0.0
-    rotation = carrier.rotation
+    frame, body, _ = data_cache(model, data).contact(contact.frame, contact.plane.body)
+    plane, n = contact.plane, geometry.axes[2]
+    centre = geometry.point + contact.radius * n
+    base, rotation, origin = 0, _WORLD, np.array(plane.origin)
+    moves = plane.velocity, plane.angular_velocity
+    if plane.body is not None:
+        carrier = frame_placement(model, data, body)
+        base, rotation, origin = model.frames[body].parentJoint, carrier.rotation, carrier.act(origin)
+        moves = rotation @ plane.velocity, rotation @ plane.angular_velocity
+    rate = 0.0
+    if plane.code == SPHERE:
+        away = centre - origin
+        rate = float(np.copysign(1.0 / np.linalg.norm(away), n @ away))
     at = np.concatenate(
-        [
-            *(geometry.axes.ravel(), centre, geometry.point, origin),
-            *(rotation @ contact.plane.velocity, rotation @ contact.plane.angular_velocity),
-            *([contact.radius, rate, float(turns)],),
-        ]
+        (geometry.axes.ravel(), centre, geometry.point, origin, *moves, (contact.radius, rate, turns))
     )
-    if float(n @ (centre - origin)) < 0.0 and rate > 0.0:
-        at[kernel.ROUND] = -rate
+    tip = model.frames[frame].parentJoint
     return np.array([tip, base]), at, rotation
 
 
@@ -225,27 +235,44 @@ def impact_derivatives(
     for one in (contact, *held):
         _check(one)
     matrices = contact_matrices(model, data, q, contact, held, locked)
-    _check_joints(model, data)
-    q, v = np.asarray(q, dtype=np.float64), finite_array("v", v, (len(matrices.h),))
+    joints = _joints(model, data)
+    v = finite_array("v", v, (len(matrices.h),))
     check_at_rest(matrices.held, held, v)
-    velocity = matrices.velocity(v)
+    J = matrices.jacobian
+    velocity = J @ v - matrices.surface_velocity
+    scale = float((np.abs(J) @ np.abs(v) + np.abs(matrices.surface_velocity)).sum())
     speed = max(-float(velocity[2]), 0.0)
-    problem = ImpactProblem(
-        *(matrices.delassus, velocity, contact.friction, contact.restitution_at(speed), contact.law),
-        velocity_scale=matrices.velocity_scale(v),
-        factor=matrices.factor,
-        factor_scale=matrices.factor_scale,
-    )
     slope = _slope_of_restitution(contact, speed)
-    solution = solve_impact(problem, derivatives=True)
-    d = solution.derivatives
-    assert d is not None
-    robot = _Robot(model, data, q)
-    by_velocity = d.dP_dv
-    if slope:
-        by_velocity = by_velocity - np.outer(d.dP_drestitution, [0.0, 0.0, slope])
+    impulse, slopes, boundary = _in_contact_space(contact, matrices, velocity, speed, scale)
+    slopes[:, 2] -= slope * slopes[:, 10]
     free = free_velocities(model, locked)
-    return _assembled(model, data, robot, contact, held, matrices, free, v, solution.impulse, by_velocity, d)
+    robot = _Robot(joints, model, data, np.asarray(q, dtype=np.float64))
+    return _assembled(model, data, robot, contact, held, matrices, J, free, v, impulse, slopes, boundary)
+
+
+def _in_contact_space(
+    contact: Contact, matrices: ContactMatrices, velocity: Array, speed: float, scale: float
+) -> tuple[Array, Array, Boundary]:
+    """Return P (3,) in contact axes and its slopes (3, 11), see `INPUTS` of the kernel, and their flags."""
+    mu, e, law = float(contact.friction), contact.restitution_at(speed), contact.law_code
+    factor = NO_FACTOR
+    if matrices.factor is not None and matrices.factor_scale:
+        (c11, _, _), (c21, c22, _), (c31, c32, c33) = matrices.factor.tolist()
+        factor = np.array([c11, c21, c22, c31, c32, c33, matrices.factor_scale])
+    slopes, boundary = empty_slopes(1)
+    numbers, codes = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64)
+    coefficients = np.array([[mu], [e], [scale]])
+    differentiate(
+        *(matrices.delassus[None], velocity[None], coefficients[0], coefficients[1], law, coefficients[2]),
+        *(factor.reshape(-1, FACTOR), (numbers, codes, slopes, boundary)),
+    )
+    if codes[0, 0] > Status.LOCKED:
+        v1, v2, v3 = velocity.tolist()
+        solve_inputs((*delassus_upper(matrices.delassus), v1, v2, v3, mu, e, law, scale, factor))
+    return numbers[0, 3:6], slopes[0, 3:], Boundary(boundary[0])
+
+
+_UPPER = np.triu_indices(3)
 
 
 def _assembled(
@@ -255,53 +282,58 @@ def _assembled(
     contact: Contact,
     held: tuple[Contact, ...],
     matrices: ContactMatrices,
+    J: Array,
     free: NDArray[np.bool_],
     v: Array,
     impulse: Array,
-    by_velocity: Array,
-    d: Derivatives,
+    slopes: Array,
+    boundary: Boundary,
 ) -> ImpactDerivatives:
     """Return the derivatives from those in contact space. (D17)–(D21)"""
-    R, J, Y = matrices.axes, matrices.jacobian, matrices.response
+    R, Y = matrices.axes, matrices.response
+    nv = len(v)
     ends, at, surface_axes = _place(model, data, contact, matrices, True)
-    anchors = [_place(model, data, a, g, False) for a, g in zip(held, matrices.held, strict=True)]
-    columns = [np.ascontiguousarray(y) for y in Y.T]
-    G = np.array([robot.of_velocity(ends, at, y) for y in columns])  # [j, i, k]: G(y_j)_i by q_k
-    D = np.array([robot.of_mass(y) for y in columns])
-    change = G + G.transpose(1, 0, 2) - np.einsum("mi,jmk->jik", Y, D)
-    forces = -np.tensordot(impulse, D, 1)
-    robot.add_force(ends, at, R.T @ impulse, forces)
-    rows = np.zeros((0, len(v)))
-    slip = rows
-    if anchors:
-        rows = np.vstack([g.axes.T @ g.jacobian for g in matrices.held])
-        moved = np.array([[robot.of_velocity(e, a, y) for e, a, _ in anchors] for y in columns])
-        pushes = matrices.held_response  # [h, world axis, i]
-        turned = np.einsum("hai,jhak->jik", pushes, moved)
-        change += turned + turned.transpose(1, 0, 2)
-        slip = np.tensordot(impulse, moved, 1).reshape(-1, len(v))
-        for (e, a, _), push in zip(anchors, pushes @ impulse, strict=True):
-            robot.add_force(e, a, push, forces)
-    # P by the data, in contact axes
-    dP_dq = by_velocity @ robot.of_velocity(ends, at, v, True) + np.einsum(
-        "kij,ijm->km", d.dP_ddelassus, change
+    y, push = np.ascontiguousarray(Y.T), impulse @ R
+    change, forces, turned = np.empty((9, nv)), np.empty((nv, nv)), np.empty((3, nv))
+    impact_slopes(
+        *(robot.J, robot.joint, robot.parent, robot.inertia, ends, at, y, v, impulse, push, robot.scratch),
+        *(np.empty((3, nv, nv)), np.empty((3, 3, nv)), change, forces, turned),
     )
-    dP_dv = by_velocity @ J
+    rows = np.zeros((0, nv))
+    slip = rows
+    if held:
+        anchors = [_place(model, data, a, g, False) for a, g in zip(held, matrices.held, strict=True)]
+        rows = np.vstack([g.axes.T @ g.jacobian for g in matrices.held])
+        moved = np.array([[robot.of_velocity(e, a, x) for e, a, _ in anchors] for x in y])
+        moved = moved.reshape(3, len(rows), nv)
+        pushes = matrices.held_response  # [h, world axis, i]
+        of_rows = pushes.reshape(-1, 3).T @ moved  # [j, i, k]
+        change[3:] += (of_rows + of_rows.transpose(1, 0, 2))[_UPPER]
+        slip = np.tensordot(impulse, moved, 1)
+        for (e, a, _), on_held in zip(anchors, pushes @ impulse, strict=True):
+            robot.add_force(e, a, on_held, forces)
+    # P by the data, in contact axes: q, v, the surface, μ and e
+    by_velocity = slopes[:, :3]
     arm = matrices.point - at[kernel.ORIGIN : kernel.ORIGIN + 3]
-    material = R @ np.hstack([surface_axes, -pin.skew(arm) @ surface_axes])
-    dP_dsurface = -by_velocity @ material
-    dv_dq = _respond(matrices.mass, rows, free, forces, slip) + Y @ dP_dq
+    spin = by_velocity @ (R @ pin.skew(arm) @ surface_axes)
+    parts = slopes[:, :9] @ change, by_velocity @ J, -by_velocity @ (R @ surface_axes), spin, slopes[:, 9:]
+    of_impulse = np.concatenate(parts, axis=1)
+    of_v, of_world = Y @ of_impulse, R.T @ of_impulse
+    of_v[:, :nv] += _respond(matrices.mass, robot.parents, free, rows, forces, slip)
+    of_v[:, nv : 2 * nv] += np.eye(nv)
+    of_world[:, :nv] += turned
+    by_q, by_v, by_surface = slice(nv), slice(nv, 2 * nv), slice(2 * nv, 2 * nv + 6)
     return ImpactDerivatives(
         v=v + Y @ impulse,
-        dv_dq=dv_dq,
-        dv_dv=np.eye(len(v)) + Y @ dP_dv,
-        dv_dfriction=Y @ d.dP_dfriction,
-        dv_drestitution=Y @ d.dP_drestitution,
-        dv_dsurface=Y @ dP_dsurface,
-        dP_dq=R.T @ dP_dq + robot.of_axes(ends, at, R.T @ impulse),
-        dP_dv=R.T @ dP_dv,
-        dP_dfriction=R.T @ d.dP_dfriction,
-        dP_drestitution=R.T @ d.dP_drestitution,
-        dP_dsurface=R.T @ dP_dsurface,
-        boundary=d.boundary,
+        dv_dq=of_v[:, by_q],
+        dv_dv=of_v[:, by_v],
+        dv_dfriction=of_v[:, -2],
+        dv_drestitution=of_v[:, -1],
+        dv_dsurface=of_v[:, by_surface],
+        dP_dq=of_world[:, by_q],
+        dP_dv=of_world[:, by_v],
+        dP_dfriction=of_world[:, -2],
+        dP_drestitution=of_world[:, -1],
+        dP_dsurface=of_world[:, by_surface],
+        boundary=boundary,
     )
