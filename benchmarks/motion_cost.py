@@ -246,7 +246,7 @@ def draw(results: dict[str, dict[str, list[dict[str, float]]]]) -> None:
         axes.set_ylabel("error [m]")
     for axes in panels[1]:
         axes.set_xlabel("run time [ms]")
-    panels[0, 1].legend(fontsize=8)
+    panels[1, 1].legend(fontsize=8, loc="lower left")
     figure.savefig(FIGURES / "motion_cost.png", dpi=150)
 
 

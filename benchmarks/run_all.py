@@ -25,6 +25,7 @@ NAMES = (
     "persistent_contact",
     "geometry",
     "everyday",
+    "motion_cost",
 )
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 

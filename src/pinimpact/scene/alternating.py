@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import warnings
 from collections.abc import Sequence
@@ -42,7 +41,10 @@ STEPS_PER_SCALE = 50.0
 """Steps at least in the time scale of the scene, for scenes so small that `dt` would be too long."""
 
 ACCUMULATING, BRIEF = 200, 0.01
-"""So many steps that last a smaller part of `dt` on average are accumulating impacts, if half end in one."""
+"""So many steps that last a smaller part of `dt` on average are accumulating events, if half end at one."""
+
+WHOLE = 0.999
+"""Part of a step that is covered if no event ends it: the end of a run rounds its length."""
 
 LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
@@ -225,15 +227,11 @@ class Alternating(TimeStepping):
             return
         start = steps[-count].start
         covered = steps[-1].end - start
-        if covered < part * count * self._longest and (crowded or self._impacts_since(start) > 0.5 * count):
+        ended = sum(step.end - step.start < WHOLE * step.h for step in steps[-count:])
+        if covered < part * count * self._longest and (crowded or ended > 0.5 * count):
             raise IrregularMotionError(
-                f"scene: {closed} contacts are closed, and {count} steps cover {covered:.3g} s", field="scene"
+                f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}", field="scene"
             )
-
-    def _impacts_since(self, start: float) -> int:
-        """Return at how many instants there have been impacts since a time."""
-        latest = itertools.takewhile(lambda impact: impact.time >= start, reversed(self.state.impacts))
-        return len({impact.time for impact in latest})
 
     def _cross(self, refusal: IrregularMotionError) -> None:
         """Return to the last consistent state, and cross what comes by time steps."""
