@@ -227,8 +227,10 @@ class Alternating(TimeStepping):
             return
         start = steps[-count].start
         covered = steps[-1].end - start
+        if covered >= part * count * self._longest:
+            return
         ended = sum(step.end - step.start < WHOLE * step.h for step in steps[-count:])
-        if covered < part * count * self._longest and (crowded or ended > 0.5 * count):
+        if crowded or ended > 0.5 * count:
             raise IrregularMotionError(
                 f"scene: {count} steps cover {covered:.3g} s, with active contacts: {closed}", field="scene"
             )
