@@ -12,7 +12,7 @@ from .many_inputs import ManyInputs, refuse, solution_of
 from .many_solution import ManySolution
 
 MOST_IMPACTS = 200
-"""Impacts per contact after which the limit of what goes on without end is taken."""
+"""Impacts per contact after which the limit of a sequence that does not end is taken."""
 
 
 def together(inputs: ManyInputs, record: bool) -> ManySolution:

@@ -107,7 +107,7 @@ AGREE, USEFUL = 1e-7, 1e-3
 FIRST_RESTITUTION = 4e-3
 """The first of those that are halved to extrapolate to e = 0 in steps."""
 
-# ---- what is told of solutions, and what is asked of inputs
+# ---- flags of solutions and checks of inputs
 
 RESTS = 1e-9
 """Part of the largest velocity below which a normal velocity counts as zero in `ManySolution.statuses`."""

@@ -148,7 +148,7 @@ def stop_rows(delassus, free, drag, rows, x):
 def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
     """Return the sign of the determinant of the equations that forces x solve, zero where singular.
 
-    Where slip begins, it is negative also if it is with directions as they are, in which slip goes on.
+    Where slip begins, it is also negative if it is negative with the present directions of slip.
     """
     nc, size = len(mu), len(x)
     system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
