@@ -40,3 +40,23 @@ def joint_table(model: pin.Model) -> NDArray[np.int64]:
                 value=name,
             )
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
+
+
+def coordinate_rates(table: NDArray[np.int64], q: NDArray[np.float64], nv: int) -> NDArray[np.float64]:
+    """Return ∂q/∂δ (nq, nv) of the coordinates q ⊕ δ at δ = 0, whose columns are at right angles."""
+    rates = np.zeros((len(q), nv))
+    for kind, i, j, n in table.tolist():
+        if kind == VECTOR:
+            rates[i : i + n, j : j + n] = np.eye(n)
+        elif kind in (CIRCLE, PLANAR):
+            c, s = q[i + n - 1 : i + n + 1]
+            rates[i + n - 1 : i + n + 1, j + n - 1] = -s, c
+            if kind == PLANAR:
+                rates[i : i + 2, j : j + 2] = (c, -s), (s, c)
+        else:
+            x, y, z, w = q[i + n - 3 : i + n + 1]
+            turning = (w, -z, y), (z, w, -x), (-y, x, w), (-x, -y, -z)
+            rates[i + n - 3 : i + n + 1, j + n - 3 : j + n] = 0.5 * np.array(turning)
+            if kind == RIGID:
+                rates[i : i + 3, j : j + 3] = pin.Quaternion(w, x, y, z).matrix()
+    return rates

@@ -1,0 +1,153 @@
+"""Impacts of many rows with their Jacobian matrices, as functions of NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..contact_space.batch import solve_impacts
+from ..contact_space.laws import law_code
+from ..errors import InputError, LawError, UnstoppableApproachError
+from ..robot.batch import impacts
+from ..robot.contact import Contact
+from ..robot.derivatives import impact_derivatives
+from ..robot.names import model_of
+from ..scene.joint_charts import coordinate_rates, joint_table
+
+Array = NDArray[np.float64]
+
+
+def refuse_single_precision(kind: Any, name: str, remedy: str) -> None:
+    """Raise `InputError` for an argument whose type of numbers is not float64."""
+    if "float64" not in str(kind):
+        raise InputError(f"{name}: {kind} given, double precision expected; {remedy}", field=name, value=kind)
+
+
+class ContactRows:
+    """v⁺ (…, 3) and P (…, 3) of impacts in contact space, of W (…, 3, 3), v° (…, 3), μ (…) and e (…)."""
+
+    names = ("delassus", "velocity", "friction", "restitution")
+    inputs = (2, 1, 0, 0)  # axes of one row of each
+
+    def __init__(self, law: str) -> None:
+        law_code(law)  # an unknown one is an error here, not in a callback
+        self.law = law
+
+    def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int, int]:
+        """Return the lengths of v⁺ and P; refuse other shapes of W and v°."""
+        _check_shapes(self.names, shapes, ((3, 3), (3,)))
+        return 3, 3
+
+    def values(self, *given: Array) -> tuple[Array, ...]:
+        """Return v⁺ and P."""
+        lead, (w, v, mu, e) = _rows(given, self.inputs)
+        batch = solve_impacts(w, v, mu, e, self.law)
+        return _reshaped((batch.velocity, batch.impulse), lead)
+
+    def slopes(self, *given: Array) -> tuple[Array, ...]:
+        """Return the values, then the derivatives of v⁺ by each argument, then those of P."""
+        lead, (w, v, mu, e) = _rows(given, self.inputs)
+        batch = solve_impacts(w, v, mu, e, self.law, derivatives=True)
+        d = batch.derivatives
+        assert d is not None
+        of_v = d.dv_ddelassus, d.dv_dv, d.dv_dfriction, d.dv_drestitution
+        of_impulse = d.dP_ddelassus, d.dP_dv, d.dP_dfriction, d.dP_drestitution
+        return _reshaped((batch.velocity, batch.impulse, *of_v, *of_impulse), lead)
+
+
+class RobotRows:
+    """v⁺ (…, nv) of a robot's impacts at a contact, of q (…, nq), v (…, nv), μ (…) and e (…).
+
+    A function e(v) of the contact is kept, with its slope, if `own` is true; e is without effect then.
+    """
+
+    names = ("q", "v", "friction", "restitution")
+    inputs = (1, 1, 0, 0)
+
+    def __init__(
+        self,
+        model: pin.Model,
+        data: pin.Data,
+        contact: Contact,
+        own: bool,
+        held: Sequence[Contact],
+        locked: Sequence[str | int],
+    ) -> None:
+        self.model, self.data, self.contact, self.own = model_of(model), data, contact, own
+        self.also: dict[str, Any] = {"held": held, "locked": locked}
+        self.table = joint_table(self.model)
+
+    def coefficients(self, friction: Any, restitution: Any) -> tuple[Any, Any]:
+        """Return μ and e as given, or those of the contact; 0 in place of a function e(v)."""
+        mu = self.contact.friction if friction is None else friction
+        if not self.own:
+            return mu, restitution
+        return mu, 0.0 if callable(self.contact.restitution) else self.contact.restitution
+
+    def outputs(self, shapes: Sequence[tuple[int, ...]]) -> tuple[int]:
+        """Return the length of v⁺; refuse q and v of another length."""
+        _check_shapes(self.names, shapes, ((self.model.nq,), (self.model.nv,)))
+        return (self.model.nv,)
+
+    def values(self, *given: Array) -> tuple[Array, ...]:
+        """Return v⁺, NaN for rows without a solution."""
+        lead, (q, v, mu, e) = _rows(given, self.inputs)
+        restitution = None if self.own else e
+        hits = impacts(self.model, self.data, q, v, self.contact, mu, restitution, **self.also)
+        return _reshaped((hits.v,), lead)
+
+    def slopes(self, *given: Array) -> tuple[Array, ...]:
+        """Return v⁺ and its derivatives by q, v, μ and e; NaN for rows without a solution."""
+        lead, rows = _rows(given, self.inputs)
+        count, nq, nv = len(rows[0]), self.model.nq, self.model.nv
+        shapes = (nv,), (nv, nq), (nv, nv), (nv,), (nv,)
+        found = tuple(np.full((count, *shape), np.nan) for shape in shapes)
+        for i, (q, v, mu, e) in enumerate(zip(*rows, strict=True)):
+            restitution = self.contact.restitution if self.own else float(e)
+            contact = replace(self.contact, friction=float(mu), restitution=restitution)
+            try:
+                d = impact_derivatives(self.model, self.data, q, v, contact, **self.also)
+            except (UnstoppableApproachError, LawError):
+                continue
+            rates = coordinate_rates(self.table, q, nv)
+            # columns at right angles: their left inverse, which takes no notice of changes off the space
+            by_coordinates = d.dv_dq @ (rates / (rates**2).sum(axis=0)).T
+            for out, value in zip(
+                found,
+                (d.v, by_coordinates, d.dv_dv, d.dv_dfriction, d.dv_drestitution),
+                strict=True,
+            ):
+                out[i] = value
+        return _reshaped(found, lead)
+
+
+def _check_shapes(
+    names: Sequence[str], shapes: Sequence[tuple[int, ...]], expected: Sequence[tuple[int, ...]]
+) -> None:
+    for name, shape, own in zip(names, shapes, expected, strict=False):
+        if tuple(shape[-len(own) :]) != own:
+            text = ", ".join(map(str, own))
+            raise InputError(
+                f"{name}: shape {tuple(shape)} given, (..., {text}) expected", field=name, value=shape
+            )
+
+
+def _rows(given: Sequence[Array], axes: Sequence[int]) -> tuple[tuple[int, ...], list[Array]]:
+    """Return the leading shape that the arguments have in common, and the arguments with one leading axis."""
+    arrays = [np.asarray(array, dtype=np.float64) for array in given]
+    shapes = [array.shape[: array.ndim - n] for array, n in zip(arrays, axes, strict=True)]
+    lead = np.broadcast_shapes(*shapes)
+    rows = []
+    for array, n in zip(arrays, axes, strict=True):
+        own = array.shape[array.ndim - n :]
+        rows.append(np.ascontiguousarray(np.broadcast_to(array, lead + own)).reshape(-1, *own))
+    return lead, rows
+
+
+def _reshaped(arrays: Sequence[Array], lead: tuple[int, ...]) -> tuple[Array, ...]:
+    return tuple(np.reshape(array, lead + array.shape[1:]) for array in arrays)

@@ -1,0 +1,127 @@
+"""Impacts as functions of JAX, by callbacks, with derivatives forwards and backwards.
+
+They can be transformed by `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jacfwd` and `jax.jacrev`; there are no
+second derivatives. Arguments are broadcast to a common leading shape (...), in double precision. Rows without
+a solution are NaN, and so are derivatives that do not exist, see `Boundary`. (docs/derivatives.md, 7)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pinocchio as pin
+
+from ..errors import InputError
+from ..robot.contact import Contact
+from ._rows import ContactRows, RobotRows, refuse_single_precision
+
+try:
+    import jax
+    import jax.numpy as jnp
+except ImportError as error:
+    raise InputError("jax: not installed; pip install 'pinimpact[jax]'", field="jax", value=None) from error
+
+REMEDY = 'call jax.config.update("jax_enable_x64", True) first'
+
+
+def solve_impacts(
+    delassus: Any, velocity: Any, friction: Any, restitution: Any, law: str = "poisson"
+) -> tuple[jax.Array, jax.Array]:
+    """Return v⁺ (..., 3) and P (..., 3) of impacts in contact space, by the method "exact".
+
+    Args:
+        delassus: (..., 3, 3) symmetric W [1/kg]; of a change of it the symmetric part counts.
+        velocity: (..., 3) contact velocities before the impact [m/s].
+        friction: (...) coefficients μ.
+        restitution: (...) coefficients e.
+        law: Restitution law of all rows.
+
+    Raises:
+        InputError: Single precision, or wrong shapes.
+        UnknownNameError: Unknown law.
+    """
+    after, impulse = _call(ContactRows(law), delassus, velocity, friction, restitution)
+    return after, impulse
+
+
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: Any,
+    v: Any,
+    contact: Contact,
+    friction: Any = None,
+    restitution: Any = None,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+) -> jax.Array:
+    """Return the velocities (..., nv) of a robot after impacts.
+
+    Derivatives by q are those along the configuration space: the length of a quaternion has no effect.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data, which change.
+        q: (..., nq) configurations.
+        v: (..., nv) velocities before the impact.
+        contact: The contact that collides: a point or a sphere on a Plane or a Sphere.
+        friction: (...) coefficients μ; None: that of the contact.
+        restitution: (...) coefficients e; None: that of the contact.
+        held: Contacts that hold during the impact, as in `impact_derivatives`.
+        locked: Joints whose velocity the impact does not change.
+
+    Raises:
+        InputError: Single precision, wrong shapes, or a contact without derivatives.
+    """
+    rows = RobotRows(model, data, contact, restitution is None, held, locked)
+    (after,) = _call(rows, q, v, *rows.coefficients(friction, restitution))
+    return after
+
+
+def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[jax.Array, ...]:
+    arrays = tuple(map(jnp.asarray, given))
+    for name, array in zip(rows.names, arrays, strict=True):
+        refuse_single_precision(array.dtype, name, REMEDY)
+    sizes = rows.outputs([array.shape for array in arrays])
+
+    def lead(arrays: Sequence[Any]) -> tuple[int, ...]:
+        parts = (array.shape[: array.ndim - n] for array, n in zip(arrays, rows.inputs, strict=True))
+        return jnp.broadcast_shapes(*parts)
+
+    def shaped(arrays: Sequence[Any], *own: tuple[int, ...]) -> tuple[Any, ...]:
+        return tuple(jax.ShapeDtypeStruct((*lead(arrays), *shape), jnp.float64) for shape in own)
+
+    @jax.custom_jvp
+    def call(*arrays: Any) -> tuple[Any, ...]:
+        outputs = shaped(arrays, *((size,) for size in sizes))
+        return jax.pure_callback(rows.values, outputs, *arrays, vmap_method="broadcast_all")
+
+    @call.defjvp
+    def call_with_slopes(primals: Any, tangents: Any) -> tuple[Any, Any]:
+        own = [array.shape[array.ndim - n :] for array, n in zip(primals, rows.inputs, strict=True)]
+        shapes = [(size, *shape) for size in sizes for shape in own]
+        found = jax.pure_callback(
+            rows.slopes,
+            shaped(primals, *((size,) for size in sizes), *shapes),
+            *primals,
+            vmap_method="broadcast_all",
+        )
+        values, slopes = found[: len(sizes)], found[len(sizes) :]
+        count = len(primals)
+        changes = tuple(
+            sum(
+                _product(slope, tangent, n)
+                for slope, tangent, n in zip(slopes[k : k + count], tangents, rows.inputs, strict=True)
+            )
+            for k in range(0, len(slopes), count)
+        )
+        return values, changes
+
+    return call(*arrays)
+
+
+def _product(slope: Any, change: Any, axes: int) -> Any:
+    """Return the change of an output (..., m) by a slope (..., m, *own) and a change (..., *own)."""
+    letters = "ij"[:axes]
+    return jnp.einsum(f"...m{letters},...{letters}->...m", slope, change)

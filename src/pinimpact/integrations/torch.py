@@ -1,0 +1,124 @@
+"""Impacts as functions of PyTorch, with gradients.
+
+They are computed on the CPU; results are on the device of the velocities. There are no second derivatives.
+Arguments are broadcast to a common leading shape (...), in double precision. Rows without a solution are NaN,
+and so are derivatives that do not exist, see `Boundary`. (docs/derivatives.md, 7)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InputError
+from ..robot.contact import Contact
+from ._rows import ContactRows, RobotRows, refuse_single_precision
+
+try:
+    import torch
+    from torch.autograd.function import once_differentiable
+except ImportError as error:
+    raise InputError(
+        "torch: not installed; pip install 'pinimpact[torch]'", field="torch", value=None
+    ) from error
+
+REMEDY = "convert it by .double()"
+
+
+def solve_impacts(
+    delassus: Any, velocity: Any, friction: Any, restitution: Any, law: str = "poisson"
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return v⁺ (..., 3) and P (..., 3) of impacts in contact space, by the method "exact".
+
+    Args:
+        delassus: (..., 3, 3) symmetric W [1/kg]; of a change of it the symmetric part counts.
+        velocity: (..., 3) contact velocities before the impact [m/s].
+        friction: (...) coefficients μ.
+        restitution: (...) coefficients e.
+        law: Restitution law of all rows.
+
+    Raises:
+        InputError: Single precision, or wrong shapes.
+        UnknownNameError: Unknown law.
+    """
+    after, impulse = _call(ContactRows(law), delassus, velocity, friction, restitution)
+    return after, impulse
+
+
+def impact(
+    model: pin.Model,
+    data: pin.Data,
+    q: Any,
+    v: Any,
+    contact: Contact,
+    friction: Any = None,
+    restitution: Any = None,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+) -> torch.Tensor:
+    """Return the velocities (..., nv) of a robot after impacts.
+
+    Derivatives by q are those along the configuration space: the length of a quaternion has no effect.
+
+    Args:
+        model: Pinocchio model, or a RobotWrapper.
+        data: Its data, which change.
+        q: (..., nq) configurations.
+        v: (..., nv) velocities before the impact.
+        contact: The contact that collides: a point or a sphere on a Plane or a Sphere.
+        friction: (...) coefficients μ; None: that of the contact.
+        restitution: (...) coefficients e; None: that of the contact.
+        held: Contacts that hold during the impact, as in `impact_derivatives`.
+        locked: Joints whose velocity the impact does not change.
+
+    Raises:
+        InputError: Single precision, wrong shapes, or a contact without derivatives.
+    """
+    rows = RobotRows(model, data, contact, restitution is None, held, locked)
+    (after,) = _call(rows, q, v, *rows.coefficients(friction, restitution))
+    return after
+
+
+def _call(rows: ContactRows | RobotRows, *given: Any) -> tuple[torch.Tensor, ...]:
+    tensors = []
+    for name, value in zip(rows.names, given, strict=True):
+        # numbers of Python have no precision of their own
+        tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(np.asarray(value, dtype=float))
+        refuse_single_precision(tensor.dtype, name, REMEDY)
+        tensors.append(tensor)
+    rows.outputs([tuple(tensor.shape) for tensor in tensors])
+    found: tuple[torch.Tensor, ...] = _Rows.apply(rows, *tensors)
+    return found
+
+
+class _Rows(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: ContactRows | RobotRows, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        device = tensors[1].device
+        arrays = [tensor.detach().cpu().numpy() for tensor in tensors]
+        wanted = any(ctx.needs_input_grad)
+        found = [torch.from_numpy(x) for x in (rows.slopes if wanted else rows.values)(*arrays)]
+        ctx.axes, ctx.shapes = rows.inputs, [(tensor.shape, tensor.device) for tensor in tensors]
+        outputs = len(found) // (1 + len(tensors)) if wanted else len(found)
+        ctx.slopes = found[outputs:]
+        return tuple(value.to(device) for value in found[:outputs])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        count = len(ctx.shapes)
+        results: list[torch.Tensor | None] = [None]
+        for i, ((shape, device), axes) in enumerate(zip(ctx.shapes, ctx.axes, strict=True)):
+            if not ctx.needs_input_grad[i + 1]:
+                results.append(None)
+                continue
+            letters = "ij"[:axes]
+            parts = (
+                torch.einsum(f"...m,...m{letters}->...{letters}", g.cpu(), slope)
+                for g, slope in zip(gradients, ctx.slopes[i::count], strict=True)
+            )
+            results.append(sum(parts).sum_to_size(shape).to(device))
+        return tuple(results)
