@@ -1,0 +1,113 @@
+"""An impact as an action of Crocoddyl: derivatives against its differences, and a solve through an impact."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinimpact import Contact, InputError, Plane, load_robot
+
+crocoddyl = pytest.importorskip("crocoddyl", reason="Crocoddyl is not installed")
+actions = pytest.importorskip("pinimpact.integrations.crocoddyl")
+
+
+@pytest.fixture(scope="module")
+def leg():
+    """Return model, q, v and contact of a two-link leg on a rail, whose foot falls on a plane."""
+    model = pin.Model()
+    inertia = pin.Inertia(1.0, np.array([0.0, 0.0, -0.1]), np.diag([0.01, 0.01, 0.002]))
+    joint = 0
+    for kind, place, name in (
+        (pin.JointModelPZ(), pin.SE3.Identity(), "rail"),
+        (pin.JointModelPX(), pin.SE3.Identity(), "slide"),
+        (pin.JointModelRY(), pin.SE3.Identity(), "hip"),
+        (pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.2])), "knee"),
+    ):
+        joint = model.addJoint(joint, kind, place, name)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame("foot", joint, pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.2])), pin.OP_FRAME))
+    q = np.array([0.4, 0.0, 0.6, -1.1])
+    v = np.array([-1.5, 0.4, 0.3, -0.2])
+    return model, q, v, Contact("foot", Plane(), friction=0.4, restitution=0.4)
+
+
+def _costs(state, foot):
+    costs = crocoddyl.CostModelSum(state, 0)
+    costs.addCost(
+        "state", crocoddyl.CostModelResidual(state, crocoddyl.ResidualModelState(state, state.zero(), 0)), 0.5
+    )
+    reach = crocoddyl.ResidualModelFrameTranslation(
+        state, state.pinocchio.getFrameId(foot), np.array([0.1, 0.2, 0.3]), 0
+    )
+    costs.addCost("foot", crocoddyl.CostModelResidual(state, reach), 3.0)
+    return costs
+
+
+def _differs(action, x):
+    """Return how far Fx and Lx are from forward differences, relative to their largest entries."""
+    data, differences = action.createData(), crocoddyl.ActionModelNumDiff(action)
+    differences.disturbance = 1e-7
+    other, none = differences.createData(), np.zeros(0)
+    for model, of in ((action, data), (differences, other)):
+        model.calc(of, x, none)
+        model.calcDiff(of, x, none)
+    np.testing.assert_array_equal(data.xnext, other.xnext)
+    scale = np.abs(data.Fx).max(), np.abs(data.Lx).max()
+    return np.abs(data.Fx - other.Fx).max() / scale[0], np.abs(data.Lx - other.Lx).max() / scale[1]
+
+
+@pytest.mark.parametrize("robot", ["leg", "solo12"])
+def test_derivatives_are_those_of_differences(robot, leg):
+    model, q, v, contact = leg
+    if robot == "solo12":
+        found = load_robot("solo12")
+        model = found.model
+        foot = next(f.name for f in model.frames if f.name.endswith("FOOT"))
+        q = pin.integrate(model, found.q0, np.r_[0, 0, 0, 0.1, 0.2, -0.1, np.linspace(-0.3, 0.3, 12)])
+        v = np.linspace(-0.5, 0.5, model.nv)
+        v[2] = -2.0
+        contact = Contact(foot, Plane(), friction=0.4, restitution=0.3)
+    state = crocoddyl.StateMultibody(model)
+    action = actions.ActionModelImpact(state, [contact], _costs(state, contact.frame))
+    of_state, of_cost = _differs(action, np.r_[q, v])
+    assert of_state < 2e-6
+    assert of_cost < 2e-6
+
+
+def test_a_problem_with_an_impact_is_solved_in_no_more_iterations_than_with_differences(leg):
+    model, q, v, contact = leg
+    state = crocoddyl.StateMultibody(model)
+    actuation = crocoddyl.ActuationModelFull(state)
+    target = np.r_[0.6, 0.3, 0.5, -1.0, np.zeros(4)]
+    running, ending = crocoddyl.CostModelSum(state), crocoddyl.CostModelSum(state)
+    effort = crocoddyl.ResidualModelControl(state, model.nv)
+    running.addCost("effort", crocoddyl.CostModelResidual(state, effort), 1e-4)
+    there = crocoddyl.ResidualModelState(state, target, model.nv)
+    ending.addCost("there", crocoddyl.CostModelResidual(state, there), 10.0)
+
+    def moves(costs, dt):
+        flight = crocoddyl.DifferentialActionModelFreeFwdDynamics(state, actuation, costs)
+        return crocoddyl.IntegratedActionModelEuler(flight, dt)
+
+    impact = actions.ActionModelImpact(state, contact, crocoddyl.CostModelSum(state, 0))
+    ends = []
+    for action in (impact, crocoddyl.ActionModelNumDiff(impact)):
+        running_models = [moves(running, 0.02)] * 10 + [action] + [moves(running, 0.02)] * 15
+        problem = crocoddyl.ShootingProblem(np.r_[q, v], running_models, moves(ending, 0.0))
+        solver = crocoddyl.SolverFDDP(problem)
+        controls = problem.quasiStatic([np.r_[q, v]] * problem.T)
+        assert solver.solve(problem.rollout(controls), controls, 100)
+        ends.append((solver.iter, solver.cost))
+    assert ends[0][0] <= ends[1][0]
+    assert ends[0][1] == pytest.approx(ends[1][1], rel=1e-4)
+
+
+def test_bad_input_is_named(leg):
+    model, q, v, contact = leg
+    state = crocoddyl.StateMultibody(model)
+    none = crocoddyl.CostModelSum(state, 0)
+    with pytest.raises(InputError, match="contacts: 2 given, one Contact expected"):
+        actions.ActionModelImpact(state, [contact, contact], none)
+    action = actions.ActionModelImpact(state, contact, none)
+    data = action.createData()
+    action.calcDiff(data, np.r_[q, 0.0 * v])  # grazing
+    assert np.isnan(data.Fx[4:]).any()
