@@ -27,8 +27,8 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
     """An instantaneous impact with friction and restitution: x = (q, v) → (q, v⁺), without control.
 
     The costs are those of the state before the impact, as of Crocoddyl's own impulse dynamics. Where v⁺ does
-    not exist or has no derivative it is NaN. This includes v = 0, which solvers use as first guess by default:
-    give them another one, for instance ``problem.rollout(us)``.
+    not exist or has no derivative it is NaN. This includes v = 0, the first guess of solvers by default: give
+    them another one, for instance ``problem.rollout(us)``.
 
     Args:
         state: A `crocoddyl.StateMultibody`; its model is the robot.
