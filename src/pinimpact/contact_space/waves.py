@@ -141,7 +141,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
 
 
 def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
-    """Step through an impact with more and more accuracy, until two passes agree or agree no better.
+    """Step through an impact with more and more accuracy, until two passes agree.
 
     Returns:
         Impulses and works (6n,), by how much velocities differ from those of the pass before it, the number
@@ -153,11 +153,10 @@ def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, flo
         steps, numbers = _pass(inputs, exponent, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
         if steps == 0:
             break
-        before = missed
         if best is not None:
             missed = _differ(inputs, numbers, best)
         best, total, accuracy = numbers, total + steps, finer
-        if missed <= AGREE or missed > 0.5 * before:  # finer steps would not agree better
+        if missed <= AGREE:
             break
     return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
 

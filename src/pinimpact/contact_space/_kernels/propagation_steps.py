@@ -12,7 +12,7 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
 from .first_fall import NEVER
-from .tolerances import BALANCED, DRIFT, FIRST_STEP, ROUNDED, SHORTEST, SLOW
+from .tolerances import BALANCED, FIRST_STEP, NEGLIGIBLE, ROUNDED, SHORTEST, SLOW
 
 # C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
 IMPLICIT = np.array(
@@ -66,6 +66,13 @@ CREEP = 10.0
 """A speed of slip, in parts of the accuracy, up to which friction is proportional to it."""
 
 
+LOCKED, CHANGES, AT_BOUND = 1.0, 0.1, 100.0
+"""The clock after which what creeps is locked, and by how much of ε it may change in a step. Contacts at
+their bounds follow the creep of others: so many times ε at most."""
+
+FITS = 1e-3
+"""What Newton's method may miss velocities by, in parts of the creep: little beside what a step misses."""
+
 TURNS, SEARCHES, SLOPE = 60, 60, 0.1
 """Of Newton's method and of its line search at most; part of the slope that the search may leave."""
 
@@ -105,29 +112,39 @@ def step_through(
         The number of steps; 0: the bound has been reached.
     """
     n, r = len(friction), rows.shape[1]
-    creep, mobility = CREEP * accuracy, np.zeros(n)
+    creep, mobility, pace = CREEP * accuracy, np.zeros(n), np.empty(n)
     for j in range(n):
         for k in range(r):
             mobility[j] += rows[3 * j + 2, k] ** 2
+        pace[j] = math.sqrt(stiffness[j] * mobility[j])  # of velocities in its loading to indentations
         works[j] = 0.0
     for i in range(3 * n):
         impulse[i] = 0.0
-    y, x, largest, peak = np.zeros(r), np.zeros(n), np.zeros(n), np.zeros(n)
+    x, largest, peak = np.zeros(n), np.zeros(n), np.zeros(n)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
     target, at, bound, now = np.empty(r), np.empty(r), np.empty(n), np.empty(n)
-    h, known, clock = FIRST_STEP, False, 0.0
+    held_impulse, held_works = np.empty(3 * n), np.empty((n, 3))
+    h, clock, held = FIRST_STEP, 0.0, 0.0
+    for i in range(3 * n):
+        v[0, i] = start[i]
     for step in range(1, most + 1):
-        _velocities(rows, start, y, v[0])
         if step <= len(path):
             path[step - 1, 0] = clock
             for i in range(3 * n):
                 path[step - 1, 1 + i] = impulse[i]
         for j in range(n):
-            force[0, 3 * j + 2] = _force(x[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
+            normal = _force(x[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
+            for a in range(3 * j, 3 * j + 2):
+                if force[0, 3 * j + 2] > 0.0:  # in the same part of its bound
+                    force[0, a] *= normal / force[0, 3 * j + 2]
+                else:
+                    slip = math.hypot(v[0, 3 * j], v[0, 3 * j + 1])
+                    force[0, a] = -friction[j] * normal * v[0, a] / max(slip, creep)
+            force[0, 3 * j + 2] = normal
         speed, time, pressed = _outlook(
             v[0], force[0], mobility, restitution, stiffness, exponent, x, largest
         )
-        if speed <= SLOW or (not pressed and time == NEVER):
+        if speed <= max(SLOW, accuracy) or (not pressed and time == NEVER):
             return step
         if not pressed:
             for j in range(n):
@@ -135,12 +152,10 @@ def step_through(
                 x[j] -= time * v[0, 3 * j + 2]
                 if v[0, 3 * j + 2] < 0.0 and gap <= -time * v[0, 3 * j + 2]:
                     x[j] = largest[j]
-            known = False
-        if not known:
-            _oppose(rows, friction, creep, v[0], force[0], rate[0])
+        _push(rows, force[0], rate[0])
         while True:
             for k in range(r):
-                at[k] = y[k]
+                at[k] = 0.0
             for i in range(1, STAGES):
                 for j in range(n):
                     now[j] = x[j]
@@ -150,23 +165,28 @@ def step_through(
                     force[i, 3 * j + 2] = normal
                     bound[j] = h * IMPLICIT[i, i] * friction[j] * normal
                 for k in range(r):
-                    target[k] = y[k]
+                    target[k] = 0.0
                     for before in range(i):
                         target[k] += h * IMPLICIT[i, before] * rate[before, k]
                     for j in range(n):
                         target[k] += h * IMPLICIT[i, i] * rows[3 * j + 2, k] * force[i, 3 * j + 2]
-                _velocities(rows, start, at, v[i])
+                _velocities(rows, v[0], at, v[i])
                 _minimize(rows, bound, creep, target, at, v[i])
-                _oppose(rows, friction, creep, v[i], force[i], rate[i])
-            missed = _missed(rows, rate, v, h)
+                _oppose(friction, creep, v[i], force[i])
+                _push(rows, force[i], rate[i])
+            missed = _missed(rows, rate, v, h, x, largest, pace, restitution)
             factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
-            if missed <= accuracy or h <= SHORTEST:
+            if h <= SHORTEST:
                 break
-            h *= min(factor, SAFE)
-        for k in range(r):
-            y[k] = at[k]
+            if missed <= accuracy:
+                part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)
+                if part == 1.0:
+                    break
+                h *= part
+            else:
+                h *= min(factor, SAFE)
         for j in range(n):
-            z, begin = 3 * j + 2, x[j]
+            z = 3 * j + 2
             for i in range(STAGES):
                 part = h * WEIGHTS[i]
                 x[j] -= part * v[i, z]
@@ -175,23 +195,31 @@ def step_through(
                     impulse[a] += part * force[i, a]
                     if a < z:
                         works[j, 2] += part * force[i, a] * v[i, a]
-            top, first, last = x[j], v[0, z], v[STAGES - 1, z]
-            if first < 0.0 < last:  # it has turned within the step
-                top = max(top, begin - 0.5 * h * first * first / (first - last))
-            if top > largest[j]:
-                peak[j] += top - largest[j]
-                largest[j] = top
+            if x[j] > largest[j]:
+                peak[j] += x[j] - largest[j]
+                largest[j] = x[j]
             dent = restitution[j] ** 2 * peak[j]
             if x[j] <= largest[j] - dent:  # it has separated, and would be loaded again from there
                 largest[j] -= dent
                 peak[j] = 0.0
-        if pressed and _locked(rows, rate[STAGES - 1], v[STAGES - 1], force[STAGES - 1], creep):
-            return step
+        if not _locked(rows, friction, v[0], v[STAGES - 1], force[STAGES - 1], creep):
+            held = 0.0
+        else:
+            if held == 0.0:
+                held_impulse[:] = impulse
+                held_works[:] = works
+            held += h
+            if held >= LOCKED:  # what is locked is pressed on, and that is of no impact
+                impulse[:] = held_impulse
+                works[:] = held_works
+                return step
         for k in range(r):
-            rate[0, k] = rate[STAGES - 1, k]
+            at[k] = 0.0
+            for i in range(STAGES):
+                at[k] += h * WEIGHTS[i] * rate[i, k]
+        _velocities(rows, v[0], at, v[0])
         for i in range(3 * n):
             force[0, i] = force[STAGES - 1, i]
-        known = True
         clock += h
         h *= factor
     return 0
@@ -234,17 +262,24 @@ def _outlook(v, force, mobility, restitution, stiffness, exponent, x, largest):
 
 
 @inlined
-def _oppose(rows, friction, creep, v, force, rate):
-    """Fill in the friction of forces (3n,), and dy/ds (r,)."""
-    for k in range(len(rate)):
-        rate[k] = 0.0
+def _oppose(friction, creep, v, force):
+    """Fill in the friction of forces (3n,)."""
     for j in range(len(friction)):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
         part = -friction[j] * force[z] / max(math.sqrt(v[x] * v[x] + v[y] * v[y]), creep)
         force[x], force[y] = part * v[x], part * v[y]
+
+
+@inlined
+def _push(rows, force, rate):
+    """Fill dy/ds (r,) = Jᵀ p."""
+    for k in range(len(rate)):
+        rate[k] = 0.0
+    for z in range(2, len(force), 3):
         if force[z] > 0.0:
             for k in range(len(rate)):
-                rate[k] += rows[x, k] * force[x] + rows[y, k] * force[y] + rows[z, k] * force[z]
+                for a in range(z - 2, z + 1):
+                    rate[k] += rows[a, k] * force[a]
 
 
 @inlined
@@ -260,7 +295,7 @@ def _minimize(rows, bound, creep, target, y, v):
     """
     n, r = len(bound), len(y)
     gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
-    strongest = 0.0
+    strongest, last = 0.0, math.inf
     for j in range(n):
         strongest = max(strongest, bound[j])
     for _ in range(TURNS):
@@ -275,8 +310,9 @@ def _minimize(rows, bound, creep, target, y, v):
         off = 0.0
         for k in range(r):
             off = max(off, abs(gradient[k]))
-        if off <= ROUNDED + BALANCED * strongest:
+        if off <= FITS * creep or (off <= ROUNDED + BALANCED * strongest and off > 0.5 * last):
             return
+        last = off
         _curvature(rows, bound, creep, v, matrix)
         _solve(matrix, gradient, way)
         for i in range(3 * n):
@@ -363,8 +399,11 @@ def _search(bound, creep, target, y, way, v, change):
 
 
 @inlined
-def _missed(rows, rate, v, h):
-    """Return by how much a step misses velocities and penetrations, by the method of third order."""
+def _missed(rows, rate, v, h, x, largest, pace, restitution):
+    """Return by how much a step misses velocities, by the method of third order.
+
+    What it misses of penetrations counts as the velocity that it comes to: 1/e times as much in unloading.
+    """
     r, most = rows.shape[1], 0.0
     off = np.empty(r)
     for k in range(r):
@@ -376,26 +415,80 @@ def _missed(rows, rate, v, h):
         for k in range(r):
             total += rows[a, k] * off[k]
         most = max(most, abs(total))
-        if a % 3 == 2:
-            total = 0.0
-            for i in range(STAGES):
-                total += h * ERROR[i] * v[i, a]
-            most = max(most, abs(total))
+    for j in range(len(x)):
+        z, total = 3 * j + 2, 0.0
+        for i in range(STAGES):
+            total += h * ERROR[i] * v[i, z]
+        unloads = x[j] < largest[j] or v[STAGES - 1, z] > 0.0
+        most = max(most, abs(total) * pace[j] / (restitution[j] if unloads else 1.0))
     return most
 
 
 @inlined
-def _locked(rows, rate, v, force, creep):
-    """Return whether what is pressed neither moves nor accelerates, and nothing else approaches."""
-    some = False
-    for a in range(rows.shape[0]):
-        pressed = force[a - a % 3 + 2] > 0.0
-        some = some or pressed
-        if (pressed and abs(v[a]) > creep) or (a % 3 == 2 and v[a] < -SLOW):
-            return False
-        total = 0.0
-        for k in range(rows.shape[1]):
-            total += rows[a, k] * rate[k]
-        if abs(total) > DRIFT:
-            return False
-    return some
+def _until_a_turn(first, last, force, slow, pace, restitution):
+    """Return the part of a step up to where what is pressed turns, and its stiffness changes; 1 if none does.
+
+    Args:
+        first, last: (3n,) velocities.
+        force: (3n,) at its end.
+        slow: A change of velocity over the step that does not matter, in parts of its length.
+        pace, restitution: (n,).
+    """
+    part = 1.0
+    for j in range(len(pace)):
+        z = 3 * j + 2
+        if force[z] > 0.0 and first[z] * last[z] < 0.0:
+            turn = first[z] / (first[z] - last[z])
+            way = min(turn * abs(first[z]), (1.0 - turn) * abs(last[z]))
+            if way * pace[j] > slow * restitution[j]:
+                part = min(part, turn)
+    return part
+
+
+@inlined
+def _locked(rows, friction, before, v, force, creep):
+    """Return whether friction holds all that is pressed, so that no force changes, and nothing approaches.
+
+    No velocity is left but creep: the rows of J where any would matter are in the span of the J_t that creep.
+    """
+    n, r = len(friction), rows.shape[1]
+    span, left = np.empty((r, r)), np.empty(r)
+    count, largest = 0, 0.0
+    for a in range(3 * n):
+        size = 0.0
+        for k in range(r):
+            size += rows[a, k] * rows[a, k]
+        largest = max(largest, size)
+    for moves in range(2):
+        for a in range(3 * n):
+            j = a // 3
+            z = 3 * j + 2
+            if force[z] > 0.0 and abs(v[a] - before[a]) > CHANGES * creep:
+                return False
+            rubs = friction[j] > 0.0 and force[z] > 0.0
+            creeps = rubs and math.hypot(v[z - 2], v[z - 1]) <= AT_BOUND * creep
+            if moves == 0:
+                counts = a != z and creeps
+            else:
+                counts = (a != z and rubs and not creeps) or (a == z and (force[z] > 0.0 or v[z] < -SLOW))
+            if not counts:
+                continue
+            for k in range(r):
+                left[k] = rows[a, k]
+            for _ in range(2):  # so that they are orthogonal to rounding
+                for i in range(count):
+                    along = 0.0
+                    for k in range(r):
+                        along += span[i, k] * left[k]
+                    for k in range(r):
+                        left[k] -= along * span[i, k]
+            length = 0.0
+            for k in range(r):
+                length += left[k] * left[k]
+            if length > NEGLIGIBLE * NEGLIGIBLE * largest:
+                if moves == 1:
+                    return False
+                for k in range(r):
+                    span[count, k] = left[k] / math.sqrt(length)
+                count += 1
+    return count > 0
