@@ -46,7 +46,10 @@ if TYPE_CHECKING:
     from .robot.solids import Box, Shape
     from .scene.controls import JointPD
     from .scene.events import Event
+    from .scene.records import Sensitivity
+    from .scene.saltation import saltation_matrix
     from .scene.scene import Scene
+    from .scene.sensitivities import Linearization
     from .scene.simulation import simulate
     from .scene.stepper import Stepper
     from .scene.trajectory import Trajectory
@@ -78,6 +81,7 @@ __all__ = [
     "JointLimitWarning",
     "JointPD",
     "LawError",
+    "Linearization",
     "ManyHit",
     "ManyPath",
     "ManySolution",
@@ -89,6 +93,7 @@ __all__ = [
     "Plane",
     "Scene",
     "Segment",
+    "Sensitivity",
     "Shape",
     "SimulationError",
     "Solution",
@@ -108,6 +113,7 @@ __all__ = [
     "place_in_contact",
     "register_method",
     "replay",
+    "saltation_matrix",
     "simulate",
     "solve_impact",
     "solve_impacts",
@@ -147,7 +153,10 @@ _HOMES = {
     "geometry.sphere": ("Sphere",),
     "scene.controls": ("JointPD",),
     "scene.events": ("Event",),
+    "scene.saltation": ("saltation_matrix",),
     "scene.scene": ("Scene",),
+    "scene.records": ("Sensitivity",),
+    "scene.sensitivities": ("Linearization",),
     "scene.simulation": ("simulate",),
     "contact_space.solution": ("Path", "Segment", "Solution", "Work"),
     "contact_space.many_solution": ("ManyPath", "ManySolution"),

@@ -28,6 +28,7 @@ class Boundary(enum.IntFlag):
     GRAZING = 16
     BOUND = 32
     RANK = 64
+    CLOSED = 128
 
     @classmethod
     def _missing_(cls, value: object) -> Any:
@@ -46,6 +47,7 @@ _TEXTS = {
     Boundary.GRAZING: "v₃° = 0: there is an impact on one side only.",
     Boundary.BOUND: "μ = 0, e = 0 or e = 1: slopes by it are those into the range.",
     Boundary.RANK: "W is singular: derivatives hold for changes that keep its rank.",
+    Boundary.CLOSED: "Contacts or limits are closed at the start: changes that open them are projected.",
 }
 
 

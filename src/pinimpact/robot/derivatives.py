@@ -81,13 +81,21 @@ _TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic",
 
 
 def _joints(model: pin.Model, data: Any) -> _Joints:
-    """Return the joints of a model; refuse those whose axes, in the joint's own, depend on q."""
+    """Return the joints of a model that can be differentiated."""
     cache = data_cache(model, data)
     found = _JOINTS.get(cache)
     if found is not None:
         return found
     if isinstance(data, Forest):
         raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
+    check_joints(model)
+    of_velocity = np.repeat(np.arange(model.njoints), model.nvs)
+    found = _JOINTS[cache] = _Joints(of_velocity, np.array(model.parents, dtype=np.int64), cache.parents)
+    return found
+
+
+def check_joints(model: pin.Model) -> None:
+    """Refuse joints whose axes, in the joint's own, depend on q."""
     for name, joint in zip(model.names, model.joints, strict=True):
         kind = joint.shortname()
         if any(word in kind for word in _TURNING_AXES):
@@ -97,9 +105,6 @@ def _joints(model: pin.Model, data: Any) -> _Joints:
                 field="model",
                 value=name,
             )
-    of_velocity = np.repeat(np.arange(model.njoints), model.nvs)
-    found = _JOINTS[cache] = _Joints(of_velocity, np.array(model.parents, dtype=np.int64), cache.parents)
-    return found
 
 
 class _Robot:
@@ -170,7 +175,7 @@ def _place(
     return np.array([tip, base]), at, rotation
 
 
-def _check(contact: Contact) -> None:
+def check_differentiable(contact: Contact) -> None:
     """Refuse contacts whose kinematics are not differentiated."""
     what = ""
     if contact.rim > 0.0:
@@ -233,7 +238,7 @@ def impact_derivatives(
     check_contact("contact", contact)
     held = check_held(held)
     for one in (contact, *held):
-        _check(one)
+        check_differentiable(one)
     matrices = contact_matrices(model, data, q, contact, held, locked)
     joints = _joints(model, data)
     v = finite_array("v", v, (len(matrices.h),))

@@ -8,11 +8,12 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact_space.derivatives import Boundary
 from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solution import Solution
@@ -189,6 +190,28 @@ class SteppedInterval:
             f"t = {self.start:.4f} s to {self.end:.4f} s: time steps of {self.dt:.3g} s, {error}, since "
             f"events could not be located: {self.reason}"
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """How the state (q, v) of a motion at a time changes; δq in the tangent space, as Pinocchio integrates.
+
+    Attributes:
+        state: (2nv, 2nv) by the initial state; None if it was not asked for.
+        parameters: (2nv,) by each coefficient asked for, by its name.
+        boundary: Flags of `Boundary`; what has no derivative is NaN.
+    """
+
+    state: Array | None
+    parameters: dict[str, Array]
+    boundary: Boundary
+
+
+class SensitivitySource(Protocol):
+    """Where a trajectory has its sensitivities from."""
+
+    def at(self, number: int, t: float) -> Sensitivity:
+        """Return the sensitivity at a time in the step of a number."""
 
 
 @dataclass(frozen=True, slots=True)

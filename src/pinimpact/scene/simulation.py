@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from numpy.typing import ArrayLike
 
 from ..checks import choice, function
@@ -9,6 +11,7 @@ from ..errors import PinimpactError
 from .alternating import Alternating
 from .integrator import Integrator, Progress, check_numbers
 from .scene import Scene
+from .sensitivities import MotionSlopes, Sensitivities, parse
 from .time_stepping import TimeStepping
 from .trajectory import Trajectory
 
@@ -28,6 +31,7 @@ def simulate(
     progress: Progress | None = None,
     scheme: str = "auto",
     dt: float = 1e-3,
+    sensitivities: Sequence[str] = (),
 ) -> Trajectory:
     """Simulate a scene. (scenes.md)
 
@@ -53,9 +57,12 @@ def simulate(
             whose events cannot be located one by one; `Trajectory.stepped` lists them, with estimates of
             their error, and a `SteppedWarning` reports the first one.
         dt: Length of the time steps [s]; with "auto" the longest one.
+        sensitivities: What `Trajectory.sensitivity` differentiates by: "state" for the initial state, and
+            "friction:CONTACT", "restitution:CONTACT" with names of contacts. Not for controls and callbacks
+            of functions, collision shapes and time steps.
 
     Raises:
-        UnknownNameError: Unknown scheme.
+        UnknownNameError: Unknown scheme, or a contact in `sensitivities`.
         InputError: A start below a surface or beyond a joint limit, a held contact that moves or is further
             from its surface than a thousandth of the robot's size, numbers of the wrong shape or range.
         ModelError: A joint that cannot be integrated.
@@ -66,8 +73,18 @@ def simulate(
     check_numbers(duration=duration)
     if progress is not None:
         function("progress", progress, "a function of the time and the duration")
+    names = parse(scene, sensitivities, scheme) if sensitivities else ()
     integrator = integrator_of(scheme, scene, q0, v0, rtol, atol, max_step, max_impacts, dt)
-    return _run(integrator, float(duration), progress)
+    trajectory = _run(integrator, float(duration), progress)
+    if names:
+        own = Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
+        slopes = MotionSlopes(
+            scene, own.dynamics, own.model, [name for name in names if name != "state"], None
+        )
+        trajectory.sensitivities = Sensitivities(
+            slopes, names, trajectory._segments, trajectory.impacts, trajectory.stepped
+        )
+    return trajectory
 
 
 def integrator_of(

@@ -11,6 +11,7 @@ from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
 from .integrator import check_numbers
 from .scene import Scene
+from .sensitivities import Linearization, MotionSlopes, Sensitivities, check_supported
 from .simulation import integrator_of
 from .trajectory import Trajectory
 
@@ -126,6 +127,35 @@ class Stepper:
             integrator.stop(error)
         self._failed = False
         return self.q, self.v
+
+    def linearize(self, tau: ArrayLike, dt: float) -> Linearization:
+        """Return A = ∂x⁺/∂x and B = ∂x⁺/∂τ of `step`, through all modes and events; the state stays as it is.
+
+        x = (q, v), with changes of q in the tangent space. (derivatives.md, 9)
+
+        Raises:
+            InputError: As in `step`; a motion by time steps, impacts at several contacts.
+            SimulationError: As in `step`.
+        """
+        check_supported(self._scene, self._scheme)
+        ahead = self.copy()
+        integrator = ahead._integrator
+        steps, impacts = len(integrator.dense_steps), len(integrator.state.impacts)
+        ahead.step(tau, dt)
+        slopes = MotionSlopes(
+            self._scene, integrator.dynamics, integrator.model, (), np.asarray(tau, dtype=np.float64)
+        )
+        found = Sensitivities(
+            slopes,
+            ("state",),
+            integrator.dense_steps[steps:],
+            integrator.state.impacts[impacts:],
+            integrator._stepped(),
+        )
+        last = len(integrator.dense_steps) - steps - 1
+        x, boundary = found.changes(last, integrator.state.t)
+        n = len(x)
+        return Linearization(x[:, :n], x[:, n:], boundary)
 
     def __repr__(self) -> str:
         return f"Stepper({self._scene!r} at t = {self.t:.6g} s)"

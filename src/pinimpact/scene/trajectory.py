@@ -20,7 +20,17 @@ from ..robot.contact import Contact
 from ..tables import AXES, by_component, data_frame
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
-from .records import Energy, EventRecord, ImpactRecord, ModeInterval, Note, SteppedInterval, group_notes
+from .records import (
+    Energy,
+    EventRecord,
+    ImpactRecord,
+    ModeInterval,
+    Note,
+    Sensitivity,
+    SensitivitySource,
+    SteppedInterval,
+    group_notes,
+)
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
@@ -56,6 +66,7 @@ class Trajectory:
         coordinates: Names of the entries of q and of v, after those of the joints; numbers if the trajectory
             is from an older file without them.
         joint_table: (k, 4) the robot's configuration space, see `joint_charts`.
+        sensitivities: What `sensitivity` takes them from; None if `simulate` was not asked for any.
     """
 
     def __init__(
@@ -99,6 +110,7 @@ class Trajectory:
         q_names, v_names = numbered if coordinates is None else coordinates
         self.coordinates = tuple(q_names), tuple(v_names)
         self._forces = forces
+        self.sensitivities: SensitivitySource | None = None
 
     @property
     def has_forces(self) -> bool:
@@ -129,6 +141,25 @@ class Trajectory:
         if side == "right":
             return max(int(np.searchsorted(self._starts, t, side="right")) - 1, 0)
         return min(int(np.searchsorted(self._ends, t, side="left")), len(self._ends) - 1)
+
+    def sensitivity(self, t: float, side: Literal["left", "right"] = "right") -> Sensitivity:
+        """Return how the state at a time follows the initial state and coefficients. (derivatives.md, 9)
+
+        They are those named in `simulate(..., sensitivities=)`, for changes at which the same events take
+        place in the same order. At an event's time, before ("left") or after it ("right"). Not available
+        from a file or pickle.
+
+        Raises:
+            InputError: The errors of `at`, a trajectory without sensitivities, a motion that until then was
+                crossed by time steps or had an impact at several contacts.
+        """
+        _check_side(side)
+        t = self._covered(t)
+        if self.sensitivities is None:
+            what = "sensitivities: name them in simulate(..., sensitivities=)"
+            raise InputError(what, field="sensitivities")
+        number = self._number(t, side)
+        return self.sensitivities.at(number, min(t, float(self._ends[number])))
 
     def work_at(self, t: float, side: Literal["left", "right"] = "right") -> Array:
         """Return the work of control, joints, sliding friction and surfaces up to a time, (4,) [J].

@@ -1,0 +1,390 @@
+"""How a small change of a state passes an event: saltation matrices. (docs/derivatives.md, 9)"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import in_short
+from ..contact_space.derivatives import Boundary
+from ..errors import InputError, UnknownNameError
+from ..robot.contact import Contact
+from ..robot.derivatives import impact_derivatives
+from ..robot.matrices import contact_matrices
+from ._kernels.contact_forces import SLIP, STICK
+from .dense_step import WORKS, DenseStep
+from .dynamics import SceneDynamics
+from .forces import ClosedSet
+from .integrator import Integrator
+from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
+from .records import ImpactRecord
+from .scene import Scene
+
+Array = NDArray[np.float64]
+
+SLOWEST = 1e3
+"""A gap that closes slower than so many errors of a velocity closes at no certain time."""
+
+CONTINUOUS = 1e-5
+"""Part of the acceleration by which it may differ at an event that does not change it."""
+
+_BOUNDS = {"friction": (0.0,), "restitution": (0.0, 1.0)}
+
+
+class Jump(NamedTuple):
+    """The velocity after an impact by what is before it.
+
+    Attributes:
+        by_state: (2nv, 2nv) of the state, in the tangent space.
+        by_friction, by_restitution: (nv,) of the velocity.
+        guard: (nv,) ∂(gap)/∂q.
+        boundary: Flags of `Boundary`.
+    """
+
+    by_state: Array
+    by_friction: Array
+    by_restitution: Array
+    guard: Array
+    boundary: Boundary
+
+
+class Parameter(NamedTuple):
+    """A coefficient by which a motion is differentiated: "friction" or "restitution" of a contact."""
+
+    kind: str
+    contact: int
+
+
+class Saltation:
+    """Takes small changes of the state through the events of a scene.
+
+    Args:
+        scene: The scene.
+        dynamics: Its dynamics, without what the scene switches off.
+        model: Its model, likewise.
+        parameters: The coefficients by which a motion is differentiated.
+        tau: (nv,) a constant generalized force.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        dynamics: SceneDynamics,
+        model: pin.Model,
+        parameters: Sequence[Parameter],
+        tau: Array,
+    ) -> None:
+        friction = [p.contact for p in parameters if p.kind == "friction"]
+        self.slopes = SlopesOfModes(dynamics, model, friction, tau)
+        self.parameters = tuple(parameters)
+        self.boundary = Boundary.NONE
+        self._dynamics, self._model, self._data = dynamics, model, model.createData()
+        self._held = tuple(scene.held) if "held contacts" not in scene.without else ()
+        self._locked = scene.locked if "locked joints" not in scene.without else ()
+        self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
+        labels = [contact.label for contact in dynamics.contacts]
+        self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
+        self._bilateral = dynamics.work.bilateral.astype(bool)
+
+    # ---- events
+
+    def start(self, x: Array, first: DenseStep, impacts: Sequence[ImpactRecord]) -> Array:
+        """Return how changes x (2nv, n) before the first step of a motion are after what happens there."""
+        if impacts:
+            return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
+        if first.closed is None:
+            return x
+        after = self.slopes.at(first, first.start, moving=False)
+        if not (len(after.rows_q) or self._bilateral.any()):
+            return x
+        self.boundary |= Boundary.CLOSED
+        nv, work = len(x) // 2, self._dynamics.work
+        rows = [np.zeros((0, nv)), np.eye(nv)[work.scalar_velocity[work.scalar_lower == 0.0]]]
+        rows += [
+            J if self._bilateral[i] else J[2:]
+            for i, J in zip(work.active_index, work.contact_jacobian, strict=True)
+        ]
+        place = np.vstack(rows)
+        x = x.copy()
+        x[:nv] -= after.inverse @ place.T @ _solve(place @ after.inverse @ place.T, place @ x[:nv])
+        return _onto(after, x)
+
+    def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
+        """Return a step that ends at an impact where a motion starts, nothing closed but what is held."""
+        work = self._dynamics.work
+        step = DenseStep(
+            *(record.time, 1.0, record.q, record.v_before, np.zeros(WORKS)),
+            *(np.zeros((7, 2 * work.nv + WORKS)), work.joint_charts),
+        )
+        step.end = record.time
+        if closed is not None and self._bilateral.any():
+            modes = closed.modes.copy()
+            kept = self._bilateral[np.flatnonzero(modes[: work.contacts])]
+            modes[: work.contacts][~self._bilateral] = 0
+            modes[work.contacts : work.contacts + work.limits] = 0
+            step.closed = closed._replace(
+                modes=modes, constants=closed.constants[kept], joints=closed.joints[kept], slips=False
+            )
+        return step
+
+    def cross(self, x: Array, before: DenseStep, after: DenseStep, impacts: Sequence[ImpactRecord]) -> Array:
+        """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D24)
+
+        Args:
+            x: The changes.
+            before: The step.
+            after: The next one.
+            impacts: Those in between.
+
+        Raises:
+            InputError: An impact at several contacts.
+        """
+        if not impacts and before.closed is after.closed:
+            return x
+        t, work = before.end, self._dynamics.work
+        modes, later = self._modes(before), self._modes(after)
+        minus = self.slopes.at(before, t, moving=False)
+        dry = before.closed.sliding if before.closed is not None else np.zeros(work.nv)
+        sliding = after.closed.sliding if after.closed is not None else np.zeros(work.nv)
+        plus = self.slopes.at(after, after.start, moving=False)
+        count = work.contacts + work.limits
+        closes = (modes[:count] == 0) & (later[:count] != 0)
+        rates = np.append(before.at(t)[1], minus.acceleration), np.append(after.v, plus.acceleration)
+        if impacts:
+            x = self._through_impact(x, impacts, closes, plus, rates)
+        elif closes.any():
+            return self._undefined(x, Boundary.GRAZING)
+        else:
+            ends = any(later[slip.contact] == STICK for slip in minus.slips)
+            ends |= bool((later[count:] > modes[count:]).any())
+            opens = bool(((modes != 0) & (later == 0))[:count].any())
+            turns = [slip for slip in minus.slips if _reversed(slip, plus, later)]
+            joints = np.flatnonzero(dry * sliding < 0.0)
+            reversals = len(turns) + len(joints)
+            if ends and not opens and not reversals:
+                return _onto(plus, x)
+            if reversals == 1 and not ends and not opens:
+                x = _through_reversal(x, minus, turns, joints, rates)
+            apart = np.linalg.norm(rates[0] - rates[1]) > CONTINUOUS * np.linalg.norm(rates[0])
+            if np.isnan(x).all() or ends or (apart and reversals != 1):
+                return self._undefined(x, Boundary.EVENTS_COINCIDE)
+        return self._checked(plus, x)
+
+    def _modes(self, step: DenseStep) -> NDArray[np.int64]:
+        work = self._dynamics.work
+        if step.closed is None:
+            return np.zeros(work.contacts + work.limits + work.nv, dtype=np.int64)
+        return np.asarray(step.closed.modes)
+
+    def _checked(self, plus: ModeSlopes, x: Array) -> Array:
+        """Return changes without what rounding leaves of the velocities that vanish; undefined if more."""
+        nv = len(x) // 2
+        missed = plus.rows_q @ x[:nv] + plus.rows_v @ x[nv:]
+        size = np.abs(plus.rows_q) @ np.abs(x[:nv]) + np.abs(plus.rows_v) @ np.abs(x[nv:])
+        known = np.isfinite(x).all(axis=0)
+        if (np.abs(missed) > 1e-4 * (size + 1.0))[:, known].any():
+            return self._undefined(x, Boundary.EVENTS_COINCIDE)
+        return _onto(plus, x) if len(missed) else x
+
+    def _undefined(self, x: Array, flag: Boundary) -> Array:
+        self.boundary |= flag
+        return np.full_like(x, np.nan)
+
+    # ---- impacts
+
+    def _through_impact(
+        self,
+        x: Array,
+        impacts: Sequence[ImpactRecord],
+        closes: NDArray[np.bool_],
+        plus: ModeSlopes,
+        rates: tuple[Array, Array],
+    ) -> Array:
+        record = impacts[0]
+        if record.group is not None or len(impacts) > 1:
+            raise InputError(
+                f"sensitivities: {', '.join(repr(one.source) for one in impacts)} collide at the same time, "
+                f"t = {record.time:.6g} s; derivatives are available for one contact at a time",
+                field="sensitivities",
+            )
+        number = self._source[record.source]
+        closes = closes.copy()
+        closes[number] = False
+        error = self._error(record.v_before)
+        removed = record.v_after - rates[1][: len(record.v_after)]
+        slow = np.abs(removed).max(initial=0.0) <= 10.0 * error
+        work = self._dynamics.work
+        joints = (work.dry_friction > 0.0) & (np.abs(record.v_after) <= work.stick_speed)
+        if closes.any() or not (slow or np.abs(removed[joints]).max(initial=0.0) > 0.0):
+            return self._undefined(x, Boundary.EVENTS_COINCIDE)
+        jump = self.jump(number, record.q, record.v_before, record.resting)
+        nv = len(record.v_before)
+        closing = float(jump.guard @ rates[0][:nv])
+        if not -closing > SLOWEST * error:
+            return self._undefined(x, Boundary.GRAZING)
+        shift = -(jump.guard @ x[:nv]) / closing
+        found = jump.by_state @ (x + np.outer(rates[0], shift)) - np.outer(rates[1], shift)
+        for column, parameter in enumerate(self.parameters, x.shape[1] - len(self.parameters)):
+            if parameter.contact == number:
+                by = jump.by_friction if parameter.kind == "friction" else jump.by_restitution
+                found[nv:, column] += 0.0 if record.resting and parameter.kind == "restitution" else by
+                if getattr(self._dynamics.contacts[number], parameter.kind) in _BOUNDS[parameter.kind]:
+                    self.boundary |= Boundary.BOUND
+        self.boundary |= jump.boundary & ~Boundary.BOUND
+        if not slow:  # joints that dry friction stops at once, being that slow: M v changes as rows say
+            still = pin.computeMinverse(self._model, self._data, record.q).copy()
+            found[nv:] += still @ self._mass_slopes(record.q, removed) @ found[:nv]
+            found = _onto(plus, found)
+        return np.asarray(found)
+
+    def jump(self, number: int, q: Array, v: Array, resting: bool) -> Jump:
+        """Return the derivatives of the impact of a contact or, past those, of a joint limit.
+
+        Args:
+            number: Which.
+            q: (nq,) configuration.
+            v: (nv,) velocity before it.
+            resting: Whether restitution is left out.
+        """
+        contacts = self._dynamics.contacts
+        nv = len(v)
+        by_state = np.eye(2 * nv)
+        if number >= len(contacts):
+            return self._jump_at_limit(number - len(contacts), q, v, resting, by_state)
+        contact = contacts[number]
+        if resting:
+            contact = replace(contact, restitution=0.0)
+        d = impact_derivatives(self._model, self._data, q, v, contact, self._held, self._locked)
+        by_state[nv:, :nv], by_state[nv:, nv:] = d.dv_dq, d.dv_dv
+        guard = contact_matrices(self._model, self._data, q, contact).jacobian[2]
+        return Jump(by_state, d.dv_dfriction, d.dv_drestitution, guard, d.boundary)
+
+    def _jump_at_limit(self, k: int, q: Array, v: Array, resting: bool, by_state: Array) -> Jump:
+        """v⁺ = v − (1 + e) v_j y/y_j, y = M⁻¹e_j, and ∂y/∂q = −M⁻¹ ∂(M y)/∂q."""
+        limit, nv = self._dynamics.limits[k], len(v)
+        if self._held or self._locked:
+            raise InputError(
+                f"sensitivities: the joint limit {limit.name!r} is hit in a scene with held contacts or "
+                "locked joints; derivatives are not available for that",
+                field="sensitivities",
+                value=limit.name,
+            )
+        e = 0.0 if resting else self._limit_restitution
+        j = limit.index_v
+        zero = np.zeros(nv)
+        inverse = pin.computeMinverse(self._model, self._data, q).copy()
+        y = inverse[:, j]
+        of_y = -inverse @ self._mass_slopes(q, y)
+        factor = -(1.0 + e) / y[j]
+        by_state[nv:, :nv] = factor * v[j] * (of_y - np.outer(y / y[j], of_y[j]))
+        by_state[nv:, nv + j] += factor * y
+        guard = np.zeros(nv)
+        guard[j] = limit.sign
+        return Jump(by_state, zero, zero, guard, Boundary.NONE)
+
+    def _mass_slopes(self, q: Array, x: Array) -> Array:
+        """Return ∂(M x)/∂q."""
+        model, data = self._model, self._data
+        still = pin.computeGeneralizedGravityDerivatives(model, data, q).copy()
+        return np.asarray(pin.computeRNEADerivatives(model, data, q, np.zeros(len(x)), x)[0] - still)
+
+    def _error(self, v: Array) -> float:
+        work = self._dynamics.work
+        return float(work.atol + work.rtol * np.abs(v).max(initial=0.0))
+
+
+def _through_reversal(
+    x: Array, minus: ModeSlopes, turns: Sequence[Slip], joints: NDArray[np.int64], rates: tuple[Array, Array]
+) -> Array:
+    """Return changes after a contact, or a joint with dry friction, has passed rest. (D26)
+
+    What is across the slip has decayed but for what friction takes in the last moment.
+    """
+    nv = len(x) // 2
+    guard = np.zeros(2 * nv)
+    for slip in turns:
+        across = np.array([-slip.direction[1], slip.direction[0]])
+        rows_q = np.vstack([minus.rows_q, across @ slip.by_q])
+        rows_v = np.vstack([minus.rows_v, across @ slip.by_v])
+        response = np.hstack([minus.response, minus.inverse @ (across @ slip.by_v)[:, None]])
+        x = _onto(minus._replace(rows_q=rows_q, rows_v=rows_v, response=response), x)
+        guard = np.concatenate([slip.direction @ slip.by_q, slip.direction @ slip.by_v])
+        if abs(across @ slip.rate) > 1e-4 * abs(slip.direction @ slip.rate):
+            return np.full_like(x, np.nan)
+    guard[nv + joints] = 1.0
+    shift = -(guard @ x) / (guard[nv:] @ minus.acceleration)
+    return np.asarray(x + np.outer(rates[0] - rates[1], shift))
+
+
+def _reversed(slip: Slip, plus: ModeSlopes, later: NDArray[np.int64]) -> bool:
+    """Whether a contact slips on the other way."""
+    return any(
+        one.contact == slip.contact and later[one.contact] == SLIP and one.direction @ slip.direction < 0.0
+        for one in plus.slips
+    )
+
+
+def _onto(slopes: ModeSlopes, x: Array) -> Array:
+    """Return changes (2nv, n) after the impulses of what is closed that let its velocities vanish."""
+    nv = len(x) // 2
+    missed = slopes.rows_q @ x[:nv] + slopes.rows_v @ x[nv:]
+    x = x.copy()
+    x[nv:] -= slopes.response @ _solve(slopes.rows_v @ slopes.response, missed)
+    return x
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solve, in the least norm where rows depend on others; columns with NaN stay so."""
+    known = np.isfinite(right).all(axis=0)
+    found = np.full_like(right, np.nan)
+    found[:, known] = np.linalg.lstsq(matrix, right[:, known], rcond=1e-10)[0]
+    return found
+
+
+def saltation_matrix(
+    scene: Scene, contact: Contact | str, q: ArrayLike, v: ArrayLike, t: float = 0.0
+) -> Array:
+    """Return how a small change of the state before an impact is after it, in the motion of a scene.
+
+    The change includes that of the time of the impact. (docs/derivatives.md, D24)
+
+    Args:
+        scene: The scene; its other contacts and joint limits are open.
+        contact: The contact that collides, or its name.
+        q: (nq,) configuration, at which the gap of the contact is zero.
+        v: (nv,) velocity before the impact.
+        t: Time [s], at which a control is asked.
+
+    Returns:
+        Ξ (2nv, 2nv) of changes (δq, δv), with δq in the tangent space; columns that do not exist are NaN.
+
+    Raises:
+        InputError: As in `simulate` and `impact_derivatives`; nothing collides, or something else.
+        UnknownNameError: A contact that the scene does not have.
+    """
+    name = contact.label if isinstance(contact, Contact) else contact
+    integrator = Integrator(scene, q, v, 1e-8, 1e-10, None, 1)
+    saltation = Saltation(scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv))
+    if name not in [one.label for one in scene.contacts]:
+        raise UnknownNameError(
+            f"contact: the scene has no contact {in_short(contact)}", field="contact", value=contact
+        )
+    integrator.state.t = float(t)
+    integrator.begin()
+    impacts = integrator.state.impacts
+    if [record.source for record in impacts] != [name]:
+        struck = ", ".join(repr(record.source) for record in impacts) or "nothing"
+        raise InputError(
+            f"contact: {struck} collides in this state instead of {name!r} alone", field="contact", value=name
+        )
+    work = integrator.work
+    after = saltation.before(impacts[0], None)
+    after.v, after.closed = integrator.state.v, ClosedSet.of(work, np.zeros(0, dtype=np.int64))
+    after.directions = np.array([work.start_directions, work.start_directions])
+    before = saltation.before(impacts[0], after.closed)
+    return saltation.cross(np.eye(2 * len(after.v)), before, after, impacts)

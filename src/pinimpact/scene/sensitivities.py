@@ -1,0 +1,290 @@
+"""Derivatives of a motion by its initial state and by coefficients of contacts. (docs/derivatives.md, 9)"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.polynomial import Legendre
+from numpy.typing import NDArray
+
+from ..checks import in_short
+from ..contact_space.derivatives import Boundary
+from ..errors import InputError, UnknownNameError
+from .controls import JointPD
+from .dense_step import DenseStep
+from .dynamics import SceneDynamics
+from .events import as_events
+from .forces import StepForces
+from .mode_slopes import ModeSlopes
+from .records import ImpactRecord, Sensitivity, SteppedInterval
+from .saltation import Parameter, Saltation
+from .scene import Scene
+
+Array = NDArray[np.float64]
+
+STAGES = 4
+"""Stages of the method of Radau (IIA), of order 7 for what constraints tie as well."""
+
+STEEP = 0.4
+"""Where the speed of slip falls below this part of what it is elsewhere in an interval, it is halved."""
+
+SHORTEST = 1e-7
+"""Part of a step next to where slip begins or ends in which nothing changes but by the event itself."""
+
+
+def _radau(stages: int) -> tuple[Array, Array]:
+    """Return nodes in [0, 1] and the matrix of the collocation method of Radau (IIA)."""
+    nodes = np.real((Legendre.basis(stages - 1) - Legendre.basis(stages)).roots()) / 2.0 + 0.5
+    powers = np.arange(1, stages + 1)
+    integrals = nodes[:, None] ** powers / powers
+    return nodes, integrals @ np.linalg.inv(nodes[:, None] ** (powers - 1))
+
+
+NODES, WEIGHTS = _radau(STAGES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearization:
+    """The derivatives of a step, see `Stepper.linearize`; unpacks as A, B.
+
+    Attributes:
+        A: (2nv, 2nv) of (q, v) at the end by that at the start.
+        B: (2nv, nv) by the generalized force.
+        boundary: Flags of `Boundary`; what has no derivative is NaN.
+    """
+
+    A: Array
+    B: Array
+    boundary: Boundary
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter((self.A, self.B))
+
+
+def check_supported(scene: Scene, scheme: str) -> None:
+    """Refuse schemes and scenes whose motions have no known derivatives.
+
+    Raises:
+        InputError: A control or a callback of the user's own, of which no derivative is known, or a contact
+            of collision shapes.
+    """
+    what: str = ""
+    value: Any = None
+    if scheme == "time-stepping":
+        what, value = "time steps", scheme
+    if scene.control is not None and (scene.period is not None or not isinstance(scene.control, JointPD)):
+        what, value = (
+            "the control, whose derivative is not known; give a JointPD without period",
+            scene.control,
+        )
+    for event in as_events(scene.events):
+        if event.callback is not None:
+            what, value = f"the callback of {event.label!r}, whose derivative is not known", event
+    for contact in (*scene.contacts, *scene.held):
+        if contact.pair is not None:
+            what, value = f"{contact.label!r}, a contact of collision shapes", contact
+    if what:
+        raise InputError(f"sensitivities: not available with {what}", field="sensitivities", value=value)
+
+
+def parse(scene: Scene, names: Any, scheme: str) -> tuple[str, ...]:
+    """Return the names of sensitivities, checked: "state", "friction:…", "restitution:…" with contacts."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    check_supported(scene, scheme)
+    for name in names:
+        kind, _, label = str(name).partition(":")
+        if name != "state" and kind not in ("friction", "restitution"):
+            raise InputError(
+                f'sensitivities: {in_short(name)} given; "state", "friction:CONTACT" or '
+                '"restitution:CONTACT" expected',
+                field="sensitivities",
+                value=name,
+            )
+        found = next((one for one in scene.contacts if one.label == label), None)
+        if name != "state" and found is None:
+            raise UnknownNameError(
+                f"sensitivities: {name!r} given, but the scene has no contact {label!r}",
+                field="sensitivities",
+                value=name,
+            )
+        if found is not None and kind == "restitution" and callable(found.restitution):
+            raise InputError(
+                f"sensitivities: {name!r} given, but its restitution is a function",
+                field="sensitivities",
+                value=name,
+            )
+    return names
+
+
+class MotionSlopes:
+    """Takes small changes along a motion of a scene.
+
+    Args:
+        scene: The scene.
+        dynamics: Its dynamics, of which states and modes are set here.
+        model: Its model, without what it switches off.
+        parameters: Names of coefficients, see `parse`.
+        tau: (nv,) a constant generalized force, by which the motion is differentiated too, or None.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        dynamics: SceneDynamics,
+        model: pin.Model,
+        parameters: Sequence[str],
+        tau: Array | None,
+    ) -> None:
+        labels = [contact.label for contact in dynamics.contacts]
+        split = [name.partition(":") for name in parameters]
+        found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
+        nv = model.nv
+        self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
+        self._nv = nv
+        self._given = 0 if tau is None else nv
+        self._coefficients = [
+            k for k, p in enumerate(found) if p.kind == "friction" and dynamics_friction(dynamics, p.contact)
+        ]
+        self._friction = [k for k, p in enumerate(found) if p.kind == "friction"]
+        self._count = len(found)
+
+    def initial(self) -> Array:
+        """Return the changes at the start, (2nv, 2nv + the force's + parameters)."""
+        return np.eye(2 * self._nv, 2 * self._nv + self._given + self._count)
+
+    def along(self, x: Array, step: DenseStep, until: float) -> Array:
+        """Return how changes at the start of a step are at a time within it."""
+        for start, end in self._intervals(step, until):
+            h = end - start
+            nodes = [self.saltation.slopes.at(step, start + c * h) for c in NODES]
+            x = self._collocate(nodes, h, x)
+        return x
+
+    def _intervals(self, step: DenseStep, until: float) -> list[tuple[float, float]]:
+        """Return parts of a step in each of which no slip slows down, or speeds up, by much."""
+        if until <= step.start:
+            return []
+        closed = step.closed
+        if closed is None or not closed.slips:
+            return [(step.start, until)]
+        shortest = SHORTEST * (step.end - step.start)
+        found: list[tuple[float, float]] = []
+
+        def speeds(t: float) -> Array:
+            slips = self.saltation.slopes.at(step, t, moving=False).slips
+            return np.array([slip.speed for slip in slips])
+
+        def split(start: float, at_start: Array, end: float, at_end: Array) -> None:
+            low, high = np.minimum(at_start, at_end), np.maximum(at_start, at_end)
+            if (low >= STEEP * high).all():
+                found.append((start, end))
+            elif end - start > shortest:
+                middle = 0.5 * (start + end)
+                between = speeds(middle)
+                split(start, at_start, middle, between)
+                split(middle, between, end, at_end)
+
+        split(step.start, speeds(step.start), until, speeds(until))
+        return found
+
+    def _collocate(self, nodes: Sequence[ModeSlopes], h: float, x: Array) -> Array:
+        """Return changes after a time h, by the values of the slopes at the nodes. (D23)"""
+        nv, m = self._nv, nodes[0].rows_q.shape[0]
+        n, size = 2 * nv, 2 * nv + m
+        system = np.zeros((STAGES, size, STAGES, size))
+        right = np.zeros((STAGES, size, x.shape[1]))
+        for i, node in enumerate(nodes):
+            rates = np.zeros((size, n))
+            rates[:nv, :nv], rates[:nv, nv:] = -node.turning, np.eye(nv)
+            rates[nv:n, :nv], rates[nv:n, nv:] = node.by_q, node.by_v
+            rates[n:, :nv], rates[n:, nv:] = node.rows_q / h, node.rows_v / h
+            system[i, :, :, :n] = -h * rates[:, None, :] * WEIGHTS[i][None, :, None]
+            system[i, range(n), i, range(n)] += 1.0
+            system[i, nv:n, i, n:] -= node.response
+            right[i] = rates @ x
+            right[i, nv:n, n : n + self._given] += node.inverse[:, : self._given]
+            for column, k in enumerate(self._friction):
+                if k in self._coefficients:
+                    right[i, nv:n, n + self._given + k] += node.by_friction[:, column]
+        flat, right = system.reshape(STAGES * size, -1), right.reshape(STAGES * size, -1)
+        if all(node.unique for node in nodes):
+            rates = np.linalg.solve(flat, right)
+        else:
+            rates = _least_norm(flat, right)
+        return np.asarray(x + h * np.tensordot(WEIGHTS[-1], rates.reshape(STAGES, size, -1)[:, :n], 1))
+
+
+def dynamics_friction(dynamics: SceneDynamics, contact: int) -> bool:
+    """Whether the friction of a contact is that of its sustained contact too."""
+    return dynamics.contacts[contact].sliding_friction is None
+
+
+def _least_norm(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-11)[0])
+
+
+class Sensitivities:
+    """Derivatives along a motion that has been simulated, made when they are asked for.
+
+    Args:
+        slopes: Takes changes along the motion.
+        names: What to differentiate by.
+        steps: The steps of the motion.
+        impacts: Its impacts.
+        stepped: The intervals that time steps have crossed.
+    """
+
+    def __init__(
+        self,
+        slopes: MotionSlopes,
+        names: Sequence[str],
+        steps: Sequence[DenseStep],
+        impacts: Sequence[ImpactRecord],
+        stepped: Sequence[SteppedInterval],
+    ) -> None:
+        self._slopes, self._names, self._steps = slopes, names, steps
+        self._impacts, self._stepped = impacts, stepped
+        self._starts: list[tuple[Array, Boundary]] = []
+
+    def changes(self, number: int, t: float) -> tuple[Array, Boundary]:
+        """Return the changes at a time in the step of a number, and flags."""
+        saltation = self._slopes.saltation
+        x, boundary = self._at_start(number)
+        saltation.boundary = boundary
+        return self._slopes.along(x, self._steps[number], t), saltation.boundary
+
+    def _at_start(self, number: int) -> tuple[Array, Boundary]:
+        saltation, steps = self._slopes.saltation, self._steps
+        while len(self._starts) <= number:
+            k = len(self._starts)
+            now = steps[k].start
+            by_time = isinstance(steps[k].closed, StepForces)
+            if by_time or any(one.start <= now < one.end for one in self._stepped):
+                raise InputError(
+                    f"sensitivities: the motion was crossed by time steps at t = {now:.6g} s; derivatives "
+                    "are available for events only",
+                    field="sensitivities",
+                )
+            struck = [record for record in self._impacts if record.time == now]
+            if k == 0:
+                saltation.boundary = Boundary.NONE
+                x = saltation.start(self._slopes.initial(), steps[0], struck)
+            else:
+                before = steps[k - 1]
+                x, saltation.boundary = self._starts[-1]
+                x = self._slopes.along(x, before, before.end)
+                x = saltation.cross(x, before, steps[k], struck)
+            self._starts.append((x, saltation.boundary))
+        return self._starts[number]
+
+    def at(self, number: int, t: float) -> Sensitivity:
+        """Return the sensitivity at a time in the step of a number."""
+        x, boundary = self.changes(number, t)
+        n = len(x)
+        given = [name for name in self._names if name != "state"]
+        by_each = {name: x[:, n + k].copy() for k, name in enumerate(given)}
+        return Sensitivity(x[:, :n].copy() if "state" in self._names else None, by_each, boundary)

@@ -1,0 +1,355 @@
+"""Derivatives of motions against closed forms and against differences of fourth order of `simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Boundary, Contact, Event, JointPD, Plane, Scene, Sphere, Stepper, simulate
+
+from .robot_cases import FRAMES, load
+
+EXACT = {"rtol": 1e-12, "atol": 1e-14, "scheme": "event-driven"}
+FREE = {"without": ("joint limits",)}
+
+
+def point(*names):
+    """Return balls of 1 kg that move without turning, with frames at their centres."""
+    model = pin.Model()
+    for name in names:
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"{name} centre", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    return model
+
+
+def changed(scene, names, change):
+    """Return a scene with other coefficients."""
+    contacts = []
+    for contact in scene.contacts:
+        new = {}
+        for name, by in zip(names, change, strict=True):
+            kind, _, label = name.partition(":")
+            if label == contact.label:
+                new[kind] = getattr(contact, kind) + by
+        contacts.append(replace(contact, **new))
+    return replace(scene, contacts=contacts)
+
+
+def slope(scene, q0, v0, duration, towards, names=(), step=2e-5):
+    """Return how the final state changes in a direction, by differences."""
+    model = scene.model
+    nv = model.nv
+
+    def final(s):
+        e = s * step * towards
+        run = simulate(
+            *(changed(scene, names, e[2 * nv :]), pin.integrate(model, q0, e[:nv]), v0 + e[nv : 2 * nv]),
+            *(duration,),
+            **EXACT,
+        )
+        return run, run.q[-1], run.v[-1]
+
+    runs = [final(s) for s in (-2, -1, 0, 1, 2)]
+    orders = [[record.source for record in run[0].impacts] for run in runs]
+    assert all(order == orders[2] for order in orders), "a kink"
+    _, q, v = runs[2]
+    a, b, _, c, d = (np.concatenate([pin.difference(model, q, x), y - v]) for _, x, y in runs)
+    return (a - 8 * b + 8 * c - d) / (12 * step)
+
+
+def agrees(scene, q0, v0, duration, seed, names=(), rtol=1e-10, tolerance=1e-6):
+    """Compare the sensitivity at the end in a random direction; return the trajectory."""
+    n = 2 * scene.model.nv
+    towards = np.random.default_rng(seed).normal(size=n + len(names))
+    run = simulate(
+        *(scene, q0, v0, duration),
+        rtol=rtol,
+        atol=1e-14,
+        scheme="event-driven",
+        sensitivities=("state", *names),
+    )
+    found = run.sensitivity(duration)
+    moved = found.state @ towards[:n]
+    moved += sum(by * e for by, e in zip(found.parameters.values(), towards[n:], strict=True))
+    expected = slope(scene, q0, v0, duration, towards, names)
+    assert np.linalg.norm(moved - expected) <= tolerance * np.linalg.norm(expected)
+    return run
+
+
+def panda(seed, above=0.05):
+    """Return a Panda with damping and rotors, a state that swings, and a plane that far below its hand."""
+    model, data = load("panda")
+    rng = np.random.default_rng(seed)
+    model.damping, model.armature = rng.uniform(0, 2, 9), rng.uniform(0, 0.3, 9)
+    q, v = np.array(pinimpact.load_robot("panda").q0), 0.5 * rng.normal(size=9)
+    v[7:], v[3] = 0.0, -1.0
+    pin.framesForwardKinematics(model, data, q)
+    x, y, z = data.oMf[model.getFrameId(FRAMES["panda"])].translation
+    normal = np.array([*0.02 * rng.normal(size=2), 1.0])
+    plane = Plane(normal=normal, point=np.array([x, y, z - 0.02]) - above * normal / np.linalg.norm(normal))
+    return model, q, v, Contact(FRAMES["panda"], plane, 0.4, 0.5, radius=0.02, name="hand")
+
+
+def modes(run):
+    """Return the modes that a run has been in."""
+    return {(interval.source, interval.mode) for interval in run.modes}
+
+
+# ---- closed forms
+
+
+def test_a_bouncing_ball():
+    # [[−e, 0], [−(1 + e) g/v⁻, −e]] of height and rate
+    scene = Scene(point("ball"), [Contact("ball centre", Plane(), 0.0, 0.4, name="ball")])
+    found = pinimpact.saltation_matrix(scene, "ball", np.zeros(3), [0.3, 0.0, -2.0])
+    assert np.allclose(found[np.ix_([2, 5], [2, 5])], [[-0.4, 0.0], [1.4 * 9.81 / 2.0, -0.4]], rtol=1e-13)
+    assert np.allclose(found[np.ix_([0, 3], [0, 3])], np.eye(2), atol=1e-15)
+
+
+def test_two_balls_swap_their_motions():
+    # at e = 1 and without gravity x₂ = x₁ + v₁ t afterwards
+    gravity = {"without": ("gravity",)}
+    contact = Contact("a centre", Sphere(radius=0.1, body="b centre"), 0.0, 1.0, radius=0.1)
+    scene = Scene(point("a", "b"), [contact], **gravity)
+    run = simulate(scene, [-0.5, 0, 0, 0.3, 0, 0], [1.0, 0, 0, -0.5, 0, 0], 1.0, sensitivities="state")
+    found = run.sensitivity(1.0)
+    assert np.allclose(found.state[3, [0, 3, 6, 9]], [1.0, 0.0, 1.0, 0.0], atol=1e-12)
+    assert np.allclose(found.state[0, [0, 3, 6, 9]], [0.0, 1.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_a_block_slides_to_a_stop():
+    # it stops v²/(2μg) further on, so that ∂x/∂v = v/(μg) and ∂x/∂μ = −v²/(2μ²g)
+    scene = Scene(point("block"), [Contact("block centre", Plane(), 0.2, name="block")])
+    v = np.array([1.5, 0.0, 0.0])
+    run = simulate(scene, np.zeros(3), v, 1.0, sensitivities=["state", "friction:block"])
+    found = run.sensitivity(1.0)
+    assert found.boundary == Boundary.CLOSED
+    # straight on its way whatever its direction: v|v|/(2μg)
+    expected = np.diag([1.0, 0.5]) * 1.5 / (0.2 * 9.81)
+    assert np.allclose(found.state[:2, 3:5], expected, atol=1e-9)
+    assert np.allclose(found.parameters["friction:block"][:3], [-(1.5**2) / (0.08 * 9.81), 0, 0], rtol=1e-6)
+    assert np.allclose(found.state[3:], 0.0, atol=1e-12)
+    assert np.allclose(found.state[:3, :3], np.diag([1.0, 1.0, 0.0]), atol=1e-12)
+
+
+def test_a_block_slides_up_and_back():
+    # up a slope too steep to stick on
+    slope, mu, speed = 0.5, 0.2, 1.0
+    normal = (-np.sin(slope), 0.0, np.cos(slope))
+    scene = Scene(point("block"), [Contact("block centre", Plane(normal=normal), mu, name="block")])
+    up = np.array([np.cos(slope), 0.0, np.sin(slope)])
+    run = simulate(scene, np.zeros(3), speed * up, 0.6, sensitivities="state")
+    found = run.sensitivity(0.6).state
+    rise, fall = 9.81 * np.sin(slope) * np.array([1 + mu / np.tan(slope), 1 - mu / np.tan(slope)])
+    # v(t) = −fall (t − v₀/rise)
+    assert np.isclose(up @ found[3:, 3:] @ up, fall / rise, rtol=1e-9)
+    top = speed / rise
+    assert np.isclose(up @ found[:3, 3:] @ up, top + fall / rise * (0.6 - top), rtol=1e-7)
+
+
+# ---- robots
+
+
+@pytest.mark.parametrize("law", pinimpact.LAWS)
+def test_a_panda_bounces(law):
+    model, q, v, contact = panda(0)
+    scene = Scene(model, [replace(contact, law=law)], **FREE)
+    run = agrees(scene, q, v, 0.15, 0, ("friction:hand", "restitution:hand"))
+    assert run.impacts
+
+
+@pytest.mark.parametrize(("seed", "friction"), [(1, 0.2), (3, 0.2), (0, 1.5)])
+def test_a_panda_lands_slips_and_sticks(seed, friction):
+    model, q, v, contact = panda(seed)
+    scene = Scene(model, [replace(contact, restitution=0.0, friction=friction)], **FREE)
+    run = agrees(scene, q, v, 0.15, seed, ("friction:hand",))
+    assert ("hand", "stick") in modes(run)
+
+
+def test_saltation_at_an_impact_that_stays_closed():
+    # flight, impact, contact: Ξ between differences of the motion before and after
+    model, q, v, contact = panda(0)
+    scene = Scene(model, [replace(contact, restitution=0.0, friction=1.5)], **FREE)
+    run = simulate(scene, q, v, 0.15, **EXACT, sensitivities=["state"])
+    record = run.impacts[0]
+    found = pinimpact.saltation_matrix(scene, "hand", record.q, record.v_before)
+    before = run.sensitivity(record.time, "left").state
+    assert np.allclose(found @ before, run.sensitivity(record.time).state, atol=1e-8)
+
+
+def test_drives_that_saturate_and_a_belt():
+    model, q, v, contact = panda(2)
+    belt = replace(contact.plane, velocity=tuple(np.cross(contact.plane.normal, (0.0, 0.5, 0.0))))
+    hand = replace(contact, plane=belt, restitution=0.0)
+    scene = Scene(model, [hand], control=JointPD(100.0, 10.0, q + 0.3, limits=30.0), **FREE)
+    run = agrees(scene, q, v, 0.2, 3)
+    assert any(mode == "saturated" for _, mode in modes(run))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_joints_with_dry_friction(seed):
+    model, q, v, contact = panda(seed)
+    model.friction = np.random.default_rng(seed).uniform(0, 8, 9)
+    run = agrees(Scene(model, [replace(contact, friction=0.2)], **FREE), q, v, 0.3, seed, ("friction:hand",))
+    assert any(mode == "stuck" for _, mode in modes(run))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+def test_joint_limits(restitution):
+    model, q, v, _ = panda(4)
+    scene = Scene(model, limit_restitution=restitution)
+    v[:] = 0.0
+    v[1], v[3], v[5], v[6] = 2.0, 1.0, 1.5, -0.5
+    q[7:] = 0.02
+    run = agrees(scene, q, v, 0.7, 4)
+    assert run.impacts
+
+
+@pytest.mark.parametrize(("seed", "friction", "restitution"), [(0, 0.3, 0.5), (1, 0.2, 0.0), (2, 0.8, 0.3)])
+def test_a_quadruped_on_one_foot(seed, friction, restitution):
+    # a free-flyer, with a foot that is a ball
+    model, _ = load("solo12")
+    rng = np.random.default_rng(seed)
+    q = np.array(pinimpact.load_robot("solo12").q0)
+    q[2] += 0.05
+    q = pin.integrate(model, q, np.array([0, 0, 0, 0.3, 0.2, 0.1, *np.zeros(12)]))
+    v = np.array([0.5, 0.3, 0.0, *0.3 * rng.normal(size=15)])
+    foot = Contact(FRAMES["solo12"], Plane(), friction, restitution, radius=0.016, name="foot")
+    run = agrees(Scene(model, [foot], **FREE), q, v, 0.3, seed, ("friction:foot",))
+    assert run.impacts
+
+
+def test_a_ball_joint_and_a_planar_joint():
+    # tangent spaces in which velocities do not commute
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(base, pin.Inertia.Random(), pin.SE3.Identity())
+    arm = model.addJoint(
+        base, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0, 0, 0.5])), "shoulder"
+    )
+    link = pin.Inertia(1.0, np.array([0.2, 0.1, 0.3]), np.diag([0.1, 0.2, 0.15]))
+    model.appendBodyToJoint(arm, link, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.4]))
+    model.addFrame(pin.Frame("tip", arm, tip, pin.FrameType.OP_FRAME))
+    q = pin.integrate(model, pin.neutral(model), np.array([0.1, 0.2, 0.3, 1.6, 0.5, 0.2]))
+    v = np.array([0.5, -0.3, 0.8, 1.0, 2.0, -0.5])
+    run = agrees(Scene(model, [Contact("tip", Plane(point=(0, 0, 0.3)), 0.3, 0.0)]), q, v, 0.8, 0)
+    assert run.impacts
+
+
+# ---- steps
+
+
+def test_linearize_a_step():
+    model, q, v, contact = panda(1)
+    scene = Scene(model, [replace(contact, restitution=0.0, friction=0.2)], **FREE)
+    stepper = Stepper(scene, q, v, rtol=1e-12, atol=1e-14)
+    tau = np.random.default_rng(0).normal(size=9)
+    stepper.step(tau, 0.02)
+    q, v = stepper.q, stepper.v
+    A, B = found = stepper.linearize(tau, 0.07)
+    assert found.boundary == Boundary.NONE
+    assert np.array_equal(stepper.q, q)
+    rng = np.random.default_rng(1)
+    dx, du = rng.normal(size=18), rng.normal(size=9)
+
+    def after(h):
+        other = Stepper(scene, pin.integrate(model, q, h * dx[:9]), v + h * dx[9:], rtol=1e-12, atol=1e-14)
+        return np.concatenate(other.step(tau + h * du, 0.07))
+
+    a, b, c, d = (after(k * 2e-5) for k in (-2, -1, 1, 2))
+    expected = (a - 8 * b + 8 * c - d) / 24e-5
+    assert np.linalg.norm(A @ dx + B @ du - expected) < 1e-6 * np.linalg.norm(expected)
+    modes = stepper.copy()
+    modes.step(tau, 0.07)
+    assert modes.trajectory.impacts
+
+
+def test_linearize_where_a_contact_is_closed():
+    # changes that lift a block are those after which it has fallen back
+    scene = Scene(point("block"), [Contact("block centre", Plane(), 0.5)])
+    A, B = found = Stepper(scene, np.zeros(3), np.zeros(3)).linearize([1.0, 0.0, 0.0], 0.1)
+    assert found.boundary == Boundary.CLOSED
+    assert np.allclose(A, np.diag([1.0, 1.0, 0, 0, 0, 0]), atol=1e-12)
+    assert np.allclose(B, 0.0, atol=1e-15)
+    A, B = Stepper(scene, np.zeros(3), [1.0, 0.0, 0.0]).linearize(np.zeros(3), 0.1)
+    expected = np.diag([1.0, 1.0 - 0.5 * 9.81 * 0.1, 0.0])
+    expected[0, 2] = 0.5  # twice that is saved in flight, and once lost as it lands
+    assert np.allclose(A[3:, 3:], expected, atol=1e-9)
+    bouncy = replace(scene, resting_speed=1e-7)
+    lifted = simulate(bouncy, np.zeros(3), [1.0, 0.0, 1e-4], 0.1, **EXACT)
+    assert np.isclose((lifted.v[-1, 0] - (1.0 - 0.5 * 9.81 * 0.1)) / 1e-4, 0.5, atol=1e-9)
+    # B by a load along n: friction changes
+    assert np.allclose(B[3, [0, 2]], [0.1, 0.05], atol=1e-12)
+
+
+# ---- boundaries and refusals
+
+
+def test_grazing_is_no_number():
+    ball = Contact("ball centre", Plane(), 0.0, 0.5, name="ball")
+    scene = Scene(point("ball"), [ball], resting_speed=1e-12)
+    found = pinimpact.saltation_matrix(scene, "ball", np.zeros(3), [0.0, 0.0, -1e-9])
+    assert np.isnan(found).all()
+
+
+def test_what_has_no_derivative_is_refused():
+    model, q, v, contact = panda(0)
+    scene = Scene(model, [contact], **FREE)
+
+    def refuses(words, scene=scene, names=("state",), kind=pinimpact.InputError, duration=0.1, **options):
+        with pytest.raises(kind, match=words):
+            simulate(scene, q, v, duration, sensitivities=names, **options).sensitivity(duration)
+
+    refuses("control", replace(scene, control=lambda t, q, v: np.zeros(9)))
+    refuses("control", replace(scene, control=JointPD(1.0, 1.0, q), period=0.01))
+    kick = Event(lambda t, q, v: t - 0.05, lambda t, q, v: v, name="kick")
+    refuses("callback of 'kick'", replace(scene, events=[kick]))
+    refuses("has a rim", replace(scene, contacts=[replace(contact, rim=0.01, radius=0.0)]))
+    refuses("time steps", scheme="time-stepping")
+    refuses("expected", names=["mass"])
+    refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
+    varying = replace(contact, restitution=lambda speed: 0.5)
+    refuses("function", replace(scene, contacts=[varying]), ["restitution:hand"])
+    with pytest.raises(pinimpact.InputError, match="sensitivities="):
+        simulate(scene, q, v, 0.01).sensitivity(0.0)
+    with pytest.raises(pinimpact.UnknownNameError, match="foot"):
+        pinimpact.saltation_matrix(scene, "foot", q, v)
+    with pytest.raises(pinimpact.InputError, match="nothing collides"):
+        pinimpact.saltation_matrix(scene, "hand", q, v)
+
+
+def test_impacts_at_several_contacts_are_refused():
+    contacts = [Contact(f"{name} centre", Plane(), 0.3, 0.5) for name in "ab"]
+    model = point("a", "b")
+    rod = pin.Model()
+    joint = rod.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
+    rod.appendBodyToJoint(joint, pin.Inertia.FromCylinder(1.0, 0.05, 1.0), pin.SE3.Identity())
+    for name, x in (("a", -0.5), ("b", 0.5)):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        rod.addFrame(pin.Frame(f"{name} centre", joint, place, pin.FrameType.OP_FRAME))
+    q, v = np.array([0, 0, 0.1, 0, 0, 0, 1.0]), np.zeros(6)
+    run = simulate(Scene(rod, contacts), q, v, 0.3, sensitivities="state")
+    assert run.sensitivity(0.05).state.shape == (12, 12)
+    with pytest.raises(pinimpact.InputError, match="one contact at a time"):
+        run.sensitivity(0.3)
+    # balls that do not feel each other collide at the same time all the same
+    run = simulate(Scene(model, contacts), np.array([0, 0, 0.1, 1, 0, 0.1]), v, 0.2, sensitivities="state")
+    with pytest.raises(pinimpact.InputError, match="one contact at a time"):
+        run.sensitivity(0.2)
+
+
+def test_events_without_callback_change_nothing():
+    model, q, v, contact = panda(0)
+    plain = simulate(Scene(model, [contact], **FREE), q, v, 0.1, sensitivities="state")
+    halfway = plain.at(0.03)[0][3]
+    event = Event(lambda t, q, v: q[3] - halfway, name="halfway")
+    scene = Scene(model, [contact], events=[event], **FREE)
+    run = simulate(scene, q, v, 0.1, sensitivities="state")
+    assert run.events
+    assert np.allclose(run.sensitivity(0.1).state, plain.sensitivity(0.1).state, atol=1e-7)
