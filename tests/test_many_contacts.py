@@ -111,13 +111,31 @@ def test_ten_balls_as_another_program_has_them():
     assert abs(ours[8] - theirs[8]) > 4e-4  # it is not ours that is off: see the test before
 
 
-def test_limits_of_stiffness_ratios():
-    soft, hard = (
-        collide(*row_of_balls(3), np.array([1.0, 0, 0]), restitution=1.0, stiffness=(1.0, ratio))[1]
-        for ratio in (1e-8, 1e4)
-    )
-    assert soft == pytest.approx((0, 0, 1), abs=1e-3)  # one after the other
-    assert hard == pytest.approx((-1 / 3, 2 / 3, 2 / 3), abs=0.02)  # the last two are one
+@pytest.mark.parametrize("ratio", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("e", [1.0, 0.5])
+def test_contacts_each_much_stiffer_or_softer_than_the_one_before(e, ratio):
+    # balls behind much stiffer contacts move as one; softer ones let impacts of two follow each other
+    start, power = np.eye(4)[0], np.arange(3.0)
+    rows, inverse = row_of_balls(4)
+    spinning = np.zeros((9, 12))  # with y and rotations; the first ball is oblique, and slips
+    for j in range(3):
+        spinning[3 * j + 2] = np.kron(np.eye(4)[j + 1] - np.eye(4)[j], [1, 0, 0])
+        spinning[3 * j] = np.kron(np.eye(4)[j + 1] - np.eye(4)[j], [0, 1, 0])
+        spinning[3 * j] -= np.kron(np.eye(4)[j + 1] + np.eye(4)[j], [0, 0, 1])
+    oblique = np.array([1.0, 0.2, 0.3, *np.zeros(9)])
+    options = {"restitution": e, "stiffness": ratio**power}
+    smooth, after = collide(rows, inverse, start, **options)
+    rough, spun = collide(spinning, np.diag([1, 1, 2.5] * 4), oblique, friction=0.3, **options)
+    as_one = np.full(4, (1.0 + e) / 4.0) - np.array([e, 0.0, 0.0, 0.0])
+    for solution, velocity in ((smooth, after), (rough, spun[::3])):
+        assert not solution.flags & pinimpact.Flag.BOUND_REACHED
+        assert velocity == pytest.approx(as_one, abs=1.0 / ratio + 1e-7)  # what is stored in vibrations
+    in_turn = start.copy()
+    while (np.diff(in_turn) < -1e-14).any():
+        j = int(np.argmin(np.diff(in_turn)))
+        in_turn[j : j + 2] = np.array([[1 - e, 1 + e], [1 + e, 1 - e]]) @ in_turn[j : j + 2] / 2
+    _, after = collide(rows, inverse, start, restitution=e, stiffness=ratio**-power)
+    assert after == pytest.approx(in_turn, abs=1.0 / ratio + 1e-7)
 
 
 @pytest.mark.parametrize(("e", "after"), [(1.0, (-0.2, 0.6, 0.3464102)), (0.5, (0.1, 0.45, 0.2598076))])

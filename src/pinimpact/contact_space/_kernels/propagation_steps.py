@@ -12,7 +12,8 @@ import numpy as np
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
 from ..._compile.jit import inlined, jit
 from .first_fall import NEVER
-from .tolerances import BALANCED, FIRST_STEP, NEGLIGIBLE, ROUNDED, SHORTEST, SLOW
+from .propagation_stages import Springs, find_stage, force_at
+from .tolerances import FIRST_STEP, NEGLIGIBLE, SHORTEST, SLOW
 
 # C. A. Kennedy and M. H. Carpenter, Appl. Numer. Math. 44 (2003) 139–181, ARK4(3)6L[2]SA
 IMPLICIT = np.array(
@@ -70,11 +71,8 @@ LOCKED, CHANGES, AT_BOUND = 1.0, 0.1, 100.0
 """The clock after which what creeps is locked, and by how much of ε it may change in a step. Contacts at
 their bounds follow the creep of others: so many times ε at most."""
 
-FITS = 1e-3
-"""What Newton's method may miss velocities by, in parts of the creep: little beside what a step misses."""
-
-TURNS, SEARCHES, SLOPE = 60, 60, 0.1
-"""Of Newton's method and of its line search at most; part of the slope that the search may leave."""
+STIFF = 1.0
+"""The unit of a contact's own clock: by explicit steps beyond it its oscillations would grow."""
 
 
 @declared(
@@ -88,7 +86,8 @@ def step_through(
     """Resolve an impact at n contacts by steps of fourth order. (14.9)
 
     The velocities are `start` + J y, dy/ds = Jᵀ p. Penetrations x, dx/ds = −v₃, go by the explicit method, so
-    normal forces are known at each stage, and y by the implicit one, whose stages are minima:
+    normal forces are known at each stage, and y by the implicit one, whose stages are minima (with the energy
+    of springs added where contacts are too stiff for explicit steps):
 
         ½|y − c|² + h a Σ μ_j F_j H(|v_jt|),                                                       (14.10)
 
@@ -121,8 +120,10 @@ def step_through(
     for i in range(3 * n):
         impulse[i] = 0.0
     x, largest, peak = np.zeros(n), np.zeros(n), np.zeros(n)
+    springs = Springs(largest, peak, restitution, stiffness, exponent)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
     target, at, bound, now = np.empty(r), np.empty(r), np.empty(n), np.empty(n)
+    stiff = np.zeros(n, dtype=np.bool_)
     held_impulse, held_works = np.empty(3 * n), np.empty((n, 3))
     h, clock, held = FIRST_STEP, 0.0, 0.0
     for i in range(3 * n):
@@ -133,7 +134,7 @@ def step_through(
             for i in range(3 * n):
                 path[step - 1, 1 + i] = impulse[i]
         for j in range(n):
-            normal = _force(x[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
+            normal = force_at(springs, j, x[j])
             for a in range(3 * j, 3 * j + 2):
                 if force[0, 3 * j + 2] > 0.0:  # in the same part of its bound
                     force[0, a] *= normal / force[0, 3 * j + 2]
@@ -156,35 +157,42 @@ def step_through(
         while True:
             for k in range(r):
                 at[k] = 0.0
+            for j in range(n):  # contacts whose own time is shorter than the step
+                e = restitution[j] if x[j] < largest[j] or v[0, 3 * j + 2] > 0.0 else 1.0
+                stiff[j] = h * pace[j] > STIFF * e
+            found = True
             for i in range(1, STAGES):
+                part = h * IMPLICIT[i, i]
                 for j in range(n):
+                    z = 3 * j + 2
                     now[j] = x[j]
                     for before in range(i):
-                        now[j] -= h * EXPLICIT[i, before] * v[before, 3 * j + 2]
-                    normal = _force(now[j], largest[j], peak[j], restitution[j], stiffness[j], exponent)
-                    force[i, 3 * j + 2] = normal
-                    bound[j] = h * IMPLICIT[i, i] * friction[j] * normal
+                        now[j] -= h * (IMPLICIT if stiff[j] else EXPLICIT)[i, before] * v[before, z]
+                    force[i, z] = force[i - 1, z] if stiff[j] else force_at(springs, j, now[j])
                 for k in range(r):
                     target[k] = 0.0
                     for before in range(i):
                         target[k] += h * IMPLICIT[i, before] * rate[before, k]
                     for j in range(n):
-                        target[k] += h * IMPLICIT[i, i] * rows[3 * j + 2, k] * force[i, 3 * j + 2]
+                        if not stiff[j]:
+                            target[k] += part * rows[3 * j + 2, k] * force[i, 3 * j + 2]
                 _velocities(rows, v[0], at, v[i])
-                _minimize(rows, bound, creep, target, at, v[i])
+                found = found and find_stage(
+                    rows, friction, creep, springs, stiff, now, part, target, at, v[i], force[i], bound
+                )
                 _oppose(friction, creep, v[i], force[i])
                 _push(rows, force[i], rate[i])
             missed = _missed(rows, rate, v, h, x, largest, pace, restitution)
             factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
             if h <= SHORTEST:
                 break
-            if missed <= accuracy:
+            if missed <= accuracy and found:
                 part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)
                 if part == 1.0:
                     break
                 h *= part
             else:
-                h *= min(factor, SAFE)
+                h *= min(factor, SAFE) if found else SHRINKS
         for j in range(n):
             z = 3 * j + 2
             for i in range(STAGES):
@@ -235,15 +243,6 @@ def _velocities(rows, start, y, v):
 
 
 @inlined
-def _force(x, largest, peak, e, stiffness, exponent):
-    """Return F of a contact at the penetration x, whose indentation has been `peak` at the largest one."""
-    depth = peak + (x - largest if x >= largest else (x - largest) / (e * e))
-    if depth <= 0.0:
-        return 0.0
-    return stiffness * (depth if exponent == 1.0 else depth**exponent)
-
-
-@inlined
 def _outlook(v, force, mobility, restitution, stiffness, exponent, x, largest):
     """Return the speed of approach, now or to come, the time to the next closing, and if any is pressed."""
     speed, time, pressed = 0.0, NEVER, False
@@ -280,122 +279,6 @@ def _push(rows, force, rate):
             for k in range(len(rate)):
                 for a in range(z - 2, z + 1):
                     rate[k] += rows[a, k] * force[a]
-
-
-@inlined
-def _minimize(rows, bound, creep, target, y, v):
-    """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
-
-    Args:
-        rows: (3n, r) J.
-        bound: (n,) the factors of H.
-        creep: ε.
-        target: (r,) c.
-        y, v: Where to begin.
-    """
-    n, r = len(bound), len(y)
-    gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
-    strongest, last = 0.0, math.inf
-    for j in range(n):
-        strongest = max(strongest, bound[j])
-    for _ in range(TURNS):
-        for k in range(r):
-            gradient[k] = y[k] - target[k]
-        for j in range(n):
-            if bound[j] > 0.0:
-                ax, ay = v[3 * j], v[3 * j + 1]
-                part = bound[j] / max(math.sqrt(ax * ax + ay * ay), creep)
-                for k in range(r):
-                    gradient[k] += part * (rows[3 * j, k] * ax + rows[3 * j + 1, k] * ay)
-        off = 0.0
-        for k in range(r):
-            off = max(off, abs(gradient[k]))
-        if off <= FITS * creep or (off <= ROUNDED + BALANCED * strongest and off > 0.5 * last):
-            return
-        last = off
-        _curvature(rows, bound, creep, v, matrix)
-        _solve(matrix, gradient, way)
-        for i in range(3 * n):
-            change[i] = 0.0
-            for k in range(r):
-                change[i] += rows[i, k] * way[k]
-        part = _search(bound, creep, target, y, way, v, change)
-        for k in range(r):
-            y[k] += part * way[k]
-        for i in range(3 * n):
-            v[i] += part * change[i]
-
-
-@inlined
-def _curvature(rows, bound, creep, v, matrix):
-    """Fill the lower half of the second derivative (r, r) of (14.10)."""
-    r = len(matrix)
-    for k in range(r):
-        for m in range(k + 1):
-            matrix[k, m] = 1.0 if k == m else 0.0
-    for j in range(len(bound)):
-        if bound[j] > 0.0:
-            x, y = 3 * j, 3 * j + 1
-            speed = math.sqrt(v[x] * v[x] + v[y] * v[y])
-            xx = yy = bound[j] / max(speed, creep)
-            xy = 0.0
-            if speed > creep:
-                ux, uy = v[x] / speed, v[y] / speed
-                xx, yy, xy = xx * uy * uy, yy * ux * ux, -xx * ux * uy
-            for k in range(r):
-                px, py = xx * rows[x, k] + xy * rows[y, k], xy * rows[x, k] + yy * rows[y, k]
-                for m in range(k + 1):
-                    matrix[k, m] += px * rows[x, m] + py * rows[y, m]
-
-
-@inlined
-def _solve(matrix, right, x):
-    """Fill x (r,) with the solution of matrix x = −right by Cholesky's factors, which replace the matrix."""
-    r = len(x)
-    for k in range(r):
-        for m in range(k + 1):
-            total = matrix[k, m]
-            for i in range(m):
-                total -= matrix[k, i] * matrix[m, i]
-            matrix[k, m] = math.sqrt(total) if m == k else total / matrix[m, m]
-    for k in range(r):
-        total = -right[k]
-        for i in range(k):
-            total -= matrix[k, i] * x[i]
-        x[k] = total / matrix[k, k]
-    for k in range(r - 1, -1, -1):
-        total = x[k]
-        for i in range(k + 1, r):
-            total -= matrix[i, k] * x[i]
-        x[k] = total / matrix[k, k]
-
-
-@inlined
-def _search(bound, creep, target, y, way, v, change):
-    """Return how far (14.10) is followed in a direction in which it falls: 1, or to where it is flat."""
-    begin = length = 0.0
-    for k in range(len(y)):
-        begin += (y[k] - target[k]) * way[k]
-        length += way[k] * way[k]
-    least, most, part, first = 0.0, 0.0, 0.0, 0.0
-    for search in range(SEARCHES):
-        slope = begin + part * length
-        for j in range(len(bound)):
-            if bound[j] > 0.0:
-                dx, dy = change[3 * j], change[3 * j + 1]
-                ax, ay = v[3 * j] + part * dx, v[3 * j + 1] + part * dy
-                slope += bound[j] * (ax * dx + ay * dy) / max(math.sqrt(ax * ax + ay * ay), creep)
-        if search == 0:
-            first, part = abs(slope), 1.0
-            continue
-        if abs(slope) <= SLOPE * first or (part == 1.0 and slope < 0.0):
-            break
-        if slope > 0.0:
-            most = part
-        else:
-            least = part
-        part = 0.5 * (least + most)
-    return part
 
 
 @inlined

@@ -1,0 +1,219 @@
+"""A stage of an implicit step through an impact at many contacts: the minimum of (14.10).
+
+(theory.md, section 14)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._compile.jit import inlined
+from .tolerances import BALANCED, ROUNDED
+
+TURNS, SEARCHES, SLOPE = 60, 60, 0.1
+"""Of Newton's method and of its line search at most; part of the slope that the search may leave."""
+
+FITS = 1e-3
+"""What Newton's method may miss velocities by, in parts of the creep: little beside what a step misses."""
+
+ROUNDS = 20
+"""Of stiff contacts and their friction in turn, at most, before a step is shortened."""
+
+
+class Springs(NamedTuple):
+    """What the normal forces of n contacts follow from.
+
+    Attributes:
+        largest: (n,) the largest penetration.
+        peak: (n,) the indentation there.
+        restitution: (n,) e.
+        stiffness: (n,) κ.
+        exponent: η.
+    """
+
+    largest: NDArray[np.float64]
+    peak: NDArray[np.float64]
+    restitution: NDArray[np.float64]
+    stiffness: NDArray[np.float64]
+    exponent: float
+
+
+@inlined
+def force_at(springs, j, x):
+    """Return F of contact j at the penetration x."""
+    depth = _depth(springs, j, x)
+    return springs.stiffness[j] * (depth if springs.exponent == 1.0 else depth**springs.exponent)
+
+
+@inlined
+def _depth(springs, j, x):
+    """Return the indentation of contact j at the penetration x, 0 where it is open."""
+    way, e = x - springs.largest[j], springs.restitution[j]
+    return max(springs.peak[j] + (way if way >= 0.0 else way / (e * e)), 0.0)
+
+
+@inlined
+def _hardness(springs, j, x):
+    """Return dF/dx of contact j at the penetration x."""
+    depth, e = _depth(springs, j, x), springs.restitution[j]
+    if depth == 0.0:
+        return 0.0
+    rate = 1.0 if x >= springs.largest[j] else 1.0 / (e * e)
+    return rate * springs.stiffness[j] * springs.exponent * depth ** (springs.exponent - 1.0)
+
+
+@inlined
+def find_stage(rows, friction, creep, springs, stiff, x, part, target, y, v, force, bound):
+    """Find y, v and the normal forces (3n,) of a stage; return whether friction and stiff contacts agree."""
+    for _ in range(ROUNDS):
+        for j in range(len(x)):
+            bound[j] = part * friction[j] * force[3 * j + 2]
+        _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v)
+        change = 0.0
+        for j in range(len(x)):
+            if stiff[j]:
+                z = 3 * j + 2
+                normal = force_at(springs, j, x[j] - part * v[z])
+                change = max(change, part * friction[j] * abs(normal - force[z]))
+                force[z] = normal
+        if change <= FITS * creep:
+            return True
+    return False
+
+
+@inlined
+def _minimize(rows, bound, creep, springs, stiff, x, part, target, y, v):
+    """Find y (r,), and v (3n,) with it, at which (14.10) is least, by Newton's method with a line search.
+
+    Args:
+        rows: (3n, r) J.
+        bound: (n,) the factors of H.
+        creep: ε.
+        springs: What normal forces follow from.
+        stiff: (n,) whether forces follow from v too.
+        x: (n,) penetrations, of stiff contacts but for `part` of −v₃.
+        part: h a.
+        target: (r,) c.
+        y, v: Where to begin.
+    """
+    n, r = len(bound), len(y)
+    gradient, matrix, way, change = np.empty(r), np.empty((r, r)), np.empty(r), np.empty(3 * n)
+    strongest, last = 0.0, math.inf
+    for j in range(n):
+        strongest = max(strongest, bound[j])
+    for _ in range(TURNS):
+        for k in range(r):
+            gradient[k] = y[k] - target[k]
+        for j in range(n):
+            if stiff[j]:
+                push = part * force_at(springs, j, x[j] - part * v[3 * j + 2])
+                strongest = max(strongest, push)
+                for k in range(r):
+                    gradient[k] -= push * rows[3 * j + 2, k]
+            if bound[j] > 0.0:
+                ax, ay = v[3 * j], v[3 * j + 1]
+                rub = bound[j] / max(math.sqrt(ax * ax + ay * ay), creep)
+                for k in range(r):
+                    gradient[k] += rub * (rows[3 * j, k] * ax + rows[3 * j + 1, k] * ay)
+        off = 0.0
+        for k in range(r):
+            off = max(off, abs(gradient[k]))
+        if off <= FITS * creep or (off <= ROUNDED + BALANCED * strongest and off > 0.5 * last):
+            return
+        last = off
+        _curvature(rows, bound, creep, springs, stiff, x, part, v, matrix)
+        _solve(matrix, gradient, way)
+        for i in range(3 * n):
+            change[i] = 0.0
+            for k in range(r):
+                change[i] += rows[i, k] * way[k]
+        far = _search(bound, creep, springs, stiff, x, part, target, y, way, v, change)
+        for k in range(r):
+            y[k] += far * way[k]
+        for i in range(3 * n):
+            v[i] += far * change[i]
+
+
+@inlined
+def _curvature(rows, bound, creep, springs, stiff, penetration, part, v, matrix):
+    """Fill the lower half of the second derivative (r, r) of (14.10)."""
+    r = len(matrix)
+    for k in range(r):
+        for m in range(k + 1):
+            matrix[k, m] = 1.0 if k == m else 0.0
+    for j in range(len(bound)):
+        x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
+        if stiff[j]:
+            hard = part * part * _hardness(springs, j, penetration[j] - part * v[z])
+            if hard > 0.0:
+                for k in range(r):
+                    for m in range(k + 1):
+                        matrix[k, m] += hard * rows[z, k] * rows[z, m]
+        if bound[j] > 0.0:
+            speed = math.sqrt(v[x] * v[x] + v[y] * v[y])
+            xx = yy = bound[j] / max(speed, creep)
+            xy = 0.0
+            if speed > creep:
+                ux, uy = v[x] / speed, v[y] / speed
+                xx, yy, xy = xx * uy * uy, yy * ux * ux, -xx * ux * uy
+            for k in range(r):
+                px, py = xx * rows[x, k] + xy * rows[y, k], xy * rows[x, k] + yy * rows[y, k]
+                for m in range(k + 1):
+                    matrix[k, m] += px * rows[x, m] + py * rows[y, m]
+
+
+@inlined
+def _solve(matrix, right, x):
+    """Fill x (r,) with the solution of matrix x = −right by Cholesky's factors, which replace the matrix."""
+    r = len(x)
+    for k in range(r):
+        for m in range(k + 1):
+            total = matrix[k, m]
+            for i in range(m):
+                total -= matrix[k, i] * matrix[m, i]
+            matrix[k, m] = math.sqrt(total) if m == k else total / matrix[m, m]
+    for k in range(r):
+        total = -right[k]
+        for i in range(k):
+            total -= matrix[k, i] * x[i]
+        x[k] = total / matrix[k, k]
+    for k in range(r - 1, -1, -1):
+        total = x[k]
+        for i in range(k + 1, r):
+            total -= matrix[i, k] * x[i]
+        x[k] = total / matrix[k, k]
+
+
+@inlined
+def _search(bound, creep, springs, stiff, x, part, target, y, way, v, change):
+    """Return how far (14.10) is followed in a direction in which it falls: 1, or to where it is flat."""
+    begin = length = 0.0
+    for k in range(len(y)):
+        begin += (y[k] - target[k]) * way[k]
+        length += way[k] * way[k]
+    least, most, far, first = 0.0, 0.0, 0.0, 0.0
+    for search in range(SEARCHES):
+        slope = begin + far * length
+        for j in range(len(bound)):
+            if stiff[j]:
+                dz = change[3 * j + 2]
+                slope -= part * dz * force_at(springs, j, x[j] - part * (v[3 * j + 2] + far * dz))
+            if bound[j] > 0.0:
+                dx, dy = change[3 * j], change[3 * j + 1]
+                ax, ay = v[3 * j] + far * dx, v[3 * j + 1] + far * dy
+                slope += bound[j] * (ax * dx + ay * dy) / max(math.sqrt(ax * ax + ay * ay), creep)
+        if search == 0:
+            first, far = abs(slope), 1.0
+            continue
+        if abs(slope) <= SLOPE * first or (far == 1.0 and slope < 0.0):
+            break
+        if slope > 0.0:
+            most = far
+        else:
+            least = far
+        far = 0.5 * (least + most)
+    return far
