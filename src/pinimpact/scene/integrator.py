@@ -517,7 +517,8 @@ class Integrator:
         gained = float((works - self.rubbed).max())
         state = self.state
         drift = self.rtol * self._made_of[0].extent + ROLLING * state.error(state.v) * until
-        explained = self._weight * drift
+        rounding = 4.0 * np.spacing(np.abs(works).max())  # of sums that grow step by step
+        explained = self._weight * drift + rounding
         if gained > explained and gained > GAINED * self.rtol * kinetic_energy(
             self.model, self.data, state.q, state.v
         ):
