@@ -314,20 +314,17 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
         ∫∫σ dP₃ dP₃ (2) over the move.
     """
     i1 = i2 = m1 = m2 = left = size = 0.0
-    kind = STRAIGHT
-    first = slip.speed
+    kind, first = int(STRAIGHT), slip.speed  # int(): numba 0.61 cannot unify its literals
     p, _, _, _, _ = frame_polynomials(units, slip.s1, slip.s2, slip.turn)
     if root != 0.0:
-        kind = INVARIANT
-        left = length
+        kind, left = int(INVARIANT), length
         scale = 1.0 / (1.0 + root * root)
         c, s = (1.0 - root * root) * scale, 2.0 * root * scale
         p, _, _, _, _ = frame_polynomials(
             units, slip.s1 * c - slip.s2 * s, slip.s2 * c + slip.s1 * s, slip.turn
         )
     elif length != 0.0:
-        kind = HALF_ANGLE  # older numba cannot convert literals within tuples
-        left = size = length
+        kind, left, size = int(HALF_ANGLE), length, length
     elif fast > 0.0:
         gained = p.m0 * span / slip.speed
         left = math.log1p(gained) if gained > -0.5 else math.log(fast / slip.speed)
@@ -335,8 +332,7 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
         steepest = max(abs(p.m0), 0.5 * abs(p.p1))
         size = EFOLDS / steepest if steepest > 0.0 else left
     while abs(left) > 0.0:
-        step, part, whole = min(size, left), min(size, left), 0.0
-        form = kind
+        step, part, whole, form = min(size, left), min(size, left), 0.0, kind
         if kind == INVARIANT:
             step, turning = _next_panel(p, root, left)
             slip = Slip(slip.s1, slip.s2, slip.speed, _turn_to(units, slip, root))
@@ -348,8 +344,7 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
                 # L in the panel's own axes
                 part = step + math.log1p(root * root * z) - math.log1p(root * root)
             else:
-                form = STRAIGHT
-                part = -2.0 * step / p.p1
+                form, part = int(STRAIGHT), -2.0 * step / p.p1
             root *= z
         left -= step
         slip, gained, j1, j2, n1, n2 = cross_panel(
