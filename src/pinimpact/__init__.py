@@ -166,13 +166,14 @@ _HOMES = {
     "scene.trajectory": ("Trajectory",),
     "visual.html_replay": ("replay",),
 }
+_PACKAGES = ("studies", "visual")
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use, so that a script loads only what it calls."""
-    if name == "visual":
-        return import_module(f"{__name__}.visual")
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'pinimpact' has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
@@ -181,4 +182,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted((*__all__, "visual"))
+    return sorted((*__all__, *_PACKAGES))

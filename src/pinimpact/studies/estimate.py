@@ -1,0 +1,303 @@
+"""Parameters fitted to groups of measurements by least squares, with intervals that hold for such groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import qmc, t
+
+from ..checks import choice, finite_array, in_short, real_numbers
+from ..errors import InputError
+
+Array = NDArray[np.float64]
+
+STARTS = 16
+"""Points of a Halton sequence in the bounds, of which the one with the least cost is the start."""
+
+ROBUST_SCALE = 3.0
+"""Standard deviations beyond which residuals have less weight; normal ones keep .99 of their information."""
+
+MAD = 1.4826
+"""Standard deviation over median absolute deviation, of the normal distribution."""
+
+
+def _linear(z: Array) -> Array:
+    return np.array([z, np.ones_like(z), np.zeros_like(z)])
+
+
+def _soft_l1(z: Array) -> Array:
+    root = np.sqrt(1.0 + z)
+    return np.array([2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3])
+
+
+LOSSES: dict[str, Callable[[Array], Array]] = {"linear": _linear, "soft_l1": _soft_l1}
+"""ρ, ρ′ and ρ″ of the square of a residual over its scale, as `scipy.optimize.least_squares` has them."""
+
+
+class Identified(OptimizeResult):
+    """Fitted parameters: an `OptimizeResult` of SciPy with what follows from it. (docs/identification.md)
+
+    Attributes:
+        x: (p,) the parameters.
+        names: Their names.
+        bounds: (2, p) their bounds.
+        covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
+        groups: Number of groups.
+        unidentified: One sentence for each parameter that the data do not determine.
+        fun: (n m,) residuals, whitened; `jac` and `cost` are those of `scipy.optimize.least_squares`.
+        scale: Residual from which on the loss gives less weight.
+        law: Restitution law of the fit; None where no law was used.
+    """
+
+    __hash__ = object.__hash__
+
+    @property
+    def standard_errors(self) -> Array:
+        """(p,) square roots of the variances."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, level: float = 0.95) -> Array:
+        """Return the (p, 2) confidence intervals at a level, by Student's t, within the bounds. (I5)"""
+        level = float(finite_array("level", level, (1,))[0])
+        if not 0.0 < level < 1.0:
+            raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
+        half = t.ppf(0.5 + 0.5 * level, self.groups - 1) * self.standard_errors
+        low, high = self.bounds
+        return np.clip(np.column_stack([self.x - half, self.x + half]), low[:, None], high[:, None])
+
+    def apply(self, scene: Any) -> Any:
+        """Return the scene with the fitted parameters.
+
+        Raises:
+            UnknownNameError: The scene has no contact of a fitted name.
+        """
+        for name, value in zip(self.names, self.x.tolist(), strict=True):
+            scene = self.setters[name.partition(":")[0]](scene, name, value)
+        if self.law is not None:
+            scene = replace(scene, contacts=[replace(contact, law=self.law) for contact in scene.contacts])
+        return scene
+
+    def plot(self) -> Any:
+        """Return a matplotlib Figure: parameters with intervals, and the residuals against normal ones."""
+        from ..visual.plots.fits import fit_figure
+
+        return fit_figure(self)
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  {name} = {value:.6g} ± {error:.2g}"
+            for name, value, error in zip(self.names, self.x, self.standard_errors, strict=True)
+        ]
+        head = f"Identified({len(self.fun)} residuals in {self.groups} groups"
+        return "\n".join([head, *rows, *(f"  {sentence}" for sentence in self.unidentified)]) + ")"
+
+
+def fit(
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    free: Mapping[str, tuple[float, float]],
+    group: NDArray[np.int64],
+    loss: str,
+    reason: Callable[[str, Array], str],
+    trial: Callable[[Array], Array] | None = None,
+    **known: Any,
+) -> Identified:
+    """Fit parameters, and return them with their covariance by groups. (I2)–(I5)
+
+    Args:
+        residual: Whitened residuals (n, m) for parameters (p,).
+        jacobian: Their derivatives (n, m, p).
+        free: Bounds of each parameter, checked.
+        group: (n,) index of the group of each row, from 0.
+        loss: A name of `LOSSES`.
+        reason: Clause on why a parameter is not determined, for its name and the solution.
+        trial: The residuals, where they are cheaper without preparing derivatives.
+        **known: Further attributes of the result.
+    """
+    rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
+    low, high = np.array(list(free.values())).T
+    starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
+    start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
+
+    def run(x: Array, loss: Any, scale: float) -> OptimizeResult:
+        return least_squares(
+            lambda x: residual(x).ravel(),
+            x,
+            lambda x: jacobian(x).reshape(-1, len(x)),
+            bounds=(low, high),
+            x_scale=high - low,
+            loss=loss,
+            f_scale=scale,
+        )
+
+    result, scale = run(start, "linear", 1.0), 1.0
+    if loss != "linear":
+        scale = ROBUST_SCALE * MAD * float(np.median(np.abs(result.fun)))
+        if scale > 0.0:  # else more than half of the residuals are zero, and there is nothing to bound
+            result = run(result.x, rho, scale)
+    names = tuple(free)
+    slopes, residuals = jacobian(result.x), residual(result.x)
+    parts = _by_group(slopes, residuals, rho, scale if scale > 0.0 else 1.0, group)
+    covariance, null, none = _covariance(*parts, high - low)
+    result = Identified(
+        **dict(result.items()),
+        names=names,
+        bounds=np.array([low, high]),
+        covariance=covariance,
+        groups=int(group.max()) + 1,
+        scale=scale,
+        **({"law": None} | known),
+    )
+    result.unidentified = _unidentified(result, null, none, reason)
+    return result
+
+
+def _by_group(
+    slopes: Array, residuals: Array, rho: Callable[[Array], Array], scale: float, group: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return the Hessians (G, p, p) and gradients (G, p) of the groups' parts of the cost. (I3)"""
+    z = (residuals / scale) ** 2
+    _, first, second = rho(z)
+    count, p = int(group.max()) + 1, slopes.shape[2]
+    hessians, gradients = np.zeros((count, p, p)), np.zeros((count, p))
+    np.add.at(hessians, group, np.einsum("nki,nk,nkj->nij", slopes, first + 2.0 * second * z, slopes))
+    np.add.at(gradients, group, np.einsum("nki,nk->ni", slopes, first * residuals))
+    return hessians, gradients
+
+
+def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array, Array, Array]:
+    """Return the jackknife covariance (I4), and how far (p,) no group or only one determines a parameter.
+
+    A combination of parameters, in parts of their ranges, is undetermined where the Hessian has an eigenvalue
+    within rounding of zero, and determined by one group where it is zero without that group.
+    """
+    count, eps = len(gradients), float(np.finfo(float).eps)
+    values, vectors = np.linalg.eigh(hessians.sum(axis=0) * np.outer(widths, widths))
+    kept = values > eps * count * max(float(values[-1]), 0.0)
+    root = widths[:, None] * vectors[:, kept] / np.sqrt(values[kept])  # H⁻¹ = root rootᵀ
+    shares, turned = np.linalg.eigh(root.T @ hessians @ root)
+    alone = shares > 1.0 - np.sqrt(eps)
+    parts = np.einsum("gia,ij,gj->ga", turned, root.T, gradients)
+    parts = np.where(alone, 0.0, parts / np.where(alone, 1.0, 1.0 - shares))
+    moved = np.einsum("ij,gja,ga->gi", root, turned, parts)  # by leaving out a group
+    covariance = (count - 1) / count * moved.T @ moved
+    null = np.linalg.norm(vectors[:, ~kept], axis=1)
+    lone = np.linalg.norm(np.einsum("ij,gja,ga->gai", root / widths[:, None], turned, alone), axis=(0, 1))
+    none = np.maximum(null, lone) > np.sqrt(eps)
+    covariance[none] = covariance[:, none] = 0.0
+    covariance[none, none] = np.inf
+    return covariance, null > np.sqrt(eps), none
+
+
+def _unidentified(
+    result: Identified, null: Array, none: Array, reason: Callable[[str, Array], str]
+) -> tuple[str, ...]:
+    """Return a sentence for each parameter whose error is not below that of a uniform guess in its range."""
+    sentences = []
+    errors = result.standard_errors
+    for i, name in enumerate(result.names):
+        low, high = result.bounds[:, i].tolist()
+        guess = (high - low) / np.sqrt(12.0)
+        why = reason(name, result.x)
+        if null[i]:
+            others = [other for j, other in enumerate(result.names) if null[j] and j != i]
+            what = "no residual depends on it" if not others else f"it may trade with {', '.join(others)}"
+            sentences.append(f"{name} is not determined: {why or what}.")
+        elif none[i]:
+            sentences.append(f"{name} has no interval: only one group determines it.")
+        elif errors[i] >= guess:
+            what = (
+                f"its standard error, {errors[i]:.2g}, is that of a guess from {low:g} to {high:g}, or more"
+            )
+            sentences.append(f"{name} is not determined: {what}{why and f'; {why}'}.")
+    return tuple(sentences)
+
+
+def group_numbers(group: Any, count: int) -> NDArray[np.int64]:
+    """Return the index of the group of each row; None: each row is a group of its own.
+
+    Raises:
+        InputError: Not one label for each row, or fewer than two groups.
+    """
+    if group is None:
+        numbers = np.arange(count)
+    else:
+        labels = np.asarray(group)
+        if labels.shape != (count,):
+            raise InputError(
+                f"group: shape {labels.shape} given, ({count},) expected, one label for each row",
+                field="group",
+                value=group,
+            )
+        numbers = np.unique(labels, return_inverse=True)[1]
+    if count < 2 or numbers.max() < 1:
+        raise InputError(
+            "group: all rows are in one group; intervals that are robust to groups need two at least",
+            field="group",
+            value=group,
+        )
+    return numbers.astype(np.int64)
+
+
+def checked_bounds(
+    free: Any, known: Mapping[str, tuple[float, float]], labels: Sequence[str] = ()
+) -> dict[str, tuple[float, float]]:
+    """Return the bounds of free parameters, checked against the widest possible ones.
+
+    Args:
+        free: Bounds by name, "friction" for that of all contacts, "friction:foot" for that of one.
+        known: The widest bounds of each kind of parameter.
+        labels: Names of contacts that a parameter may be of.
+
+    Raises:
+        InputError: No parameters, or bounds that are not two rising numbers in the possible range.
+        UnknownNameError: An unknown parameter or contact.
+    """
+    if not isinstance(free, Mapping) or not free:
+        raise InputError(
+            f"free: {in_short(free)} given; bounds by name of parameter are expected, such as "
+            f'{{"{next(iter(known))}": (0, 1)}}',
+            field="free",
+            value=free,
+        )
+    checked = {}
+    for name, bounds in free.items():
+        kind, colon, label = name.partition(":") if isinstance(name, str) else (name, "", "")
+        choice("free", kind, known, "a parameter")
+        if colon:
+            choice("free", label, labels, "a contact of the scene")
+        pair = real_numbers(f"free[{name!r}]", bounds).ravel()
+        low, high = known[kind]
+        if pair.shape != (2,) or not low <= pair[0] < pair[1] <= high or not np.isfinite(pair).all():
+            raise InputError(
+                f"free[{name!r}]: {in_short(bounds)} given; two rising numbers from {low:g} to {high:g} "
+                "are expected",
+                field="free",
+                value=bounds,
+            )
+        checked[name] = (float(pair[0]), float(pair[1]))
+    return checked
+
+
+def whitener(field: str, covariance: ArrayLike, count: int, size: int) -> Array:
+    """Return L⁻¹ (n, m, m) with L Lᵀ the covariance of each row, or raise `InputError`."""
+    given = real_numbers(field, covariance)
+    matrices = np.broadcast_to(given, (count, size, size)) if given.shape == (size, size) else given
+    matrices = finite_array(field, matrices, (count, size, size))
+    skew = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2))
+    try:
+        if (skew > 1e-9 * np.abs(matrices).max(axis=(1, 2))).any():  # more than sums in another order differ
+            raise np.linalg.LinAlgError
+        lower = np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"{field}: a matrix is not a covariance; symmetric and positive definite ones are expected",
+            field=field,
+            value=covariance,
+        ) from None
+    return np.linalg.inv(lower)

@@ -1,0 +1,130 @@
+"""Measured impacts of a robot: states before and after, with contact and group."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..checks import choice, counted, finite_array, in_short, real_numbers
+from ..errors import InputError
+from ..robot.matrices import ContactMatrices, contact_matrices
+from ..scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundImpacts:
+    """N measured impacts, of one contact each; ``found[rows]`` has some of them.
+
+    Attributes:
+        q: (N, nq) configurations.
+        v_before, v_after: (N, nv) velocities.
+        contact: (N,) names of the contacts.
+        group: (N,) labels of groups, such as tosses.
+        time: (N,) times in their recordings [s].
+        covariance: (N, 2 nv, 2 nv) of v_before and v_after, or None.
+        dropped: Why other impacts of the recordings were left out, one sentence each.
+    """
+
+    q: Array
+    v_before: Array
+    v_after: Array
+    contact: NDArray[Any]
+    group: NDArray[Any]
+    time: Array | None = None
+    covariance: Array | None = None
+    dropped: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, rows: Any) -> FoundImpacts:
+        one = np.atleast_1d(np.arange(len(self))[rows])
+        time = None if self.time is None else self.time[one]
+        covariance = None if self.covariance is None else self.covariance[one]
+        states = self.q[one], self.v_before[one], self.v_after[one]
+        return FoundImpacts(*states, self.contact[one], self.group[one], time, covariance, self.dropped)
+
+    def __repr__(self) -> str:
+        groups = counted(len(np.unique(self.group)), "group")
+        return f"FoundImpacts({counted(len(self), 'impact')} in {groups}, {len(self.dropped)} dropped)"
+
+
+def as_found(found: Any, scene: Scene, contact: Any, group: Any) -> FoundImpacts:
+    """Return (q, v⁻, v⁺) of a scene's robot as `FoundImpacts`, checked; those given are checked too.
+
+    Raises:
+        InputError: Wrong shapes or numbers, contacts that are not given.
+        UnknownNameError: A contact that the scene does not have.
+    """
+    labels = [one.label for one in scene.contacts]
+    if not isinstance(found, FoundImpacts):
+        q, before, after = arrays_of(found, "(q, v_before, v_after)")
+        count = len(q)
+        if contact is None:
+            if len(labels) != 1:
+                raise InputError(
+                    f"contact: the scene has {counted(len(labels), 'contact')}; give the name of the one "
+                    "that collides, or an array of names",
+                    field="contact",
+                    value=contact,
+                )
+            contact = labels[0]
+        names = np.full(count, contact) if isinstance(contact, str) else np.asarray(contact)
+        found = FoundImpacts(q, before, after, names, np.arange(count))
+    count, model = len(found), scene.model
+    finite_array("q", found.q, (count, model.nq))
+    finite_array("v_before", found.v_before, (count, model.nv))
+    finite_array("v_after", found.v_after, (count, model.nv))
+    if found.contact.shape != (count,):
+        raise InputError(
+            f"contact: shape {found.contact.shape} given, ({count},) names expected",
+            field="contact",
+            value=found.contact,
+        )
+    for name in dict.fromkeys(found.contact.tolist()):
+        choice("contact", name, labels, "a contact of the scene")
+    return found
+
+
+def arrays_of(given: Any, what: str) -> tuple[Array, Array, Array]:
+    """Return three arrays, the first axes of which are as long, or raise `InputError`."""
+    if isinstance(given, FoundImpacts) or not isinstance(given, Sequence) or len(given) != 3:
+        raise InputError(f"found: {in_short(given)} given; {what} expected", field="found", value=given)
+    first, before, after = (real_numbers("found", part) for part in given)
+    count = len(before) if before.ndim else 0
+    if before.ndim != 2 or before.shape != after.shape or not first.ndim or len(first) != count:
+        shapes = ", ".join(str(part.shape) for part in (first, before, after))
+        raise InputError(
+            f"found: shapes {shapes} given; {what} with one row for each impact expected",
+            field="found",
+            value=given,
+        )
+    return first, before, after
+
+
+def matrices_of(found: FoundImpacts, scene: Scene) -> list[ContactMatrices]:
+    """Return the `contact_matrices` of each impact."""
+    data, contacts = scene.model.createData(), {one.label: one for one in scene.contacts}
+    return [
+        contact_matrices(scene.model, data, q, contacts[name], scene.held, scene.locked)
+        for q, name in zip(found.q, found.contact.tolist(), strict=True)
+    ]
+
+
+def free_body(scene: Scene, what: str) -> pin.Inertia:
+    """Return the inertia of the one free body of a scene, or raise `InputError`."""
+    model = scene.model
+    if model.njoints != 2 or model.joints[1].shortname() != "JointModelFreeFlyer":
+        raise InputError(
+            f"scene: {what} is for one free body; {model.name!r} has {model.njoints - 1} joints",
+            field="scene",
+            value=scene,
+        )
+    return model.inertias[1]

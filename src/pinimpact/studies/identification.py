@@ -1,0 +1,262 @@
+"""Friction and restitution from measured impacts, by least squares with exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import choice, coefficient, finite_array
+from ..contact_space.batch import BatchSolution, solve_impacts
+from ..contact_space.laws import LAWS
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..status import Flag, Status
+from .estimate import Identified, checked_bounds, fit, group_numbers, whitener
+from .found import FoundImpacts, arrays_of, as_found, matrices_of
+
+Array = NDArray[np.float64]
+
+RANGES = {"friction": (0.0, np.inf), "restitution": (0.0, 1.0)}
+FREE = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0)}
+
+
+class _Rows(NamedTuple):
+    """N impacts in contact space; residuals are ``map P − target``.
+
+    Attributes:
+        delassus: (N, 3, 3) W.
+        velocity: (N, 3) before the impact.
+        scale: (N,) sizes of the terms of the velocities.
+        map: (N, m, 3).
+        target: (N, m).
+        contact: (N,) names, empty for arrays in contact space.
+        coefficients: (2, N) μ and e where they are not free.
+        law: The restitution law.
+    """
+
+    delassus: Array
+    velocity: Array
+    scale: Array
+    map: Array
+    target: Array
+    contact: NDArray[Any]
+    coefficients: Array
+    law: str
+
+
+def identify(
+    found: Any,
+    scene: Scene | None = None,
+    free: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    law: str | None = None,
+    loss: str = "soft_l1",
+    group: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    contact: Any = None,
+    fixed: Mapping[str, float] | None = None,
+) -> Identified:
+    """Fit friction and restitution to measured impacts.
+
+    The residuals are the differences of predicted and measured velocities after the impact, as kinetic energy
+    weighs them, or as a covariance does (I1).
+
+    Args:
+        found: Result of `impacts`; or the arrays (W, v⁻, v⁺) of contact space, (N, 3, 3), (N, 3) and (N, 3),
+            without a scene; or (q, v⁻, v⁺) of the robot of a scene, (N, nq), (N, nv) and (N, nv).
+        scene: The robot and its contacts; their coefficients are those that are not free.
+        free: Bounds of each parameter: "friction" and "restitution" for all contacts, "friction:foot" for the
+            contact "foot". None: both, from 0 to 2 and from 0 to 1.
+        law: Restitution law; None: that of the contacts, or Poisson's law for arrays.
+        loss: "soft_l1", which gives outliers less weight, or "linear".
+        group: (N,) labels of impacts with common errors, such as those of one toss; None: those of `found`,
+            or each impact on its own.
+        covariance: (N, 3, 3) of the measured v⁺ in contact space, or (N, nv, nv) of the robot's; or one for
+            all.
+        contact: Name of the contact that collides, or (N,) names, for (q, v⁻, v⁺).
+        fixed: Coefficients of arrays (W, v⁻, v⁺) that are not free.
+
+    Returns:
+        An `Identified`.
+
+    Raises:
+        InputError: Wrong shapes, bounds, or covariances; impacts that have no solution.
+        UnknownNameError: An unknown parameter, contact, law or loss.
+    """
+    labels = [] if scene is None else [one.label for one in scene.contacts]
+    bounds = checked_bounds(FREE if free is None else free, RANGES, labels)
+    if law is not None:
+        choice("law", law, LAWS, "a restitution law")
+    if scene is None:
+        rows = _of_arrays(found, law or "poisson", covariance, bounds, fixed or {})
+    else:
+        if fixed is not None:
+            raise InputError(
+                "fixed: with a scene, its contacts have the coefficients that are not free",
+                field="fixed",
+                value=fixed,
+            )
+        given = as_found(found, scene, contact, group)
+        if group is None and isinstance(found, FoundImpacts):
+            group = given.group
+        rows = _of_robot(given, scene, law, covariance)
+    numbers = group_numbers(group, len(rows.velocity))
+    return _fitted(rows, bounds, numbers, loss)
+
+
+def _fitted(
+    rows: _Rows, bounds: dict[str, tuple[float, float]], group: NDArray[np.int64], loss: str
+) -> Identified:
+    """Return the fit of rows in contact space."""
+    names = list(bounds)
+    kinds = [list(RANGES).index(name.partition(":")[0]) for name in names]
+    order = sorted(range(len(names)), key=lambda j: ":" in names[j])  # that of one contact overrides
+    owner = np.full(rows.coefficients.shape, -1)
+    for j in order:
+        label = names[j].partition(":")[2]
+        owner[kinds[j], (rows.contact == label) if label else slice(None)] = j
+    solved: dict[bytes, BatchSolution] = {}
+
+    def solve(x: Array, derivatives: bool = True) -> BatchSolution:
+        if x.tobytes() not in solved:
+            solved.clear()
+            mu, e = np.where(owner >= 0, x[owner], rows.coefficients)
+            problems = rows.delassus, rows.velocity, mu, e, rows.law, rows.scale
+            batch = _checked(solve_impacts(*problems, derivatives=derivatives))
+            if not derivatives:
+                return batch
+            solved[x.tobytes()] = batch
+        return solved[x.tobytes()]
+
+    def residual(x: Array, derivatives: bool = True) -> Array:
+        return np.einsum("nij,nj->ni", rows.map, solve(x, derivatives).impulse) - rows.target
+
+    def jacobian(x: Array) -> Array:
+        slopes: Any = solve(x).derivatives
+        by = np.array([slopes.dP_dfriction, slopes.dP_drestitution])[kinds]  # (p, N, 3)
+        by = by * (owner[kinds] == np.arange(len(names))[:, None])[:, :, None]
+        # a row on a boundary has no derivative there: it does not count in this step
+        return np.einsum("nij,pnj->nip", rows.map, np.nan_to_num(by))
+
+    def reason(name: str, x: Array) -> str:
+        used = (owner == names.index(name)).any(axis=0)
+        if not used.any():
+            return "no impact is of this contact"
+        batch = solve(x)
+        struck = used & (batch.status != Status.NO_IMPACT)
+        if name.startswith("friction") and ((batch.flags & Flag.STICK) != 0)[struck].all():
+            return "all impacts end sticking, and more friction would change nothing"
+        speed = -np.median(rows.velocity[used, 2])
+        return f"the median approach speed is {speed:.2g} m/s" if name.startswith("restitution") else ""
+
+    setters = {kind: _set_coefficient for kind in RANGES}
+    trial = partial(residual, derivatives=False)
+    return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
+
+
+def _set_coefficient(scene: Scene, name: str, value: float) -> Scene:
+    """Return a scene with one coefficient of one or all contacts."""
+    kind, _, label = name.partition(":")
+    labels = [contact.label for contact in scene.contacts]
+    if label and label not in labels:
+        choice("scene", label, labels, "a contact of the scene")
+    changed: dict[str, Any] = {kind: value}
+    contacts = [
+        replace(contact, **changed) if label in ("", contact.label) else contact for contact in scene.contacts
+    ]
+    return replace(scene, contacts=contacts)
+
+
+def _checked(batch: BatchSolution) -> BatchSolution:
+    """Return the solutions if all rows have one."""
+    failed = np.flatnonzero(~np.isfinite(batch.velocity).all(axis=1))
+    if len(failed):
+        raise InputError(
+            f"found: impact {failed[0]} has no solution: {Status(int(batch.status[failed[0]]))} "
+            f"({len(failed)} of {len(batch)} such impacts)",
+            field="found",
+            value=failed.tolist(),
+        )
+    return batch
+
+
+def _of_arrays(
+    found: Any,
+    law: str,
+    covariance: ArrayLike | None,
+    free: Mapping[str, Any],
+    fixed: Mapping[str, float],
+) -> _Rows:
+    """Return impacts given by (W, v⁻, v⁺)."""
+    W, before, after = arrays_of(found, "(delassus, v_before, v_after) without a scene")
+    count = len(before)
+    W = finite_array("delassus", W, (count, 3, 3))
+    before, after = finite_array("v_before", before, (count, 3)), finite_array("v_after", after, (count, 3))
+    coefficients = np.zeros((2, count))
+    for name in fixed:
+        choice("fixed", name, RANGES, "a parameter")
+    for row, name in zip(coefficients, RANGES, strict=True):
+        if name not in free:
+            if name not in fixed:
+                raise InputError(
+                    f"fixed: {name} is neither free nor fixed; give fixed={{{name!r}: …}}",
+                    field="fixed",
+                    value=fixed,
+                )
+            row[:] = coefficient(name, fixed[name]) if name == "restitution" else fixed[name]
+    weights = _energy_root(W) if covariance is None else whitener("covariance", covariance, count, 3) @ W
+    target = _targets(weights, W, after - before)
+    return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)
+
+
+def _of_robot(found: FoundImpacts, scene: Scene, law: str | None, covariance: ArrayLike | None) -> _Rows:
+    """Return impacts of a robot. (I1)"""
+    contacts = {one.label: one for one in scene.contacts}
+    laws = {contacts[name].law for name in found.contact.tolist()}
+    if law is None and len(laws) > 1:
+        raise InputError(
+            f"law: the contacts have the laws {', '.join(sorted(laws))}; give the one of the fit",
+            field="law",
+            value=law,
+        )
+    all_of = matrices_of(found, scene)
+    W = np.array([one.delassus for one in all_of])
+    before = np.array([one.velocity(v) for one, v in zip(all_of, found.v_before, strict=True)])
+    scale = np.array([one.velocity_scale(v) for one, v in zip(all_of, found.v_before, strict=True)])
+    change = found.v_after - found.v_before
+    if covariance is None:
+        weights = _energy_root(W)
+        jump = np.array([one.jacobian @ dv for one, dv in zip(all_of, change, strict=True)])
+        target = _targets(weights, W, jump)
+    else:
+        root = whitener("covariance", covariance, len(found), scene.model.nv)
+        weights = root @ np.array([one.response for one in all_of])
+        target = np.einsum("nij,nj->ni", root, change)
+    coefficients = np.array(
+        [
+            [contacts[name].friction for name in found.contact.tolist()],
+            [
+                contacts[name].restitution_at(max(-speed, 0.0))
+                for name, speed in zip(found.contact.tolist(), before[:, 2].tolist(), strict=True)
+            ],
+        ]
+    )
+    names = np.asarray(found.contact)
+    return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop())
+
+
+def _energy_root(W: Array) -> Array:
+    """Return the symmetric roots (N, 3, 3) of W: |√W ΔP|² is twice the kinetic energy of W ΔP."""
+    values, vectors = np.linalg.eigh(W)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]) @ np.swapaxes(vectors, 1, 2)
+
+
+def _targets(weights: Array, W: Array, jump: Array) -> Array:
+    """Return ``weights @ P`` (N, m) for the impulses P of least norm with W P = jump."""
+    rounding = 32.0 * np.finfo(float).eps  # of ‖W‖, within which an eigenvalue is zero
+    return np.einsum("nij,njk,nk->ni", weights, np.linalg.pinv(W, rcond=rounding, hermitian=True), jump)

@@ -1,0 +1,316 @@
+"""Impacts of a free body, found in recorded motions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ..checks import above_zero, as_tuple, finite_array, in_short, real_numbers
+from ..errors import InputError
+from ..scene.scene import Scene
+from .flights import Body, Flight, fit_flight
+from .found import FoundImpacts, free_body
+
+Array = NDArray[np.float64]
+
+FRAMES = 5
+"""Of the shortest flight: a state has six numbers of rotation, so that three frames leave two residuals."""
+
+LIMIT = 5.0
+"""Standard deviations up to which a frame belongs to a flight: one of a million normal frames is beyond."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A recorded motion.
+
+    Attributes:
+        t: (n,) times, rising [s].
+        q: (n, nq) configurations.
+        group: Label; motions with common errors have the same one. None: the motion is its own group.
+        sigma: Standard deviations of recorded position [m] and rotation [rad]; None: estimated.
+
+    Raises:
+        InputError: Times that are not rising, fewer than ten frames, wrong shapes, or numbers out of range.
+    """
+
+    t: Array
+    q: Array
+    group: Hashable = None
+    sigma: tuple[float, float] | None = None
+
+    def __init__(
+        self, t: ArrayLike, q: ArrayLike, group: Hashable = None, sigma: Sequence[float] | None = None
+    ) -> None:
+        times = real_numbers("t", t)
+        times = finite_array("t", times, (times.size,))
+        if len(times) < 2 * FRAMES:
+            raise InputError(
+                f"t: {len(times)} frames given; two flights need {2 * FRAMES} at least", field="t", value=t
+            )
+        back = np.flatnonzero(np.diff(times) <= 0.0)
+        if len(back):
+            k = int(back[0])
+            raise InputError(
+                f"t: times do not rise at frame {k + 1}: {times[k + 1]:.9g} s after {times[k]:.9g} s",
+                field="t",
+                value=t,
+            )
+        states = real_numbers("q", q)
+        width = states.shape[1] if states.ndim == 2 else 0
+        states = finite_array("q", states, (len(times), width))
+        pair = None
+        if sigma is not None:
+            given = finite_array("sigma", real_numbers("sigma", sigma), (2,))
+            pair = (above_zero("sigma", given[0]), above_zero("sigma", given[1]))
+        for name, value in (("t", times), ("q", states), ("group", group), ("sigma", pair)):
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Motion({len(self.t)} frames, {self.t[0]:.3g} to {self.t[-1]:.3g} s, group={self.group!r})"
+
+
+class _Poses(NamedTuple):
+    """Times, centres of mass, rotations and gaps (n, contacts) of a recorded motion."""
+
+    t: Array
+    com: Array
+    rotation: Rotation
+    gaps: Array
+
+    def part(self, frames: Any) -> tuple[Array, Array, Rotation]:
+        """Return times and poses of some frames."""
+        return self.t[frames], self.com[frames], self.rotation[frames]
+
+
+def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = 0.01) -> FoundImpacts:
+    """Find impacts of a free body at one contact in recorded motions.
+
+    Flights are fitted to the frames on either side of an impact, a parabola and a torque-free rotation, and
+    extrapolated to the instant at which they agree (I6)–(I8).
+
+    Args:
+        scene: One free body with its inertia, and contacts with surfaces.
+        motions: The recordings.
+        clearance: Least gap of all other contacts at the impact [m]; impacts at several contacts are dropped.
+
+    Returns:
+        The impacts. ``dropped`` has a sentence for each pair of flights without an impact that can be used.
+
+    Raises:
+        InputError: A robot that is not one free body, no contacts, or motions of other robots.
+    """
+    free_body(scene, "impacts")
+    clearance = above_zero("clearance", clearance)
+    motions = as_tuple("motions", motions, Motion, "a Motion")
+    for motion in motions:
+        if not isinstance(motion, Motion) or motion.q.shape[1] != 7:
+            what = in_short(motion)
+            raise InputError(
+                f"motions: {what} given, Motions with q (n, 7) expected", field="motions", value=motion
+            )
+    if not scene.contacts:
+        raise InputError("scene: it has no contacts", field="scene", value=scene)
+    body, rows, dropped = Body.of(scene.model), [], []
+    all_poses = [_poses(scene, motion, body) for motion in motions]
+    unknown = [poses for poses, motion in zip(all_poses, motions, strict=True) if motion.sigma is None]
+    noise = _noise(unknown, body, clearance) if unknown else np.zeros(2)
+    for number, (motion, poses) in enumerate(zip(motions, all_poses, strict=True)):
+        label = number if motion.group is None else motion.group
+        sigma = noise if motion.sigma is None else np.array(motion.sigma)
+        flights = _flights(poses, sigma, body)
+        for before, after in itertools.pairwise(flights):
+            row = _impact(scene, poses, before, after, sigma, body, clearance)
+            if isinstance(row, str):
+                dropped.append(f"{label}, {poses.t[before.stop - 1]:.3f} s: {row}.")
+            else:
+                rows.append((*row, label))
+    return _table(rows, dropped)
+
+
+def _table(rows: list[Any], dropped: list[str]) -> FoundImpacts:
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 7
+    q, before, after, covariance, time, contact = (np.array(column) for column in columns[:6])
+    labels = np.empty(len(rows), dtype=object)
+    labels[:] = columns[6]
+    if len({type(label) for label in columns[6]}) == 1 and isinstance(columns[6][0], (int, str)):
+        labels = np.array(columns[6])
+    shapes = (q.reshape(-1, 7), before.reshape(-1, 6), after.reshape(-1, 6))
+    return FoundImpacts(*shapes, contact, labels, time, covariance.reshape(-1, 12, 12), tuple(dropped))
+
+
+def _poses(scene: Scene, motion: Motion, body: Body) -> _Poses:
+    """Return the poses of a motion, with the gaps of the scene's contacts."""
+    rotation = Rotation.from_quat(motion.q[:, 3:])
+    q = np.hstack([motion.q[:, :3], rotation.as_quat()])
+    com = q[:, :3] + rotation.apply(body.lever)
+    return _Poses(motion.t, com, rotation, gaps(scene, q))
+
+
+def gaps(scene: Scene, q: Array) -> Array:
+    """Return the gaps (n, contacts) at configurations."""
+    data = scene.model.createData()
+    return np.array([[one.gap(scene.model, data, row) for one in scene.contacts] for row in q])
+
+
+def _noise(poses: list[_Poses], body: Body, clearance: float) -> Array:
+    """Return standard deviations of position and rotation about free flight, clear of all surfaces.
+
+    They include what free flight leaves out, such as drag and the calibration of cameras. All motions share
+    them; each has the frames up to its first approach.
+    """
+    squares = []
+    for one in poses:
+        clear: NDArray[np.bool_] = np.all(one.gaps > clearance, axis=1)
+        stop = len(clear) if clear.all() else int(np.argmin(clear))
+        if stop >= FRAMES:
+            residuals = fit_flight(*one.part(slice(stop)), one.t[stop - 1], body).residuals
+            squares.append((residuals**2).reshape(-1, 2, 3).sum(axis=(0, 2)) / (3.0 * (stop - 2)))
+    if not squares:
+        raise InputError(
+            f"motions: none begins with {FRAMES} frames clear of the surfaces, from which the noise is "
+            "estimated; give sigma=",
+            field="motions",
+            value=len(poses),
+        )
+    return np.sqrt(np.mean(squares, axis=0))
+
+
+def _flights(poses: _Poses, sigma: Array, body: Body) -> list[slice]:
+    """Return the frames of the flights of a motion, in order; none shorter than `FRAMES`."""
+    found, start, count = [], 0, len(poses.t)
+    while start + FRAMES <= count:
+        stop = start + FRAMES
+        if not _is_parabola(poses, slice(start, stop), sigma[0], body):
+            start += 1
+            continue
+        flight = fit_flight(*poses.part(slice(start, stop)), poses.t[stop - 1], body)
+        if _worst(flight.residuals, sigma) > LIMIT:
+            start += 1
+            continue
+        while stop < count:
+            beyond = _first_beyond(flight, poses, stop, sigma, body)
+            if beyond == stop:
+                break
+            stop = beyond
+            flight = fit_flight(*poses.part(slice(start, stop)), poses.t[stop - 1], body)
+        found.append(slice(start, stop))
+        start = stop
+    return found
+
+
+def _is_parabola(poses: _Poses, frames: slice, sigma: float, body: Body) -> bool:
+    """Return whether the centre of mass falls freely, the quick part of a fit."""
+    dt = poses.t[frames] - poses.t[frames.start]
+    path = poses.com[frames] - np.outer(0.5 * dt**2, body.gravity)
+    line = np.column_stack([np.ones_like(dt), dt])
+    return bool(np.abs(path - line @ (np.linalg.pinv(line) @ path)).max() <= LIMIT * sigma)
+
+
+def _worst(residuals: Array, sigma: Array) -> float:
+    return float((np.abs(residuals) / np.repeat(sigma, 3)).max())
+
+
+def _first_beyond(flight: Flight, poses: _Poses, stop: int, sigma: Array, body: Body) -> int:
+    """Return the first frame from `stop` on that a flight does not predict, or the last to look at.
+
+    The prediction is as uncertain as a line through frames of equal distance; it is used for as many frames
+    as the flight has.
+    """
+    frames = np.arange(stop, min(stop + flight.count, len(poses.t)))
+    com, rotation, _, _ = flight.at(poses.t[frames], body)
+    off = np.hstack([poses.com[frames] - com, (poses.rotation[frames] * rotation.inv()).as_rotvec()])
+    n, ahead = flight.count, (frames - stop) + 0.5 * (flight.count + 1)
+    spread = np.sqrt(1.0 + 1.0 / n + 12.0 * ahead**2 / (n * (n * n - 1.0)))
+    beyond = (np.abs(off) > LIMIT * spread[:, None] * np.repeat(sigma, 3)).any(axis=1)
+    return int(frames[np.argmax(beyond)]) if beyond.any() else int(frames[-1]) + 1
+
+
+def _impact(
+    scene: Scene, poses: _Poses, before: slice, after: slice, sigma: Array, body: Body, clearance: float
+) -> tuple[Any, ...] | str:
+    """Return q, v⁻, v⁺, covariance, time and contact of the impact between two flights, or why it is none."""
+    if after.start - before.stop > 1:
+        missing = after.start - before.stop
+        return f"{missing} frames between two flights are in neither, more than one impact takes"
+    first, last = poses.t[before.stop - 1], poses.t[after.start]
+    instant = 0.5 * (first + last)
+    for _ in range(2):  # frames on the wrong side of the instant are left out, and the flights fitted again
+        sides: list[Flight] = []
+        for frames, inside in ((before, poses.t <= instant), (after, poses.t >= instant)):
+            chosen = np.arange(frames.start, frames.stop)
+            chosen = chosen[inside[chosen]]
+            if len(chosen) < FRAMES:
+                which = "before" if frames is before else "after"
+                return f"the flight {which} the impact has {len(chosen)} frames; {FRAMES} are needed"
+            sides.append(fit_flight(*poses.part(chosen), instant, body))
+        apart, instant = _agreement(sides[0], sides[1], sigma)
+        if not first - (last - first) <= instant <= last + (last - first):
+            return "the flights do not agree near the frames between them"
+    left, right = (_moved(flight, instant, body) for flight in sides)
+    if apart > LIMIT:
+        return f"the flights miss each other by {apart:.0f} standard deviations"
+    com = 0.5 * (left.com + right.com)
+    half = Rotation.from_rotvec(0.5 * (right.rotation * left.rotation.inv()).as_rotvec())
+    rotation = half * left.rotation
+    q = np.concatenate([com - rotation.apply(body.lever), rotation.as_quat()])
+    near = gaps(scene, q[None])[0]
+    order = np.argsort(near)
+    if len(order) > 1 and near[order[1]] < clearance:
+        return f"a second contact, {scene.contacts[order[1]].label}, is {1e3 * near[order[1]]:.1f} mm away"
+    if abs(near[order[0]]) > 0.5 * clearance:
+        return f"no contact is closed; the nearest is {1e3 * near[order[0]]:.1f} mm away"
+    covariance = np.zeros((12, 12))
+    states = []
+    for k, flight in enumerate((left, right)):
+        states.append(_generalized(flight, rotation, body))
+        covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = _covariance(flight, rotation, sigma, body)
+    return q, *states, covariance, instant, scene.contacts[order[0]].label
+
+
+def _agreement(before: Flight, after: Flight, sigma: Array) -> tuple[float, float]:
+    """Return how far two flights miss each other, and the instant at which they do so least. (I8)"""
+    spread = np.repeat(sigma, 3) * np.sqrt(
+        4.0 / before.count + 4.0 / after.count  # of the end of a line, at either side
+    )
+    gap = np.concatenate([after.com - before.com, (after.rotation * before.rotation.inv()).as_rotvec()])
+    rate = np.concatenate(
+        [
+            after.velocity - before.velocity,
+            after.rotation.apply(after.spin) - before.rotation.apply(before.spin),
+        ]
+    )
+    gap, rate = gap / spread, rate / spread
+    shift = -float(gap @ rate) / float(rate @ rate)
+    return float(np.abs(gap + shift * rate).max()), before.time + shift
+
+
+def _moved(flight: Flight, instant: float, body: Body) -> Flight:
+    """Return a flight with its state at another instant."""
+    com, rotation, velocity, spin = flight.at(np.array([instant]), body)
+    moved = com[0], velocity[0], rotation[0], spin[0]
+    return Flight(instant, *moved, flight.count, flight.residuals, flight.covariance)
+
+
+def _generalized(flight: Flight, rotation: Rotation, body: Body) -> Array:
+    """Return the velocity (6,) of the body, in its own axes, at its origin."""
+    return np.concatenate(
+        [rotation.inv().apply(flight.velocity) - np.cross(flight.spin, body.lever), flight.spin]
+    )
+
+
+def _covariance(flight: Flight, rotation: Rotation, sigma: Array, body: Body) -> Array:
+    """Return the covariance (6, 6) of `_generalized`."""
+    scale = np.repeat(sigma, 3)
+    own = flight.covariance * np.outer(scale, scale)
+    turn = np.zeros((6, 6))
+    x, y, z = body.lever
+    turn[:3, :3], turn[3:, 3:] = rotation.inv().as_matrix(), np.eye(3)
+    turn[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]  # lever × spin
+    return turn @ own @ turn.T

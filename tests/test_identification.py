@@ -1,0 +1,281 @@
+"""Friction and restitution from measured impacts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pinimpact
+from pinimpact import Contact, InputError, Plane, Scene, UnknownNameError, load_robot, solve_impacts, studies
+
+CUBES = Path(__file__).parents[2] / "shared" / "data" / "cube_tosses" / "impacts.npz"
+
+
+def random_bodies(count: int, rng: np.random.Generator):
+    """Return W and v⁻ of corners of unit mass bodies that strike at random."""
+    arms = rng.normal(size=(count, 3, 3)) * [[[1.2], [1.2], [0.6]]]
+    delassus = np.eye(3) + arms @ np.swapaxes(arms, 1, 2)
+    velocity = rng.normal(size=(count, 3))
+    velocity[:, 2] = -rng.uniform(0.5, 2.0, count)
+    return delassus, velocity
+
+
+def cube_scene(d):
+    """Return a scene of the tossed cube, of mass 1 in its own metres."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "cube")
+    model.appendBodyToJoint(
+        joint, pin.Inertia(1.0, np.zeros(3), d["inertia_over_mass_body"]), pin.SE3.Identity()
+    )
+    model.addBodyFrame("cube", joint, pin.SE3.Identity(), 0)
+    rotation = Rotation.from_quat(d["quaternion_wxyz"], scalar_first=True)
+    radii = np.linalg.norm(
+        d["contact_from_com"] - rotation.apply(d["corner_sphere_centres_from_com"][d["corner"]]), axis=1
+    )
+    contacts = []
+    for i, centre in enumerate(d["corner_sphere_centres_from_com"]):
+        of_corner = radii[d["corner"] == i]
+        contacts.append(Contact("cube", Plane(), offset=centre, radius=of_corner.mean(), name=f"corner {i}"))
+    return Scene(model, contacts)
+
+
+def cube_states(d):
+    """Return q, v⁻, v⁺ of the cube's impacts."""
+    rotation = Rotation.from_quat(d["quaternion_wxyz"], scalar_first=True)
+    q = np.hstack([d["com"], rotation.as_quat()])
+    back = rotation.inv()
+    states = [np.hstack([back.apply(d[f"v_{s}"]), back.apply(d[f"w_{s}"])]) for s in ("before", "after")]
+    return q, *states
+
+
+@pytest.fixture(scope="module")
+def cubes():
+    if not CUBES.is_file():
+        pytest.skip(f"the recorded tosses are not in {CUBES.parent}")
+    return dict(np.load(CUBES))
+
+
+@pytest.mark.parametrize("law", pinimpact.LAWS)
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+def test_exact_impacts_give_their_coefficients_back(law: str, loss: str) -> None:
+    W, before = random_bodies(40, np.random.default_rng(1))
+    after = solve_impacts(W, before, 0.21, 0.43, law=law).velocity
+    fit = studies.identify((W, before, after), law=law, loss=loss)
+    assert fit.x == pytest.approx([0.21, 0.43], abs=1e-7)
+    assert fit.unidentified == ()
+    assert fit.interval(0.99).ravel() == pytest.approx([0.21, 0.21, 0.43, 0.43], abs=1e-6)
+
+
+def test_contacts_of_a_robot_have_coefficients_of_their_own() -> None:
+    robot = load_robot("solo12")
+    rng = np.random.default_rng(2)
+    truth = {"FL_FOOT": (0.15, 0.2), "FR_FOOT": (0.3, 0.2)}
+    feet = [Contact(foot, Plane(), *pair, name=foot) for foot, pair in truth.items()]
+    q = np.array([pin.integrate(robot.model, robot.q0, 0.1 * rng.normal(size=18)) for _ in range(30)])
+    v = rng.normal(size=(30, 18))
+    v[:, 2] -= 3.0
+    after, names = np.empty_like(v), np.array(["FL_FOOT", "FR_FOOT"] * 15)
+    for i in range(30):
+        after[i] = pinimpact.impact(robot.model, robot.data, q[i], v[i], feet[i % 2]).v
+    scene = Scene(robot, [Contact(foot, Plane(), 0.9, 0.2, name=foot) for foot in truth])
+    free = {"friction": (0, 1), "friction:FR_FOOT": (0, 1)}
+    noise = 1e-4 * np.eye(18)
+    for covariance in (None, noise):
+        fit = studies.identify((q, v, after), scene, free, contact=names, covariance=covariance)
+        assert fit.names == ("friction", "friction:FR_FOOT")
+        assert fit.x == pytest.approx([0.15, 0.3], abs=1e-6)
+    fitted = fit.apply(scene)
+    assert [one.friction for one in fitted.contacts] == pytest.approx([0.15, 0.3], abs=1e-6)
+    assert [one.restitution for one in fitted.contacts] == [0.2, 0.2]
+
+
+def tosses(rng: np.random.Generator, groups: int = 60, each: int = 3):
+    """Return noisy impacts of tosses, each with its own friction, and the labels of the tosses."""
+    group = np.repeat(np.arange(groups), each)
+    W, before = random_bodies(len(group), rng)
+    before[:, :2] += np.sign(before[:, :2])  # fast slip
+    mu = 0.16 + 0.011 * rng.normal(size=groups)[group]
+    after = solve_impacts(W, before, mu, 0.27).velocity + 0.002 * rng.normal(size=(len(group), 3))
+    return (W, before, after), group
+
+
+@pytest.mark.slow
+def test_standard_errors_are_the_scatter_of_estimates() -> None:
+    rng = np.random.default_rng(3)
+    fits, naive = [], []
+    for _ in range(150):
+        found, group = tosses(rng)
+        fits.append(studies.identify(found, group=group))
+        naive.append(studies.identify(found).standard_errors)
+    scatter = np.std([fit.x for fit in fits], axis=0)
+    # a standard deviation of 150 numbers has an error of 6 %
+    assert np.mean([fit.standard_errors for fit in fits], axis=0) == pytest.approx(scatter, rel=0.18)
+    assert np.mean(naive, axis=0)[0] < 0.8 * scatter[0]  # impacts of a toss are not independent
+    inside = [(fit.interval()[:, 0] <= (0.16, 0.27)) & (fit.interval()[:, 1] >= (0.16, 0.27)) for fit in fits]
+    assert np.all(np.sum(inside, axis=0) >= 134)  # fewer of 150 have a probability of 0.2 % at 95 %
+
+
+def test_an_outlier_has_less_weight_with_the_soft_loss() -> None:
+    W, before = random_bodies(60, np.random.default_rng(4))
+    after = solve_impacts(W, before, 0.2, 0.4).velocity
+    after += 0.001 * np.random.default_rng(5).normal(size=after.shape)
+    after[7] += [2.0, 0.0, 3.0]
+    off = {
+        loss: np.abs(studies.identify((W, before, after), loss=loss).x - [0.2, 0.4]).max()
+        for loss in ("linear", "soft_l1")
+    }
+    assert off["soft_l1"] < 0.1 * off["linear"]
+
+
+def test_friction_is_not_determined_where_all_impacts_stick() -> None:
+    W, before = random_bodies(30, np.random.default_rng(6))
+    before[:, :2] *= 0.01
+    W[:] = np.diag([3.0, 3.0, 1.0])
+    after = solve_impacts(W, before, 1.0, 0.4).velocity
+    after += 0.001 * np.random.default_rng(7).normal(size=after.shape)
+    fit = studies.identify((W, before, after))
+    assert len(fit.unidentified) == 1
+    assert fit.unidentified[0].startswith("friction is not determined: all impacts end sticking")
+    assert fit.interval()[0] == pytest.approx([0.0, 2.0])
+    assert fit.x[1] == pytest.approx(0.4, abs=0.01)
+    assert "all impacts end sticking" in repr(fit)
+
+
+def test_restitution_is_not_determined_by_grazes() -> None:
+    rng = np.random.default_rng(8)
+    W, before = random_bodies(30, rng)
+    before[:, 2] *= 1e-3
+    after = solve_impacts(W, before, 0.1, 0.4).velocity + 0.05 * rng.normal(size=(30, 3))
+    fit = studies.identify((W, before, after), fixed={"friction": 0.1}, free={"restitution": (0, 1)})
+    assert "the median approach speed is 0.0014 m/s" in fit.unidentified[0]
+
+
+def test_a_contact_without_impacts_is_named() -> None:
+    robot = load_robot("solo12")
+    scene = Scene(robot, [Contact(foot, Plane(), 0.5, name=foot) for foot in ("FL_FOOT", "FR_FOOT")])
+    v = np.zeros((3, 18))
+    v[:, 2] = -1.0
+    q = np.tile(robot.q0, (3, 1))
+    free = {"restitution:FL_FOOT": (0, 1), "friction:FR_FOOT": (0, 1)}
+    fit = studies.identify((q, v, v * 0.9), scene, free, contact="FL_FOOT")
+    assert fit.unidentified[-1] == "friction:FR_FOOT is not determined: no impact is of this contact."
+
+
+def test_the_covariance_is_that_of_leaving_out_groups() -> None:
+    """To first order: fits without one group, of a cost that is nearly quadratic."""
+    found, group = tosses(np.random.default_rng(12), groups=12)
+    fit = studies.identify(found, group=group, loss="linear")
+    left_out = []
+    for k in range(12):
+        kept = group != k
+        left_out.append(studies.identify([x[kept] for x in found], group=group[kept], loss="linear").x)
+    off = np.array(left_out) - fit.x
+    size = np.outer(fit.standard_errors, fit.standard_errors)
+    assert fit.covariance / size == pytest.approx(11 / 12 * off.T @ off / size, abs=0.05)
+
+
+def test_a_parameter_of_one_group_has_no_interval() -> None:
+    robot = load_robot("solo12")
+    feet = [Contact(foot, Plane(), 0.1, 0.5, name=foot) for foot in ("FL_FOOT", "FR_FOOT")]
+    rng = np.random.default_rng(13)
+    v = rng.normal(size=(8, 18))
+    v[:, 2] = -4.0
+    q, names = np.tile(robot.q0, (8, 1)), np.array(["FL_FOOT"] * 6 + ["FR_FOOT"] * 2)
+    after = [
+        pinimpact.impact(robot.model, robot.data, q[i], v[i], feet[i // 6]).v + 0.01 * rng.normal(size=18)
+        for i in range(8)
+    ]
+    free = {"restitution:FL_FOOT": (0, 1), "restitution:FR_FOOT": (0, 1)}
+    group = [0, 0, 1, 1, 2, 2, 3, 3]
+    fit = studies.identify((q, v, np.array(after)), Scene(robot, feet), free, contact=names, group=group)
+    assert fit.unidentified == ("restitution:FR_FOOT has no interval: only one group determines it.",)
+    assert fit.interval()[1] == pytest.approx([0.0, 1.0])
+    assert 0.0 < fit.standard_errors[0] < 0.1
+
+
+def test_a_scene_gets_the_law_of_the_fit() -> None:
+    W, before = random_bodies(20, np.random.default_rng(9))
+    after = solve_impacts(W, before, 0.2, 0.4, law="newton").velocity
+    fit = studies.identify((W, before, after), law="newton")
+    scene = fit.apply(Scene(load_robot("panda"), [Contact("panda_hand_tcp", Plane())]))
+    (contact,) = scene.contacts
+    assert (contact.law, contact.friction) == ("newton", pytest.approx(0.2, abs=1e-6))
+
+
+def test_the_figure_has_an_interval_for_each_parameter() -> None:
+    W, before = random_bodies(20, np.random.default_rng(10))
+    after = solve_impacts(W, before, 0.2, 0.4).velocity
+    figure = studies.identify((W, before, after + 1e-3)).plot()
+    assert [axes.get_xlabel().split(" = ")[0] for axes in figure.axes[:2]] == ["friction", "restitution"]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"free": {}}, InputError, "free: {} given; bounds by name"),
+        ({"free": {"frction": (0, 1)}}, UnknownNameError, "did you mean 'friction'"),
+        ({"free": {"friction:foot": (0, 1)}}, UnknownNameError, "'foot' is not a contact of the scene"),
+        ({"free": {"restitution": (0, 2)}}, InputError, "two rising numbers from 0 to 1"),
+        ({"free": {"friction": (0, 1)}}, InputError, "restitution is neither free nor fixed"),
+        ({"loss": "hubber"}, UnknownNameError, "loss: 'hubber' is not a loss"),
+        ({"law": "kane"}, UnknownNameError, "is not a restitution law"),
+        ({"group": [1, 2]}, InputError, r"group: shape \(2,\) given, \(5,\) expected"),
+        ({"group": [1] * 5}, InputError, "all rows are in one group"),
+        ({"covariance": -np.eye(3)}, InputError, "covariance: a matrix is not a covariance"),
+        ({"covariance": [[1, 2, 0], [0, 1, 0], [0, 0, 1]]}, InputError, "is not a covariance"),
+        ({"found": np.zeros((5, 3))}, InputError, r"\(delassus, v_before, v_after\)"),
+        ({"found": (np.zeros((5, 3, 3)), np.zeros((5, 3)), np.zeros((4, 3)))}, InputError, "shapes"),
+        ({"found": (np.zeros((5, 3, 3)), -np.ones((5, 3)), np.ones((5, 3)))}, InputError, "impact 0 has no"),
+    ],
+)
+def test_bad_input_is_named(change: dict, error: type, message: str) -> None:
+    W, before = random_bodies(5, np.random.default_rng(11))
+    with pytest.raises(error, match=message):
+        studies.identify(**({"found": (W, before, before)} | change))
+
+
+def test_an_impact_needs_a_contact() -> None:
+    robot = load_robot("solo12")
+    scene = Scene(robot, [Contact(foot, Plane(), name=foot) for foot in ("FL_FOOT", "FR_FOOT")])
+    found = np.tile(robot.q0, (2, 1)), np.zeros((2, 18)), np.zeros((2, 18))
+    with pytest.raises(InputError, match="contact: the scene has 2 contacts; give the name"):
+        studies.identify(found, scene)
+    with pytest.raises(UnknownNameError, match="contact: 'foot' is not a contact of the scene"):
+        studies.identify(found, scene, contact="foot")
+
+
+def test_recorded_cubes(cubes) -> None:
+    """The figures published for these data, by a fit that this one shares nothing with but the law."""
+    fit = studies.identify(
+        cube_states(cubes), cube_scene(cubes), contact=names_of(cubes), group=cubes["toss"]
+    )
+    assert fit.x == pytest.approx([0.1606, 0.2696], abs=3e-4)
+    assert fit.standard_errors == pytest.approx([0.0011, 0.0010], abs=1e-4)
+    assert fit.unidentified == ()
+
+
+def names_of(d):
+    return np.array([f"corner {i}" for i in d["corner"]])
+
+
+def test_recorded_cubes_that_are_left_out_are_predicted(cubes) -> None:
+    scene, names, toss = cube_scene(cubes), names_of(cubes), cubes["toss"]
+    q, before, after = cube_states(cubes)
+    labels = np.unique(toss)
+    fold = np.random.default_rng(0).permutation(len(labels))[np.searchsorted(labels, toss)] % 10
+    squares, model = np.zeros(len(q)), scene.model
+    inertia = np.array(model.inertias[1].inertia)
+    for k in range(10):
+        fitted = fold != k
+        found = q[fitted], before[fitted], after[fitted]
+        fit = studies.identify(found, scene, contact=names[fitted], group=toss[fitted])
+        contacts = {one.label: one for one in fit.apply(scene).contacts}
+        for i in np.flatnonzero(~fitted):
+            hit = pinimpact.impact(model, model.createData(), q[i], before[i], contacts[names[i]])
+            off = hit.v - after[i]
+            squares[i] = off[:3] @ off[:3] + off[3:] @ inertia @ off[3:]
+    assert np.sqrt(squares.mean()) <= 0.0430

@@ -1,0 +1,205 @@
+"""Flights fitted to recorded poses, and the impacts between them."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pinimpact import Contact, InputError, Plane, Scene, load_robot, simulate, studies
+from pinimpact.studies.flights import Body, fit_flight, torque_free
+
+from .test_identification import CUBES, cube_scene, cube_states, names_of
+
+RATE = 150.0
+
+
+def box_scene(friction: float = 0.2, restitution: float = 0.5) -> Scene:
+    """Return a scene of a box of unequal edges whose centre of mass is not at its origin."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    inertia = pin.Inertia(0.4, np.array([0.004, -0.003, 0.006]), np.diag([9e-4, 8e-4, 6e-4]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("box", joint, pin.SE3.Identity(), 0)
+    corners = itertools.product((-0.04, 0.04), (-0.05, 0.05), (-0.06, 0.06))
+    return Scene(
+        model,
+        [
+            Contact("box", Plane(), friction, restitution, offset=corner, radius=0.002, name=f"corner {i}")
+            for i, corner in enumerate(corners)
+        ],
+    )
+
+
+def toss(scene: Scene, rng: np.random.Generator, duration: float = 0.4):
+    """Return the simulated motion of a toss."""
+    q0 = np.concatenate([[0, 0, 0.25], Rotation.random(rng=rng).as_quat()])
+    v0 = np.concatenate([rng.normal(size=3), 6.0 * rng.normal(size=3)])
+    v0[:3] = Rotation.from_quat(q0[3:]).inv().apply([*rng.normal(size=2), -1.0])
+    return simulate(scene, q0, v0, duration)
+
+
+def recorded(trajectory, rng: np.random.Generator, sigma=(0.0, 0.0), **options) -> studies.Motion:
+    """Return frames of a motion, with noise."""
+    t = np.arange(0.0, trajectory.duration, 1.0 / RATE)
+    q = np.array([trajectory.at(time)[0] for time in t.tolist()])
+    q[:, :3] += sigma[0] * rng.normal(size=(len(t), 3))
+    turn = Rotation.from_rotvec(sigma[1] * rng.normal(size=(len(t), 3)))
+    q[:, 3:] = (turn * Rotation.from_quat(q[:, 3:])).as_quat()
+    return studies.Motion(t, q, **options)
+
+
+def test_a_symmetric_top_precesses_about_its_angular_momentum() -> None:
+    """Body axes: the transverse spin turns at (C − A) w₃ / A; world: the axis turns about L at |L|/A."""
+    A, C = 2.0, 0.7
+    inertia, w = np.diag([A, A, C]), np.array([0.3, 0.0, 4.0])
+    R = Rotation.from_rotvec([0.1, 0.5, -0.3])
+    times = np.array([0.4, -0.7, 0.0, 1.3])
+    found, spins = torque_free(R.as_matrix()[None], w[None], inertia, times)
+    turn = (C - A) / A * w[2] * times
+    assert spins[:, 0] == pytest.approx(
+        np.column_stack([w[0] * np.cos(turn), -w[0] * -np.sin(turn), np.full(4, w[2])]), abs=1e-8
+    )
+    momentum = R.apply(inertia @ w)
+    precession = Rotation.from_rotvec(np.outer(times, momentum / A))
+    spin = Rotation.from_rotvec(np.outer(times, [0, 0, w[2] * (1.0 - C / A)]))
+    assert found[:, 0] == pytest.approx((precession * R * spin).as_matrix(), abs=1e-8)
+
+
+def test_a_flight_is_fitted_with_its_covariance() -> None:
+    rng = np.random.default_rng(0)
+    body = Body(np.zeros(3), np.diag([1.0, 2.0, 2.5]), np.array([0.0, 0.0, -9.81]))
+    R, w, v = Rotation.random(rng=rng), np.array([4.0, -5.0, 6.0]), np.array([1.0, 0.2, -2.0])
+    times = np.arange(12) / RATE
+    matrices, _ = torque_free(R.as_matrix()[None], w[None], body.inertia, times - 0.1)
+    dt = times - 0.1
+    com = np.outer(dt, v) + np.outer(0.5 * dt**2, body.gravity)
+    exact = fit_flight(times, com, Rotation.from_matrix(matrices[:, 0]), 0.1, body)
+    assert exact.velocity == pytest.approx(v, abs=1e-10)
+    assert exact.spin == pytest.approx(w, abs=1e-7)
+    assert np.abs(exact.residuals).max() < 1e-8
+    sigma, off = np.array([1e-4, 1e-3]), []
+    for _ in range(200):
+        noisy = Rotation.from_rotvec(sigma[1] * rng.normal(size=(12, 3))) * Rotation.from_matrix(
+            matrices[:, 0]
+        )
+        flight = fit_flight(times, com + sigma[0] * rng.normal(size=(12, 3)), noisy, 0.1, body)
+        off.append(np.concatenate([flight.velocity - v, flight.spin - w]))
+    predicted = np.sqrt(np.diag(exact.covariance)) * np.repeat(sigma, 3)
+    assert np.std(off, axis=0) == pytest.approx(predicted, rel=0.2)  # four standard errors of 200
+
+
+@pytest.mark.slow
+def test_impacts_of_simulated_tosses_are_found() -> None:
+    """States at impacts are those of the simulation, within the errors that the fits report."""
+    rng, scene, sigma = np.random.default_rng(1), box_scene(), (5e-5, 5e-4)
+    runs = [toss(scene, rng) for _ in range(12)]
+    motions = [recorded(run, rng, sigma, group=f"toss {k}") for k, run in enumerate(runs)]
+    found = studies.impacts(scene, motions)
+    assert len(found) >= 12
+    scores = []
+    for i in range(len(found)):
+        run = runs[int(found.group[i].split()[1])]
+        (hit,) = [one for one in run.impacts if abs(one.time - found.time[i]) < 1e-3]
+        assert hit.source == found.contact[i]
+        assert found.q[i, :3] == pytest.approx(hit.q[:3], abs=3e-4)
+        off = np.concatenate([found.v_before[i] - hit.v_before, found.v_after[i] - hit.v_after])
+        scores.append(off @ np.linalg.solve(found.covariance[i], off))
+    # χ² of 12 numbers, where the noise is estimated and its effect on the instant left out
+    assert 8.0 < np.mean(scores) < 18.0
+    fit = studies.identify(found, scene)
+    assert fit.groups == len(set(found.group.tolist()))
+    assert np.abs(fit.x - [0.2, 0.5]).max() < 4.0 * fit.standard_errors.max() < 0.03
+
+
+@pytest.mark.slow
+def test_what_is_no_single_impact_is_dropped_with_a_reason() -> None:
+    rng, scene = np.random.default_rng(2), box_scene(restitution=0.2)
+    run = toss(scene, rng, 0.6)
+    found = studies.impacts(scene, [recorded(run, rng, sigma=(1e-4, 1e-3), group="a")], clearance=0.01)
+    reasons = " ".join(found.dropped)
+    assert "frames between two flights are in neither" in reasons or "a second contact" in reasons
+    assert all(reason.startswith("a, 0.") for reason in found.dropped)
+    assert len(found[:0]) == 0
+
+
+def test_without_impacts_nothing_is_found() -> None:
+    scene = box_scene()
+    run = simulate(scene, np.array([0, 0, 3.0, 0, 0, 0, 1.0]), np.array([0, 0, 0, 1.0, 2.0, 3.0]), 0.2)
+    found = studies.impacts(scene, [recorded(run, np.random.default_rng(3))])
+    assert (len(found), found.dropped, found.q.shape) == (0, (), (0, 7))
+
+
+T, Q = np.arange(12) / RATE, np.tile([0.0, 0, 1, 0, 0, 0, 1], (12, 1))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((T[[0, 1, 3, 2, *range(4, 12)]], Q), r"times do not rise at frame 3: 0.0133333333 s after 0.02 s"),
+        ((T * 0.0, Q), "times do not rise at frame 1"),
+        ((T[:6], Q[:6]), "6 frames given; two flights need 10 at least"),
+        ((T, Q[:6]), r"q: shape \(6, 7\) given, \(12, 7\) expected"),
+        ((T, Q, None, (1e-3, 0.0)), "sigma: 0.0 given; it must be above 0"),
+        ((T, Q, None, 1e-3), "sigma: shape"),
+    ],
+)
+def test_bad_recordings_are_named(arguments, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        studies.Motion(*arguments)
+
+
+def test_impacts_are_those_of_one_free_body() -> None:
+    motion = studies.Motion(T, Q)
+    with pytest.raises(InputError, match="impacts is for one free body; 'panda' has 9 joints"):
+        studies.impacts(Scene(load_robot("panda")), [motion])
+    with pytest.raises(InputError, match="it has no contacts"):
+        studies.impacts(Scene(box_scene().model), [motion])
+    with pytest.raises(InputError, match=r"Motions with q \(n, 7\) expected"):
+        studies.impacts(box_scene(), [studies.Motion(T, Q[:, :6])])
+    resting = studies.Motion(T, Q * [1, 1, 0, 1, 1, 1, 1])
+    with pytest.raises(InputError, match="none begins with 5 frames clear"):
+        studies.impacts(box_scene(), [resting])
+
+
+@pytest.mark.slow
+def test_impacts_of_recorded_cubes() -> None:
+    """Impacts that others found in these recordings, by fits of their own."""
+    if not CUBES.is_file():
+        pytest.skip(f"the recorded tosses are not in {CUBES.parent}")
+    d, recordings = dict(np.load(CUBES)), dict(np.load(CUBES.with_name("trajectories.npz")))
+    scene = cube_scene(d)
+    scene.model.gravity.linear = np.array([0.0, 0.0, -9.81 / 1.0215])
+    motions = cube_motions(d, recordings, 25)
+    found = studies.impacts(scene, motions)
+    q, before, after = cube_states(d)
+    pairs = [
+        (i, j)
+        for i in range(len(found))
+        for j in np.flatnonzero((d["toss"] == found.group[i]) & (np.abs(d["time"] - found.time[i]) < 2e-3))
+    ]
+    assert len(pairs) >= 15
+    mine, theirs = np.array(pairs).T
+    assert np.array_equal(found.contact[mine], names_of(d)[theirs])
+    assert np.abs(found.q[mine, :3] - q[theirs, :3]).max() < 1e-3
+    for ours, given, side in ((found.v_before, before, "before"), (found.v_after, after, "after")):
+        off = np.abs(ours[mine] - given[theirs])
+        assert np.median(off[:, :3] / d[f"sigma_v_{side}"][theirs, None]) < 6.0  # they leave out drag
+        assert np.median(off[:, 3:] / d[f"sigma_w_{side}"][theirs, None]) < 2.0
+    fit = studies.identify(found, scene)
+    assert np.all(np.abs(fit.x - [0.1606, 0.2696]) < 3.0 * fit.standard_errors)
+
+
+def cube_motions(d, recordings, count: int) -> list[studies.Motion]:
+    """Return the first recordings of the cube."""
+    motions = []
+    for k in range(count):
+        rows = slice(*recordings["start"][k : k + 2])
+        rotation = Rotation.from_quat(recordings["quaternion_wxyz"][rows], scalar_first=True)
+        com = recordings["position"][rows] - rotation.apply(d["tracked_centre_from_com_body"])
+        q = np.hstack([com, rotation.as_quat()])
+        motions.append(studies.Motion(recordings["t"][rows], q, group=int(recordings["toss"][k])))
+    return motions
