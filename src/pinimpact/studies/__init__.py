@@ -1,8 +1,23 @@
 """Parameters from measurements; accuracy against run time; other solvers of the same problem."""
 
+from .bodies import identify_body
 from .estimate import Identified
 from .found import FoundImpacts
 from .identification import identify
 from .recordings import Motion, impacts
+from .rolling_out import Comparison, RollOuts, compare, rollouts
+from .sliding import identify_sliding
 
-__all__ = ["FoundImpacts", "Identified", "Motion", "identify", "impacts"]
+__all__ = [
+    "Comparison",
+    "FoundImpacts",
+    "Identified",
+    "Motion",
+    "RollOuts",
+    "compare",
+    "identify",
+    "identify_body",
+    "identify_sliding",
+    "impacts",
+    "rollouts",
+]

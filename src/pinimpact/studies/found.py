@@ -30,6 +30,7 @@ class FoundImpacts:
         time: (N,) times in their recordings [s].
         covariance: (N, 2 nv, 2 nv) of v_before and v_after, or None.
         dropped: Why other impacts of the recordings were left out, one sentence each.
+        scene: The scene with which they were found.
     """
 
     q: Array
@@ -40,6 +41,7 @@ class FoundImpacts:
     time: Array | None = None
     covariance: Array | None = None
     dropped: tuple[str, ...] = ()
+    scene: Scene | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -49,7 +51,9 @@ class FoundImpacts:
         time = None if self.time is None else self.time[one]
         covariance = None if self.covariance is None else self.covariance[one]
         states = self.q[one], self.v_before[one], self.v_after[one]
-        return FoundImpacts(*states, self.contact[one], self.group[one], time, covariance, self.dropped)
+        return FoundImpacts(
+            *states, self.contact[one], self.group[one], time, covariance, self.dropped, self.scene
+        )
 
     def __repr__(self) -> str:
         groups = counted(len(np.unique(self.group)), "group")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 FRAMES = 5
 """Of the shortest flight: a state has six numbers of rotation, so that three frames leave two residuals."""
+
+CLEARANCE = 0.01
+"""Gap [m] beyond which recorded bodies are clear of a surface, of several times their errors of shape."""
 
 LIMIT = 5.0
 """Standard deviations up to which a frame belongs to a flight: one of a million normal frames is beyond."""
@@ -72,11 +75,15 @@ class Motion:
         for name, value in (("t", times), ("q", states), ("group", group), ("sigma", pair)):
             object.__setattr__(self, name, value)
 
+    def label(self, number: int) -> Hashable:
+        """Return the label of the group, of the motion of a number where there is none."""
+        return ("motion", number) if self.group is None else self.group
+
     def __repr__(self) -> str:
         return f"Motion({len(self.t)} frames, {self.t[0]:.3g} to {self.t[-1]:.3g} s, group={self.group!r})"
 
 
-class _Poses(NamedTuple):
+class Poses(NamedTuple):
     """Times, centres of mass, rotations and gaps (n, contacts) of a recorded motion."""
 
     t: Array
@@ -89,7 +96,7 @@ class _Poses(NamedTuple):
         return self.t[frames], self.com[frames], self.rotation[frames]
 
 
-def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = 0.01) -> FoundImpacts:
+def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = CLEARANCE) -> FoundImpacts:
     """Find impacts of a free body at one contact in recorded motions.
 
     Flights are fitted to the frames on either side of an impact, a parabola and a torque-free rotation, and
@@ -108,6 +115,34 @@ def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = 0.01)
     """
     free_body(scene, "impacts")
     clearance = above_zero("clearance", clearance)
+    motions = checked_motions(motions)
+    if not scene.contacts:
+        raise InputError("scene: it has no contacts", field="scene", value=scene)
+    body, rows, dropped = Body.of(scene.model), [], []
+    for label, poses, sigma, flights in flights_of(scene, motions, body, clearance):
+        for before, after in itertools.pairwise(flights):
+            row = _impact(scene, poses, before, after, sigma, body, clearance)
+            if isinstance(row, str):
+                dropped.append(f"{label}, {poses.t[before.stop - 1]:.3f} s: {row}.")
+            else:
+                rows.append((*row, label))
+    return _table(rows, dropped, scene)
+
+
+def flights_of(
+    scene: Scene, motions: Sequence[Motion], body: Body, clearance: float
+) -> Iterator[tuple[Hashable, Poses, Array, list[slice]]]:
+    """Yield label, poses, noise and the frames of the flights of each motion."""
+    every = [_poses(scene, motion, body) for motion in motions]
+    unknown = [poses for poses, motion in zip(every, motions, strict=True) if motion.sigma is None]
+    noise = _noise(unknown, body, clearance) if unknown else np.zeros(2)
+    for number, (motion, poses) in enumerate(zip(motions, every, strict=True)):
+        sigma = noise if motion.sigma is None else np.array(motion.sigma)
+        yield motion.label(number), poses, sigma, _flights(poses, sigma, body)
+
+
+def checked_motions(motions: Any) -> tuple[Motion, ...]:
+    """Return motions of a free body as a tuple, or raise `InputError`."""
     motions = as_tuple("motions", motions, Motion, "a Motion")
     for motion in motions:
         if not isinstance(motion, Motion) or motion.q.shape[1] != 7:
@@ -115,26 +150,10 @@ def impacts(scene: Scene, motions: Sequence[Motion], *, clearance: float = 0.01)
             raise InputError(
                 f"motions: {what} given, Motions with q (n, 7) expected", field="motions", value=motion
             )
-    if not scene.contacts:
-        raise InputError("scene: it has no contacts", field="scene", value=scene)
-    body, rows, dropped = Body.of(scene.model), [], []
-    all_poses = [_poses(scene, motion, body) for motion in motions]
-    unknown = [poses for poses, motion in zip(all_poses, motions, strict=True) if motion.sigma is None]
-    noise = _noise(unknown, body, clearance) if unknown else np.zeros(2)
-    for number, (motion, poses) in enumerate(zip(motions, all_poses, strict=True)):
-        label = number if motion.group is None else motion.group
-        sigma = noise if motion.sigma is None else np.array(motion.sigma)
-        flights = _flights(poses, sigma, body)
-        for before, after in itertools.pairwise(flights):
-            row = _impact(scene, poses, before, after, sigma, body, clearance)
-            if isinstance(row, str):
-                dropped.append(f"{label}, {poses.t[before.stop - 1]:.3f} s: {row}.")
-            else:
-                rows.append((*row, label))
-    return _table(rows, dropped)
+    return motions
 
 
-def _table(rows: list[Any], dropped: list[str]) -> FoundImpacts:
+def _table(rows: list[Any], dropped: list[str], scene: Scene) -> FoundImpacts:
     columns = list(zip(*rows, strict=True)) if rows else [()] * 7
     q, before, after, covariance, time, contact = (np.array(column) for column in columns[:6])
     labels = np.empty(len(rows), dtype=object)
@@ -142,15 +161,15 @@ def _table(rows: list[Any], dropped: list[str]) -> FoundImpacts:
     if len({type(label) for label in columns[6]}) == 1 and isinstance(columns[6][0], (int, str)):
         labels = np.array(columns[6])
     shapes = (q.reshape(-1, 7), before.reshape(-1, 6), after.reshape(-1, 6))
-    return FoundImpacts(*shapes, contact, labels, time, covariance.reshape(-1, 12, 12), tuple(dropped))
+    return FoundImpacts(*shapes, contact, labels, time, covariance.reshape(-1, 12, 12), tuple(dropped), scene)
 
 
-def _poses(scene: Scene, motion: Motion, body: Body) -> _Poses:
+def _poses(scene: Scene, motion: Motion, body: Body) -> Poses:
     """Return the poses of a motion, with the gaps of the scene's contacts."""
     rotation = Rotation.from_quat(motion.q[:, 3:])
     q = np.hstack([motion.q[:, :3], rotation.as_quat()])
     com = q[:, :3] + rotation.apply(body.lever)
-    return _Poses(motion.t, com, rotation, gaps(scene, q))
+    return Poses(motion.t, com, rotation, gaps(scene, q))
 
 
 def gaps(scene: Scene, q: Array) -> Array:
@@ -159,7 +178,7 @@ def gaps(scene: Scene, q: Array) -> Array:
     return np.array([[one.gap(scene.model, data, row) for one in scene.contacts] for row in q])
 
 
-def _noise(poses: list[_Poses], body: Body, clearance: float) -> Array:
+def _noise(poses: list[Poses], body: Body, clearance: float) -> Array:
     """Return standard deviations of position and rotation about free flight, clear of all surfaces.
 
     They include what free flight leaves out, such as drag and the calibration of cameras. All motions share
@@ -182,7 +201,7 @@ def _noise(poses: list[_Poses], body: Body, clearance: float) -> Array:
     return np.sqrt(np.mean(squares, axis=0))
 
 
-def _flights(poses: _Poses, sigma: Array, body: Body) -> list[slice]:
+def _flights(poses: Poses, sigma: Array, body: Body) -> list[slice]:
     """Return the frames of the flights of a motion, in order; none shorter than `FRAMES`."""
     found, start, count = [], 0, len(poses.t)
     while start + FRAMES <= count:
@@ -205,7 +224,7 @@ def _flights(poses: _Poses, sigma: Array, body: Body) -> list[slice]:
     return found
 
 
-def _is_parabola(poses: _Poses, frames: slice, sigma: float, body: Body) -> bool:
+def _is_parabola(poses: Poses, frames: slice, sigma: float, body: Body) -> bool:
     """Return whether the centre of mass falls freely, the quick part of a fit."""
     dt = poses.t[frames] - poses.t[frames.start]
     path = poses.com[frames] - np.outer(0.5 * dt**2, body.gravity)
@@ -217,7 +236,7 @@ def _worst(residuals: Array, sigma: Array) -> float:
     return float((np.abs(residuals) / np.repeat(sigma, 3)).max())
 
 
-def _first_beyond(flight: Flight, poses: _Poses, stop: int, sigma: Array, body: Body) -> int:
+def _first_beyond(flight: Flight, poses: Poses, stop: int, sigma: Array, body: Body) -> int:
     """Return the first frame from `stop` on that a flight does not predict, or the last to look at.
 
     The prediction is as uncertain as a line through frames of equal distance; it is used for as many frames
@@ -233,7 +252,7 @@ def _first_beyond(flight: Flight, poses: _Poses, stop: int, sigma: Array, body: 
 
 
 def _impact(
-    scene: Scene, poses: _Poses, before: slice, after: slice, sigma: Array, body: Body, clearance: float
+    scene: Scene, poses: Poses, before: slice, after: slice, sigma: Array, body: Body, clearance: float
 ) -> tuple[Any, ...] | str:
     """Return q, v⁻, v⁺, covariance, time and contact of the impact between two flights, or why it is none."""
     if after.start - before.stop > 1:
@@ -269,7 +288,7 @@ def _impact(
     covariance = np.zeros((12, 12))
     states = []
     for k, flight in enumerate((left, right)):
-        states.append(_generalized(flight, rotation, body))
+        states.append(generalized(flight, rotation, body))
         covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = _covariance(flight, rotation, sigma, body)
     return q, *states, covariance, instant, scene.contacts[order[0]].label
 
@@ -298,7 +317,7 @@ def _moved(flight: Flight, instant: float, body: Body) -> Flight:
     return Flight(instant, *moved, flight.count, flight.residuals, flight.covariance)
 
 
-def _generalized(flight: Flight, rotation: Rotation, body: Body) -> Array:
+def generalized(flight: Flight, rotation: Rotation, body: Body) -> Array:
     """Return the velocity (6,) of the body, in its own axes, at its origin."""
     return np.concatenate(
         [rotation.inv().apply(flight.velocity) - np.cross(flight.spin, body.lever), flight.spin]
@@ -306,7 +325,7 @@ def _generalized(flight: Flight, rotation: Rotation, body: Body) -> Array:
 
 
 def _covariance(flight: Flight, rotation: Rotation, sigma: Array, body: Body) -> Array:
-    """Return the covariance (6, 6) of `_generalized`."""
+    """Return the covariance (6, 6) of `generalized`."""
     scale = np.repeat(sigma, 3)
     own = flight.covariance * np.outer(scale, scale)
     turn = np.zeros((6, 6))

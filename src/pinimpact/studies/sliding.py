@@ -1,0 +1,200 @@
+"""Friction of sliding and the direction of gravity, from recorded motions of a body on a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
+
+from ..checks import above_zero, as_tuple, choice
+from ..errors import InputError
+from ..geometry.plane import Plane
+from ..robot.matrices import contact_geometry
+from ..scene.scene import Scene
+from .estimate import Identified, fit, group_numbers
+from .flights import Body
+from .found import free_body
+from .recordings import FRAMES, Motion, checked_motions, gaps
+
+Array = NDArray[np.float64]
+
+_NAMES = {"sliding_friction": ("sliding_friction",), "gravity": ("gravity:t1", "gravity:t2")}
+
+
+class _Slide(NamedTuple):
+    """A body slides on a face; the squares of its path are |rows x − target|² and a constant.
+
+    Attributes:
+        rows: (4, 4) for x = g_t, μ g_n and μ.
+        target: (4,).
+        label: The group.
+    """
+
+    rows: Array
+    target: Array
+    label: Any
+
+
+def identify_sliding(
+    motions: Sequence[Motion],
+    scene: Scene,
+    free: Sequence[str] = ("sliding_friction", "gravity"),
+    *,
+    loss: str = "soft_l1",
+    closed: float = 0.0015,
+    slowest: float = 0.02,
+) -> Identified:
+    """Fit the friction of sliding to the parts of recordings in which a body slides on a face. (I10)
+
+    Args:
+        motions: The recordings.
+        scene: One free body, with contacts on one plane that is fixed in the world; at least three of them
+            close on a face.
+        free: "sliding_friction", and "gravity", whose direction may differ from that of the model: its
+            components along t₁ and t₂ of the plane are fitted, its size is kept.
+        loss: As in `identify`.
+        closed: Gap up to which a contact is taken as closed [m].
+        slowest: Speed up to which the body is taken as at rest [m/s]: it slides where it moves faster along
+            the plane, and does not rock where it moves slower along the normal, by rotation too.
+
+    Returns:
+        An `Identified`, with intervals by the groups of the motions.
+
+    Raises:
+        InputError: A robot that is not one free body, contacts that are not on one fixed plane, recordings in
+            which nothing slides.
+        UnknownNameError: An unknown parameter or loss.
+    """
+    free_body(scene, "identify_sliding")
+    motions = checked_motions(motions)
+    kinds = as_tuple("free", free, str, "a parameter")
+    names = [name for kind in kinds for name in _NAMES[choice("free", kind, _NAMES, "a parameter")]]
+    closed, slowest = above_zero("closed", closed), above_zero("slowest", slowest)
+    axes = _axes(scene)
+    body = Body.of(scene.model)
+    slides = [
+        slide
+        for number, motion in enumerate(motions)
+        for slide in _slides(scene, motion, body, axes, closed, slowest, number)
+    ]
+    if not slides:
+        raise InputError(
+            f"motions: no body slides on a face for {FRAMES + 2} frames, faster than {slowest:g} m/s",
+            field="motions",
+            value=len(motions),
+        )
+    rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
+    labels = [slide.label for slide in slides]
+    distinct = list(dict.fromkeys(labels))
+    group = group_numbers(np.array([distinct.index(label) for label in labels]), len(labels))
+    strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
+    sustained = scene.contacts[0].sustained_friction
+    place = {name: j for j, name in enumerate(names)}
+
+    def parts(x: Array) -> tuple[float, Array, float]:
+        mu = x[place["sliding_friction"]] if "sliding_friction" in place else sustained
+        tangential = x[[place["gravity:t1"], place["gravity:t2"]]] if "gravity:t1" in place else given
+        return mu, tangential, float(np.sqrt(strength**2 - tangential @ tangential))
+
+    def residual(x: Array) -> Array:
+        mu, tangential, normal = parts(x)
+        return rows @ [*tangential, mu * normal, mu] - targets
+
+    def jacobian(x: Array) -> Array:
+        mu, tangential, normal = parts(x)
+        slopes = np.zeros((4, len(names)))
+        if "sliding_friction" in place:
+            slopes[2:, place["sliding_friction"]] = normal, 1.0
+        if "gravity:t1" in place:
+            columns = [place["gravity:t1"], place["gravity:t2"]]
+            slopes[:2, columns], slopes[2, columns] = np.eye(2), -mu / normal * tangential
+        return rows @ slopes
+
+    tilted = -0.5 * strength, 0.5 * strength
+    bounds = {name: (0.0, 2.0) if name == "sliding_friction" else tilted for name in names}
+    setters = {"sliding_friction": _set_friction, "gravity": _set_gravity}
+    return fit(
+        residual, jacobian, bounds, group, loss, lambda name, x: "", setters=setters, slides=len(slides)
+    )
+
+
+def _axes(scene: Scene) -> Array:
+    """Return the axes t₁, t₂, n (3, 3) of the one fixed plane of all contacts."""
+    planes = [contact.plane for contact in scene.contacts]
+    if len(planes) < 3 or any(
+        not isinstance(plane, Plane) or plane.body is not None or plane != planes[0] for plane in planes
+    ):
+        raise InputError(
+            "scene: at least three contacts with one plane that is fixed in the world are expected",
+            field="scene",
+            value=scene,
+        )
+    data, q = scene.model.createData(), np.array([0.0, 0, 0, 0, 0, 0, 1])
+    return contact_geometry(scene.model, data, q, scene.contacts[0]).axes
+
+
+def _slides(
+    scene: Scene, motion: Motion, body: Body, axes: Array, closed: float, slowest: float, number: int
+) -> list[_Slide]:
+    """Return the parts of a motion in which the body slides on a face."""
+    rotation, t = Rotation.from_quat(motion.q[:, 3:]), motion.t
+    path = (motion.q[:, :3] + rotation.apply(body.lever) - motion.q[0, :3]) @ axes.T
+    near = gaps(scene, motion.q)
+    arms = np.array([contact.offset for contact in scene.contacts]) - body.lever
+    velocity = np.gradient(path, t, axis=0)
+    spin = (rotation[1:] * rotation[:-1].inv()).as_rotvec() / np.diff(t)[:, None] @ axes.T
+    rocking = np.linalg.norm(arms, axis=1).max() * np.hypot(*np.vstack([spin, spin[-1:]]).T[:2])
+    slides = (np.sort(near, axis=1)[:, 2] < closed) & (np.hypot(*velocity.T[:2]) > slowest)
+    slides &= np.maximum(np.abs(velocity[:, 2]), rocking) < slowest
+    label = motion.label(number)
+    found = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], slides.astype(int), [0]])))
+    for first, last in edges.reshape(-1, 2):
+        kept = slice(first + 1, last - 1)  # those at either end are next to something else
+        if last - first >= FRAMES + 2:
+            face = arms[near[kept].mean(axis=0) < closed]
+            turns = (rotation[kept] * rotation[first + 1].inv()).as_rotvec() @ axes[2]
+            levers = rotation[kept].as_matrix() @ face.T  # (n, 3, k)
+            levers = np.einsum("ai,nik->nka", axes[:2], levers)
+            found.append(_slide(t[kept], path[kept], turns, levers, label))
+    return found
+
+
+def _slide(t: Array, path: Array, turns: Array, levers: Array, label: Any) -> _Slide:
+    """Return the squares of a path (n, 3), of a body that turns by (n,), with contacts at (n, k, 2)."""
+    dt = t - t.mean()
+    line, parabola = np.vander(dt, 2), np.vander(dt, 3)
+    slope = np.column_stack([2.0 * dt, np.ones_like(dt), np.zeros_like(dt)]) @ np.linalg.pinv(parabola)
+    rate = slope @ turns  # smooth velocities: those of the parabolas through the path
+    velocity = (slope @ path[:, :2])[:, None, :] + rate[:, None, None] * levers[:, :, ::-1] * [-1.0, 1.0]
+    opposed = -(velocity / np.linalg.norm(velocity, axis=2)[:, :, None]).mean(axis=1)
+    bends = np.zeros((len(dt), 2, 4))
+    bends[:, 0, 0] = bends[:, 1, 1] = 0.5 * dt**2
+    for column, normal in ((2, t), (3, np.gradient(path[:, 2], t))):  # normal momentum by gravity and motion
+        steps = 0.5 * (opposed[1:] + opposed[:-1]) * np.diff(normal)[:, None]
+        speed = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+        bends[:, :, column] = cumulative_trapezoid(speed, t, axis=0, initial=0.0)
+    out = np.eye(len(dt)) - line @ np.linalg.pinv(line)  # start and velocity of each slide are free
+    columns, target = np.einsum("mn,nij->mij", out, bends).reshape(-1, 4), (out @ path[:, :2]).ravel()
+    basis, rows = np.linalg.qr(columns)
+    return _Slide(rows, basis.T @ target, label)
+
+
+def _set_friction(scene: Scene, name: str, value: float) -> Scene:
+    contacts = [replace(contact, sliding_friction=value) for contact in scene.contacts]
+    return replace(scene, contacts=contacts)
+
+
+def _set_gravity(scene: Scene, name: str, value: float) -> Scene:
+    """Return the scene with a tangential component of gravity, of the same size."""
+    axes, model = _axes(scene), scene.model.copy()
+    own = axes @ model.gravity.linear
+    own[("gravity:t1", "gravity:t2").index(name)] = value
+    own[2] = -np.sqrt(np.sum(np.array(model.gravity.linear) ** 2) - own[0] ** 2 - own[1] ** 2)
+    model.gravity.linear = own @ axes
+    return replace(scene, model=model)

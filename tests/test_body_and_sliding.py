@@ -1,0 +1,177 @@
+"""Inertia, sliding friction and gravity from recorded motions, and predictions against recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pinimpact
+from pinimpact import InputError, Scene, UnknownNameError, load_robot, simulate, studies
+
+from .test_identification import CUBES, cube_scene, cube_states, names_of
+from .test_recorded_impacts import box_scene, cube_motions, recorded, toss
+
+
+def struck_boxes(rng: np.random.Generator, count: int = 60) -> studies.FoundImpacts:
+    """Return exact impacts of the box at random corners, each corner down."""
+    scene = box_scene(0.3, 0.4)
+    model, data = scene.model, scene.model.createData()
+    q, v = np.zeros((count, 7)), rng.normal(size=(count, 6)) * [1, 1, 1, 5, 5, 5]
+    after, names = np.empty_like(v), []
+    for i in range(count):
+        rotation = Rotation.random(rng=rng)
+        q[i, 3:] = rotation.as_quat()
+        v[i, :3] = rotation.inv().apply([*rng.normal(size=2), -2.0])
+        gaps = [one.gap(model, data, q[i]) for one in scene.contacts]
+        contact = scene.contacts[int(np.argmin(gaps))]
+        after[i] = pinimpact.impact(model, data, q[i], v[i], contact).v
+        names.append(contact.label)
+    return studies.FoundImpacts(
+        q, v, after, np.array(names), np.repeat(np.arange(count // 2), 2), scene=scene
+    )
+
+
+def wrong(scene: Scene) -> Scene:
+    """Return the scene with another inertia and radius."""
+    model = scene.model.copy()
+    model.inertias[1] = pin.Inertia(0.4, np.zeros(3), np.diag([7e-4, 7e-4, 7e-4]))
+    return Scene(model, [replace(one, radius=0.0) for one in scene.contacts])
+
+
+def test_the_inertia_follows_from_impacts_without_their_law() -> None:
+    exact = struck_boxes(np.random.default_rng(0))
+    fit = studies.identify_body(replace(exact, scene=wrong(exact.scene)))
+    assert fit.law is None
+    truth = [0.004, -0.003, 0.006, 9e-4 / 0.4, 8e-4 / 0.4, 6e-4 / 0.4, 0, 0, 0, 0.002]
+    assert fit.x == pytest.approx(truth, abs=1e-8)
+    found = fit.apply(wrong(exact.scene))
+    inertia, expected = found.model.inertias[1], exact.scene.model.inertias[1]
+    assert np.array(inertia.inertia) == pytest.approx(np.array(expected.inertia), abs=1e-8)
+    assert [contact.radius for contact in found.contacts] == pytest.approx([0.002] * 8, abs=1e-7)
+
+
+def test_the_centre_of_mass_alone_is_fitted_with_what_the_scene_has() -> None:
+    exact = struck_boxes(np.random.default_rng(1))
+    fit = studies.identify_body(exact, "com", loss="linear")
+    assert fit.names == ("com:x", "com:y", "com:z")
+    assert fit.x == pytest.approx([0.004, -0.003, 0.006], abs=1e-8)
+
+
+def test_standard_errors_of_an_inertia_hold() -> None:
+    rng = np.random.default_rng(2)
+    exact, scores = struck_boxes(rng), []
+    truth = np.array([0.004, -0.003, 0.006])
+    for _ in range(60):
+        noise = rng.normal(size=exact.v_after.shape) * [2e-3, 2e-3, 2e-3, 0.03, 0.03, 0.03]
+        fit = studies.identify_body(replace(exact, v_after=exact.v_after + noise), "com")
+        scores.append((fit.x - truth) / fit.standard_errors)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.25)
+
+
+def sliding_scene() -> Scene:
+    """Return the box on a plane, with other friction in sliding and gravity that is not along the normal."""
+    scene = box_scene(0.2, 0.0)
+    scene.model.gravity.linear = np.array([0.15, -0.1, -9.8])
+    return replace(scene, contacts=[replace(one, sliding_friction=0.3) for one in scene.contacts])
+
+
+@pytest.mark.slow
+def test_sliding_friction_and_gravity_of_simulated_slides() -> None:
+    rng, scene, motions = np.random.default_rng(3), sliding_scene(), []
+    for k in range(16):
+        turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+        direction = rng.uniform(0, 2 * np.pi)
+        velocity = turn.inv().apply([np.cos(direction), np.sin(direction), 0.0])
+        v0 = np.concatenate([velocity, [0, 0, rng.uniform(-3, 3)]])
+        run = simulate(scene, np.concatenate([[0, 0, 0.062], turn.as_quat()]), v0, 0.35)
+        motions.append(recorded(run, rng, (2e-5, 1e-4), group=k))
+    model = scene.model.copy()
+    model.gravity.linear = np.array([0.0, 0.0, -np.linalg.norm(scene.model.gravity.linear)])
+    level = replace(scene, model=model)
+    fit = studies.identify_sliding(motions, level)
+    assert fit.names == ("sliding_friction", "gravity:t1", "gravity:t2")
+    assert np.all(np.abs(fit.x - [0.3, 0.15, -0.1]) < np.maximum(4 * fit.standard_errors, [2e-3, 0.02, 0.02]))
+    applied = fit.apply(level)
+    assert np.array(applied.model.gravity.linear) == pytest.approx([0.15, -0.1, -9.8], abs=0.05)
+    assert applied.contacts[0].sliding_friction == fit.x[0]
+    assert applied.contacts[0].friction == 0.2
+    alone = studies.identify_sliding(motions, scene, ("sliding_friction",))
+    assert alone.x == pytest.approx([0.3], abs=2e-3)
+
+
+@pytest.mark.slow
+def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
+    rng, scene = np.random.default_rng(4), box_scene()
+    motions = [recorded(toss(scene, rng, 0.2), rng, group=k) for k in range(6)]
+    true = studies.rollouts(scene, motions)
+    # the state of a flight is exact to the accuracy of its rotations
+    assert true.at_end()[:, 0].max() < 1e-5
+    assert [len(t) for t in true.time] == [30] * 6
+    other = studies.rollouts(
+        Scene(scene.model, [replace(one, restitution=0.2) for one in scene.contacts]), motions
+    )
+    difference = studies.compare(other, true)
+    assert difference.groups == 6
+    low, high = difference.interval[0]
+    assert 0.0 < low < difference.difference[0] < high
+    assert studies.compare(true, true).interval == pytest.approx(np.zeros((2, 2)))
+    apart = studies.compare(other, true, paired=False)
+    assert np.diff(apart.interval[0]) > 0.0
+    again = studies.rollouts(scene, motions, restart=True)
+    assert len(again) >= 4
+    assert again.at_end()[:, 0].max() < 1e-3
+    with pytest.raises(InputError, match="its roll-outs are not of the recordings of test"):
+        studies.compare(true, again)
+
+
+def test_bad_input_is_named() -> None:
+    exact = struck_boxes(np.random.default_rng(5), 4)
+    with pytest.raises(InputError, match=r"the result of studies\.impacts is expected"):
+        studies.identify_body((exact.q, exact.v_before, exact.v_after))
+    with pytest.raises(UnknownNameError, match="free: 'mass' is not a parameter"):
+        studies.identify_body(exact, ("mass",))
+    t = np.arange(12) / 150
+    still = studies.Motion(t, np.tile([0.0, 0, 0.062, 0, 0, 0, 1], (12, 1)))
+    with pytest.raises(InputError, match="no body slides on a face for 7 frames"):
+        studies.identify_sliding([still], box_scene())
+    with pytest.raises(InputError, match="at least three contacts with one plane"):
+        studies.identify_sliding([still], Scene(box_scene().model, box_scene().contacts[:2]))
+    with pytest.raises(InputError, match="rollouts is for one free body"):
+        studies.rollouts(Scene(load_robot("panda")), [still])
+    noise = (1e-5, 1e-4)
+    with pytest.raises(InputError, match="motion 0 has no flight of 5 frames"):
+        studies.rollouts(box_scene(), [studies.Motion(t, still.q, sigma=noise)])
+    with pytest.raises(InputError, match="test: 3 given, roll-outs of two or more groups"):
+        studies.compare(3, 4)
+
+
+@pytest.fixture(scope="module")
+def cubes():
+    if not CUBES.is_file():
+        pytest.skip(f"the recorded tosses are not in {CUBES.parent}")
+    return dict(np.load(CUBES))
+
+
+def test_the_inertia_of_the_recorded_cube(cubes) -> None:
+    """That which others found from free flight and momentum balance, within four standard errors."""
+    scene = cube_scene(cubes)
+    found = studies.FoundImpacts(*cube_states(cubes), names_of(cubes), cubes["toss"], scene=scene)
+    fit = studies.identify_body(found)
+    diagonal = cubes["inertia_over_mass_body"].diagonal()
+    expected = np.array([0, 0, 0, *diagonal, 0, 0, 0, 0.0044])
+    assert np.all(np.abs(fit.x - expected) < 4.0 * fit.standard_errors)
+    assert np.all(fit.standard_errors[3:6] < 0.002 * diagonal)
+
+
+@pytest.mark.slow
+def test_sliding_of_the_recorded_cube(cubes) -> None:
+    scene = cube_scene(cubes)
+    scene.model.gravity.linear = np.array([0.0, 0.0, -9.81 / 1.0215])
+    motions = cube_motions(cubes, dict(np.load(CUBES.with_name("trajectories.npz"))), 284)
+    fit = studies.identify_sliding(motions, scene)
+    assert fit.x[0] == pytest.approx(0.218, abs=0.002)
+    assert np.all(np.abs(fit.x[1:]) < 3.0 * fit.standard_errors[1:])  # the board is level
