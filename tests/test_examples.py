@@ -153,6 +153,21 @@ def test_kanes_puzzle_is_told(tmp_path, monkeypatch, capsys) -> None:
     assert [line.split()[0] for line in lines if "energy created" in line] == ["newton"]
 
 
+@pytest.mark.slow
+def test_a_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("identify_box", tmp_path, monkeypatch, capsys)
+    rows = [line.replace(",", "").split() for line in out.splitlines() if ", true " in line]
+    found = {row[0]: (float(row[1]), float(row[5]), float(row[7]), float(row[9])) for row in rows}
+    assert len(found) == 12
+    for name, (value, low, high, true) in found.items():
+        assert abs(value - true) < 1.5 * (high - low), name  # six standard errors
+    for name in ("friction", "restitution", "sliding_friction"):
+        value, low, high, true = found[name]
+        assert high - low < 0.05 * true
+    assert float(out.split("95 % from ")[-1].split(" to ")[1].split(" mm")[0]) < 0.0
+    assert (tmp_path / "identify_box.png").is_file()
+
+
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_kept_without_its_output(notebook: Path) -> None:
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
