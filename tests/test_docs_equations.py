@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pinimpact._numeric import coulomb_problem
-from pinimpact.scene import integrator, scene_impacts, simulation_state
+from pinimpact.scene import instant, integrator, progress, scene_impacts
 from pinimpact.scene._kernels import contact_forces, contact_modes, slip
 from tools import pages
 
@@ -110,20 +110,20 @@ NUMBERS = [
     (contact_forces.MISSING, 1e-9, "a residual above $10^{-9}$ of its terms"),
     (contact_forces.FINEST, 1e-13, "else at $10^{-13}$"),
     (slip.CERTAIN, 10.0, r"\le 10\,\eta"),
-    (simulation_state.STICK_FRACTION, 0.1, "the sticking speed (a tenth of the resting speed)"),
-    (simulation_state.SINGULAR, 1e-8, "effects on the normals cancel to $10^{-8}$"),
-    (simulation_state.CLEAR, 10.0, "is less than ten times that fraction"),
-    (simulation_state.PASSED, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
-    (simulation_state.MOST_JAMS, 10, "after ten such impacts at one instant"),
+    (instant.STICK_FRACTION, 0.1, "the sticking speed (a tenth of the resting speed)"),
+    (instant.SINGULAR, 1e-8, "effects on the normals cancel to $10^{-8}$"),
+    (instant.CLEAR, 10.0, "is less than ten times that fraction"),
+    (instant.PASSED, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
+    (instant.MOST_JAMS, 10, "after ten such impacts at one instant"),
     (integrator.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
-    (integrator.MAX_STALLED, 200, "where 200 steps make no progress"),
+    (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (integrator.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
     (scene_impacts.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
     (scene_impacts.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
-    (integrator.GAINED, 10.0, r"$10\,\mathrm{rtol}$ of the kinetic energy"),
+    (progress.GAINED, 10.0, r"$10\,\mathrm{rtol}$ of the kinetic energy"),
 ]
 """Constants of the code, and where the theory page gives them."""
 

@@ -9,6 +9,7 @@ import pytest
 from pinimpact import Contact, Plane, Scene, simulate
 from pinimpact.scene._kernels.contact_forces import STICK
 from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.options import Options
 
 from . import random_control, random_scenes
 from .lawful import lost, unlawful
@@ -322,10 +323,10 @@ def test_a_stretched_leg_that_sinks_by_the_error_of_steps_takes_part_in_an_impac
     scene = Scene(model, [Contact("foot", slope, friction=0.8)])
     q, v = np.array([-0.5 * bend, bend, 0.0]), np.array([1.0, -2.0, -1e-5])
 
-    integrator = Integrator(scene, q, v, 1e-6, 1e-8, None, 100)
+    integrator = Integrator(scene, q, v, Options(1e-6, 1e-8))
     integrator.work.modes[0], integrator.work.certain_speed = STICK, 1e-6
     foot, stop = 0, 1
-    after = integrator.state._impacts.resolve_group(q, v, stop, [foot, stop]).v
+    after = integrator.instant._impacts.resolve_group(q, v, stop, [foot, stop]).v
 
     data = model.createData()
     jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId("foot"), pin.LOCAL_WORLD_ALIGNED)

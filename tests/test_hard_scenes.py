@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.geometry.surfaces import contact_axes
 from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.options import Options
 from pinimpact.scene.scene_impacts import _growing
 
 from .random_scenes import draw, unaccounted
@@ -199,7 +200,7 @@ def test_what_rests_on_more_feet_than_it_needs_keeps_slip_from_no_singularity():
     unbounded(model)
     model.friction = np.array([0.0, 0.0, held, *[0.0] * 6])
     q, v = [0.0, np.sin(angle), angle, 0.0, 5.0, 0.1, *UP], [6.0, *[0.0] * 8]
-    integrator = Integrator(Scene(model, contacts), q, v, 1e-8, 1e-10, None, 100)
+    integrator = Integrator(Scene(model, contacts), q, v, Options())
     integrator.begin()
     assert not integrator.work.forces_unique
     spare = held - G * abs(np.cos(angle) - MU * np.sin(angle))

@@ -19,6 +19,7 @@ from pinimpact.geometry.convex_pair import gap
 from pinimpact.geometry.convex_shape import hull
 from pinimpact.robot.shape_pair import shape_pair
 from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.options import Options
 from pinimpact.scene.pairs_apart import PairsApart
 
 from .scene_models import G, run, shaped_body
@@ -293,10 +294,10 @@ def test_pairs_that_are_said_to_stay_apart_do():
     block = Box(size=(0.1, 0.1, 0.1), center=(-0.3, 0.3, 0.4), name="block")
     scene = Scene(robot).contacts_from_geometry(block)
     q = np.array([0.0, -0.7, 0.0, -1.75, 0.0, 1.57, 0.785, 0.02, 0.02])
-    integrator = Integrator(scene, q, np.zeros(9), 1e-8, 1e-10, math.inf, 100)
+    integrator = Integrator(scene, q, np.zeros(9), Options())
     integrator.begin()
     integrator.advance(1.0)
-    steps = integrator.dense_steps[::6]
+    steps = integrator.record.dense_steps[::6]
     layout, data = scene.layout(), robot.model.createData()
     pairs = [layout.pairs[contact] for contact in layout.pairs]
     watch = PairsApart(robot.model, layout, tuple(layout.pairs))

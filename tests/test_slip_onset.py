@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from pinimpact import Contact, Plane, Scene
-from pinimpact.scene import integrator
+from pinimpact.scene import progress
 from pinimpact.scene._kernels import radau, step_radau
 
 from .scene_models import G, free_body, run, slider, unbounded
@@ -143,7 +143,7 @@ def test_two_coupled_contacts_that_begin_to_slip_agree_with_an_explicit_method(m
 
     implicit, steps = end()
     monkeypatch.setattr(step_radau, "STIFF", np.inf)
-    monkeypatch.setattr(integrator, "JUMPING", 0.0)  # explicit steps are as short there as at a jump
+    monkeypatch.setattr(progress, "JUMPING", 0.0)  # explicit steps are as short there as at a jump
     explicit, more_steps = end()
     assert implicit == pytest.approx(explicit, abs=1e-5)
     assert 5 * steps < more_steps

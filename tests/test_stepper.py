@@ -25,6 +25,7 @@ from pinimpact import (
     UnknownNameError,
     simulate,
 )
+from pinimpact.scene.hybrid_state import same
 
 from .scene_models import UP, G, ball, pendulum, shaped_body, slider
 
@@ -250,6 +251,27 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
         assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
     assert one.trajectory.modes == other.trajectory.modes
     assert [i.source for i in one.trajectory.impacts] == [i.source for i in other.trajectory.impacts]
+
+
+@pytest.mark.parametrize("steps", [0, 7, 30, 31])
+def test_the_state_is_one_value_and_nothing_else_tells_how_a_motion_continues(steps):
+    """What libraries share with kernels is not part of it: it is overwritten here."""
+    one = Stepper(block(), [0.0, 0.0, 0.05], [0.3, 0.0, 0.0])
+    force = np.array([4.0, 1.0, 0.0])
+    for _ in range(steps):
+        one.step(force, 0.01)
+    before = one._integrator.value()
+    other = pickle.loads(pickle.dumps(one))
+    assert same(other._integrator.value(), before)
+    assert same(one._integrator.value(), before)
+    work = other._integrator.work
+    for name in ("q", "v", "tau", "acceleration", "minverse"):
+        getattr(work, name)[...] = math.nan
+    for name in ("placements", "local_velocities", "spatial_velocities", "spatial_accelerations"):
+        getattr(work, name)[1:] = math.nan  # the world stays
+    assert one.step(force, 0.01)[0].tobytes() == other.step(force, 0.01)[0].tobytes()
+    assert same(other._integrator.value(), one._integrator.value())
+    assert not same(one._integrator.value(), before)
 
 
 @pytest.mark.parametrize("kind", COPIES)

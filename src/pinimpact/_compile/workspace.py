@@ -24,7 +24,7 @@ import array
 import functools
 import hashlib
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, TypeVar, overload
 
 import numpy as np
@@ -220,6 +220,7 @@ class Workspace(array.array):
     fields: ClassVar[dict[str, _Field[Any]]] = {}
     numba_type: ClassVar[WorkspaceType]
     _declared: ClassVar[list[tuple[_Array, tuple[str | int, ...]]]] = []
+    _numbers: ClassVar[NDArray[np.int64]]
 
     def __init_subclass__(cls) -> None:
         cls.fields = {name: item for name, item in vars(cls).items() if isinstance(item, _Field)}
@@ -234,6 +235,8 @@ class Workspace(array.array):
         for field, dims in cls._declared:
             names = [name for name, limit in zip(field.dims, dims, strict=True) if name != limit]
             field.counts = tuple({cls.fields[str(name)].slot for name in names})
+        numbers = [f.slot for f in cls.fields.values() if not isinstance(f, _Array) and type(f) is not _Size]
+        cls._numbers = np.array(numbers, dtype=np.int64)
         cls.numba_type = WorkspaceType(tuple(field.layout() for field in cls.fields.values()))
 
     def __new__(cls, sizes: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> Any:
@@ -245,16 +248,21 @@ class Workspace(array.array):
         self.numbers = np.frombuffer(self, dtype=np.float64)
         self.arrays: dict[str, NDArray[Any]] = dict(arrays)
         self.used: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
-        plan = _plan(type(self), tuple(sizes.items()), tuple(arrays))
-        for slot, value in plan.sizes:
-            self.integers[slot] = value
-        for field, shape in plan.handed:
+        self._handed = tuple(arrays)
+        for field, shape in self._lay_out(dict(sizes)).handed:
             array = arrays[field.name]
             _check(field, array, shape)
             self.integers[field.slot] = array.__array_interface__["data"][0]
-        self._places = plan.places
+
+    def _lay_out(self, sizes: dict[str, int]) -> _Plan:
+        """Make the memory of the allocated arrays, zero; return its layout."""
+        plan = _plan(type(self), tuple(sizes.items()), self._handed)
+        for slot, value in plan.sizes:
+            self.integers[slot] = value
+        self._sizes, self._places = sizes, plan.places
         self._made = np.zeros(plan.room)
         self.integers[plan.slots] = self._made.__array_interface__["data"][0] + plan.offsets
+        return plan
 
     def whole(self, field: _Array) -> NDArray[Any]:
         """Return an array with its full length."""
@@ -270,36 +278,28 @@ class Workspace(array.array):
 
         The part of an array in use is at its front, by the counts. Views taken before are not updated.
         """
-        grown = {name: value for name, value in sizes.items() if value > getattr(self, name)}
-        for field, dims in self._declared:
-            if grown.keys().isdisjoint(dims):
-                continue
-            old = self.whole(field).ravel(order="K")
-            shape = [dim if isinstance(dim, int) else grown.get(dim, 0) or getattr(self, dim) for dim in dims]
-            new = np.zeros(shape, dtype=field.dtype, order="C" if field.order == "C" else "F")
-            new.ravel(order="K")[: old.size] = old
-            self.arrays[field.name] = new
-            self.integers[field.slot] = new.__array_interface__["data"][0]
-        for name, value in grown.items():
-            self.integers[self.fields[name].slot] = value
+        grown = {name: value for name, value in sizes.items() if value > self._sizes[name]}
+        if not grown:
+            return
+        made = [field for field, _ in self._declared if field.name in self._places]
+        before = [self.whole(field).ravel(order="K") for field in made]
+        for field in made:
+            del self.arrays[field.name]
         self.used.clear()
+        self._lay_out(self._sizes | grown)
+        for field, old in zip(made, before, strict=True):
+            self.whole(field).ravel(order="K")[: old.size] = old
 
-    def copied_values(self, but: Collection[str] = ()) -> dict[str, Any]:
-        """Return copies of the values by field name, without the sizes and some fields."""
-        return {
-            name: self.whole(field).copy() if isinstance(field, _Array) else int(self.integers[field.slot])
-            for name, field in self.fields.items()
-            if name not in but and type(field) is not _Size
-        }
+    def values(self) -> tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]:
+        """Return a copy of all values, without those of arrays that were given."""
+        return self._sizes, self.integers[self._numbers], self._made.copy()
 
-    def set_values(self, values: Mapping[str, Any]) -> None:
-        """Set fields to the result of `copied_values` of a workspace of the same sizes."""
-        for name, value in values.items():
-            field = self.fields[name]
-            if isinstance(field, _Array):
-                self.whole(field)[...] = value
-            else:
-                self.integers[field.slot] = value
+    def set_values(self, values: tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]) -> None:
+        """Set all to the `values` of another one, of the same sizes except for those that `enlarge` grows."""
+        sizes, numbers, made = values
+        self.enlarge(sizes)
+        self.integers[self._numbers] = numbers
+        self._made[:] = made
 
     def __reduce_ex__(self, *arguments: Any) -> NoReturn:
         raise TypeError("a workspace holds addresses of memory; it cannot be copied or pickled")

@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
-from .effects import CROWD
-from .events import EventWatch
-from .integrator import RUBBING, Integrator
+from .event_watch import EventWatch
+from .hybrid_state import HybridState
+from .instant import CROWD
+from .integrator import Integrator
+from .progress import RUBBING
+from .recorder import Mark
 from .records import SteppedInterval
-from .scene import Scene
 from .time_stepping import TimeStepping
 
 Array = NDArray[np.float64]
@@ -50,73 +51,22 @@ LOOKED_AT = 50
 """Steps over which it is watched: if they are shorter than `dt` on average, time steps take over."""
 
 
-OWN = (
-    "_crossing",
-    "_prepared",
-    "_entering",
-    "_until",
-    "_interval",
-    "_coarse",
-    "_handed_back",
-    "_begun_at",
-    "_unsolved",
-)
-"""Attributes that are replaced and never changed in place, so that copies share them."""
-
-
-class _Reached(NamedTuple):
-    """What a motion has reached where it is consistent, to return to."""
-
-    lengths: tuple[Any, ...]
-    state: tuple[Any, ...]
-    events: tuple[Any, ...]
-
-
 class Alternating(TimeStepping):
-    """A motion by the event-driven scheme, with intervals in time steps; see `Integrator`.
+    """A motion by the event-driven scheme, with intervals in time steps; see `Integrator`."""
 
-    Args:
-        scene, q0, v0, rtol, atol, max_step, max_impacts: As of `simulate`.
-        dt: The longest length of time steps [s].
-    """
+    def _prepare(self) -> None:
+        state, dt = self.state, self.options.dt
+        self._longest = min(dt, self.scene.time_scale / STEPS_PER_SCALE)
+        if state.coarse == 0.0:
+            state.coarse = dt
+        self._set_crossing(state.crossing)
+        if state.crossing:
+            self._prepare_steps()
 
-    def __init__(
-        self,
-        scene: Scene,
-        q0: ArrayLike,
-        v0: ArrayLike,
-        rtol: float,
-        atol: float,
-        max_step: float | None,
-        max_impacts: int,
-        dt: float,
-    ) -> None:
-        self._crossed: list[SteppedInterval] = []
-        self._crossing = self._prepared = self._entering = False
-        self._until, self._interval, self._coarse, self._handed_back = 0.0, 0.0, dt, -math.inf
-        self._begun_at = 0  # the step at which events began to be located again
-        self._longest, self._unsolved = dt, 0.0
-        Integrator.__init__(self, scene, q0, v0, rtol, atol, max_step, max_impacts)
-        self.state.crowds_refused = True
-        self._longest = min(dt, scene.time_scale / STEPS_PER_SCALE)
-
-    def _arguments(self) -> tuple[Any, ...]:
-        return *self._made_of, self._longest
-
-    def _values(self) -> dict[str, Any]:
-        values = TimeStepping._values(self) if self._prepared else Integrator._values(self)
-        own = {name: getattr(self, name) for name in OWN}
-        return values | {"own": own, "crossed": self._crossed.copy()}
-
-    def _take_over(self, values: dict[str, Any]) -> None:
-        if "stepping" in values:
-            self._prepare(self._longest)
-        (TimeStepping if "stepping" in values else Integrator)._take_over(self, values)
-        self._crossed = values["crossed"].copy()
-        for name, value in values["own"].items():
-            setattr(self, name, value)
-        self.state.crowds_refused = not self._crossing
-        self._lengths()
+    def _set_crossing(self, crossing: bool) -> None:
+        """Let time steps be taken from now on, or not."""
+        self.state.crossing = crossing
+        self.instant.crowds_refused = not crossing
 
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen, and begin to move; see `Integrator.begin`."""
@@ -127,7 +77,7 @@ class Alternating(TimeStepping):
 
     def hold_force(self, tau: Array) -> None:
         """Let a constant force (nv,) act from now on."""
-        if self._crossing:
+        if self.state.crossing:
             TimeStepping.hold_force(self, tau)
             return
         try:
@@ -135,83 +85,56 @@ class Alternating(TimeStepping):
         except IrregularMotionError as error:
             self._cross(error)
 
-    def _stepped(self) -> Sequence[SteppedInterval]:
-        return self._crossed
-
     def _settle_contacts(self, arriving: Any = None) -> None:
-        (TimeStepping if self._crossing else Integrator)._settle_contacts(self, arriving)
+        (TimeStepping if self.state.crossing else Integrator)._settle_contacts(self, arriving)
 
     def _settle_and_begin(self, arriving: Any = None) -> None:
-        (TimeStepping if self._crossing else Integrator)._settle_and_begin(self, arriving)
+        (TimeStepping if self.state.crossing else Integrator)._settle_and_begin(self, arriving)
 
-    def _lengths(self) -> tuple[Any, ...]:
-        state, lengths = self.state, super()._lengths()
-        self._reached = _Reached(
-            lengths,
-            (
-                *(state.t, state.q, state.v, state.impact_energy),
-                *(self.w, self._struck, self.ended_by, self._unsolved),
-            ),
-            self.events.values() if self.events else (),
-        )
-        return lengths
-
-    def _last_sampled(self) -> _Reached:
+    def _last_sampled(self) -> tuple[Mark, HybridState]:
         """Return the end of the step whose event is refused, or else the last consistent state.
 
         Events of the user's may have happened within that step, so that with them it is repeated.
         """
-        reached, (steps, samples, *others) = self._reached, self._reached.lengths
-        if self.events or len(self.samples) <= samples or self.samples[samples][0] <= reached.state[0]:
-            return reached
-        t, q, v, w, impact_energy = self.samples[samples]
-        return _Reached(
-            (steps + 1, samples + 1, *others), (t, q, v, impact_energy, w, *reached.state[5:]), reached.events
-        )
+        (lengths, present), state = self.reached
+        rows, (steps, samples, *others) = self.record.samples, lengths
+        if self.events or len(rows) <= samples or rows[samples][0] <= state.t:
+            return self.reached
+        t, q, v, works, impact_energy = rows[samples]
+        changed = state.kept(t=t, q=q, v=v, works=works, impact_energy=impact_energy)
+        return Mark((steps + 1, samples + 1, *others), present), changed
 
-    def _return_to(self, reached: _Reached) -> None:
+    def _return_to(self, reached: tuple[Mark, HybridState]) -> None:
         """Return to what was consistent."""
-        state = self.state
-        steps, samples, impacts, events, intervals, present, notes = reached.lengths
-        for rows, length in (
-            (self.dense_steps, steps),
-            (self.samples, samples),
-            (state.impacts, impacts),
-            (self.events.records, events),
-            (state.modes.ended, intervals),
-            (state.notes, notes),
-        ):
-            del rows[length:]
-        state.modes.return_to(present)
-        state.t, state.q, state.v, state.impact_energy, *own = reached.state
-        self.w, self._struck, self.ended_by, self._unsolved = own
-        if self.events:
-            self.events.take_over(reached.events)
+        mark, state = reached
+        self.record.cut(mark)
+        self.state.become(state)
 
     # ---- crossing
 
     def _step(self, h: float, stop: float, scale: float) -> float:
         """Take a step of the event-driven scheme, or some time steps; return the length to try next."""
-        if not self._crossing:
+        state = self.state
+        if not state.crossing:
             try:
                 length = Integrator._step(self, h, stop, scale)
                 self._watch_events()
                 return length
             except IrregularMotionError as error:
                 self._cross(error)
-        entering, self._entering = self._entering, False
-        length, begun = FIRST * self._longest if entering else CHUNK * self._coarse, self._lengths_reached()
+        entering, state.entering = state.entering, False
+        length, begun = FIRST * self._longest if entering else CHUNK * state.coarse, self.mark()
         try:
-            self._step_until(min(stop, self._until, self.state.t + length))
+            self._step_until(min(stop, state.until, state.t + length))
         except IrregularMotionError:  # where nothing moves a contact only longer steps leave that posture
-            if not entering and self._coarse >= self._longest:
+            if not entering and state.coarse >= self._longest:
                 raise
             self._return_to(begun)
-            self._coarse *= 1.0 if entering else 2.0
-            self._until = max(self._until, self.state.t + CHUNK * self._coarse)
-            return self._coarse
-        if self.state.t < self._until or self.ended_by is not None:
-            return self._coarse
+            state.coarse *= 1.0 if entering else 2.0
+            state.until = max(state.until, state.t + CHUNK * state.coarse)
+            return state.coarse
+        if state.t < state.until or state.ended_by is not None:
+            return state.coarse
         return self._hand_back()
 
     def _watch_events(self) -> None:
@@ -220,10 +143,10 @@ class Alternating(TimeStepping):
         Raises:
             IrregularMotionError: See above.
         """
-        closed, steps = self.work.active_contacts, self.dense_steps
+        closed, steps = self.work.active_contacts, self.record.dense_steps
         crowded = closed > CROWD
         count, part = (LOOKED_AT, 1.0) if crowded else (ACCUMULATING, BRIEF)
-        if len(steps) - self._begun_at < count:
+        if len(steps) - self.state.events_since < count:
             return
         start = steps[-count].start
         covered = steps[-1].end - start
@@ -239,29 +162,30 @@ class Alternating(TimeStepping):
         """Return to the last consistent state, and cross what comes by time steps."""
         self._return_to(self._last_sampled())
         state = self.state
-        if not self._prepared:
-            self._prepared = True
+        if not self.record.stepping_warned:
+            self.record.stepping_warned = True
             warnings.warn(
                 f"t = {state.t:.6g} s: events cannot be located here, and time steps are taken: "
                 f"{refusal} trajectory.stepped lists all such intervals.",
                 SteppedWarning,
                 stacklevel=2,
             )
-        soon = state.t - self._handed_back <= self._interval
-        lasts = bool(state.shapes) or self.work.active_contacts > CROWD  # aligned faces stay so for a while
+        soon = state.t - state.handed_back <= state.interval
+        lasts = bool(self.shapes) or self.work.active_contacts > CROWD  # aligned faces stay so for a while
         if soon or lasts:
-            self._coarse = self._longest if lasts else min(2.0 * self._coarse, self._longest)
-            self._interval = max(2.0 * self._interval * soon, CHUNK * self._coarse)
+            state.coarse = self._longest if lasts else min(2.0 * state.coarse, self._longest)
+            state.interval = max(2.0 * state.interval * soon, CHUNK * state.coarse)
         else:
-            self._coarse = self._longest / SHORTER
-            self._interval = CHUNK * self._coarse
-        self._until = state.t + self._interval
-        if not (self._crossed and self._crossed[-1].end == state.t):
-            self._crossed.append(SteppedInterval(state.t, state.t, self._coarse, str(refusal), 0.0))
-        self._crossing = self._entering = True
-        state.crowds_refused = False
-        state.shapes.clear()
-        self._prepare(self._longest)
+            state.coarse = self._longest / SHORTER
+            state.interval = CHUNK * state.coarse
+        state.until = state.t + state.interval
+        if not (state.stepped and state.stepped[-1].end == state.t):
+            state.stepped += (SteppedInterval(state.t, state.t, state.coarse, str(refusal), 0.0),)
+        self._set_crossing(True)
+        state.entering = True
+        state.islands = state.resting_forces = state.warm_start = None
+        self.shapes.clear()
+        self._prepare_steps()
         self.work.sliding_friction[:] = 0.0
         self._faces.place(state.q, state.v, 0.0, touching=self._touching)
         gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
@@ -275,62 +199,57 @@ class Alternating(TimeStepping):
 
         Steps of two lengths are compared; of first order, they tell the length that keeps to it.
         """
-        start, begun = self._lengths_reached(), self.state.t
-        coarse = self._try(start, end, self._coarse)
-        fine = self._try(start, end, 0.5 * self._coarse)
+        state, start, begun = self.state, self.mark(), self.state.t
+        coarse = self._try(start, end, state.coarse)
+        fine = self._try(start, end, 0.5 * state.coarse)
         error, parts = math.nan, 2
         if coarse.order == fine.order:
             by_position = np.abs(pin.difference(self.model, coarse.q, fine.q)).max(initial=0.0)
-            by_velocity = 0.5 * self._coarse * np.abs(coarse.v - fine.v).max(initial=0.0)
+            by_velocity = 0.5 * state.coarse * np.abs(coarse.v - fine.v).max(initial=0.0)
             error = float(max(by_position, by_velocity))
-            allowed = self.atol + self.rtol * max(self._made_of[0].extent, np.abs(fine.q).max(initial=0.0))
+            allowed = self.work.atol + self.work.rtol * max(
+                self.scene.extent, np.abs(fine.q).max(initial=0.0)
+            )
             wanted = 2 * math.ceil(error / allowed)
             if 2 < wanted <= MOST_PARTS:
                 error, parts = 2.0 * error / wanted, wanted
         if self.events or parts > 2:
             self._return_to(start)
-            self._run(end, self._coarse / parts)
-        last = self._crossed[-1]
-        self._crossed[-1] = SteppedInterval(
-            last.start,
-            self.state.t,
-            min(last.dt, self._coarse / parts),
-            last.reason,
-            last.error + error * (self.state.t - begun) / (end - begun),
-        )
+            self._run(end, state.coarse / parts)
+        last = state.stepped[-1]
+        dt, added = min(last.dt, state.coarse / parts), error * (state.t - begun) / (end - begun)
+        now = SteppedInterval(last.start, state.t, dt, last.reason, last.error + added)
+        state.stepped = (*state.stepped[:-1], now)
 
-    def _lengths_reached(self) -> _Reached:
-        self._consistent = self._lengths()
-        return self._reached
-
-    def _try(self, start: _Reached, end: float, dt: float) -> _Tried:
+    def _try(self, start: tuple[Mark, HybridState], end: float, dt: float) -> _Tried:
         """Take time steps from a state on until a time, without events of the user's; return the end."""
         self._return_to(start)
-        watch, self.events = self.events, EventWatch((), math.inf)
+        impacts = len(self.record.impacts)
+        watch, self.events = self.events, EventWatch((), math.inf, self.state, [])
         try:
             self._run(end, dt)
         finally:
             self.events = watch
-        order = [impact.source for impact in self.state.impacts[start.lengths[2] :]]
+        order = [impact.source for impact in self.record.impacts[impacts:]]
         return _Tried(self.state.q, self.state.v, order)
 
     def _run(self, end: float, dt: float) -> None:
         """Take time steps until a time, or until an event ends the motion."""
         self._dt = dt
-        self._pushed[:] = 0.0  # impulses in steps of another length are no start for these
+        self.state.pushed = self._no_change  # impulses in steps of another length are no start for these
         self._rest.wake_all()
-        while self.state.t < end and self.ended_by is None:
+        while self.state.t < end and self.state.ended_by is None:
             TimeStepping._step(self, dt, end, 1.0)
 
     def _hand_back(self) -> float:
         """Go on by the event-driven scheme; return the length to try, or that of time steps if it refuses."""
-        self._consistent = self._lengths()
         state, work = self.state, self.work
-        self._crossing, self._handed_back = False, state.t
-        state.crowds_refused = True
+        state.handed_back = state.t
+        self.reached = self.mark()
+        self._set_crossing(False)
         try:
-            filled = state.shapes.restart(state.q, self._touching)
-            gaps, rates = state.dynamics.gaps_at(state.q, state.v).T
+            filled = self.shapes.restart(state.q, self._touching)
+            gaps, rates = self.dynamics.gaps_at(state.q, state.v).T
             near = (gaps <= self._touching) & (rates <= work.resting_speed)
             pairs = np.array([c.pair is not None for c in self.dynamics.contacts], dtype=bool)
             near[: work.contacts] &= ~pairs & (work.bilateral == 0)
@@ -338,16 +257,17 @@ class Alternating(TimeStepping):
             work.modes[: len(near)] = np.where(near, SLIP, FREE)
             work.modes[np.flatnonzero(work.bilateral)] = HELD
             Integrator._settle_contacts(self)
-            state.correct_constraint_drift()
+            self.instant.correct_constraint_drift()
             self._begin_motion()
         except IrregularMotionError as error:
             self._cross(error)
-            return self._coarse
+            return state.coarse
         self._sample()
-        self._mark_progress()
-        self._cut_short, self._begun_at = False, len(self.dense_steps)
-        self.rubbed = self.w[RUBBING]
-        return self.dynamics.first_length(self.rtol, self.atol)
+        self.progress.mark()
+        state.cut_short, state.events_since = False, len(self.record.dense_steps)
+        joints, contacts = state.works[RUBBING].tolist()
+        state.rubbed = joints, contacts
+        return self.dynamics.first_length()
 
 
 class _Tried(NamedTuple):

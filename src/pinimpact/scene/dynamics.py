@@ -150,8 +150,6 @@ class SceneDynamics:
                 "damping": damping,
                 "dry_friction": dry,
                 "joint_charts": charts,
-                "contact_constants": tables.constants.copy(),
-                "contact_joints": tables.joints.copy() if layout.pairs else tables.joints,
                 "joint_velocity": layout.chains[0],
                 "velocity_parent": layout.chains[1],
                 "velocity_joint": layout.velocity_joint,
@@ -165,6 +163,7 @@ class SceneDynamics:
                 "limit_bound": np.array([limit.bound for limit in limits], dtype=float),
             },
         )
+        self.work.contact_constants[:], self.work.contact_joints[:] = tables.constants, tables.joints
         if control is not None:
             control.work = self.work
         self.work.stiff_joints = stiff
@@ -290,10 +289,10 @@ class SceneDynamics:
         smooth_motion.finish(self.work, t, h, error, explicit)
         self.check()
 
-    def first_length(self, rtol: float, atol: float) -> float:
+    def first_length(self) -> float:
         """Return a cautious length for the first step of a smooth motion of unknown pace."""
         work = self.work
-        nv = work.nv
+        nv, rtol, atol = work.nv, work.rtol, work.atol
         pace = np.abs(work.stage_rates[0, nv : 2 * nv]) / (atol + rtol * np.maximum(1.0, np.abs(work.v0)))
         fastest = float(pace.max(initial=0.0)) * rtol
         return 0.01 / fastest if fastest > 0.0 else 0.01

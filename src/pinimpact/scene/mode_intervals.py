@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -27,12 +26,13 @@ class ModeIntervals:
 
     Attributes:
         ended: Intervals that have ended, in order of their ends.
-        present: Mode now, and its start, of each contact, limit or joint that is not free.
+        present: Mode now, and its start, of each contact, limit or joint that is not free; it is replaced,
+            never changed.
     """
 
     def __init__(self, model: pin.Model, contacts: Sequence[str], limits: Sequence[str]) -> None:
         self.ended: list[ModeInterval] = []
-        self.present: dict[str, tuple[str, float]] = {}
+        self.present: Mapping[str, tuple[str, float]] = {}
         self._model = model
         self._contacts = len(contacts)
         self._names = [*contacts, *limits]
@@ -52,9 +52,9 @@ class ModeIntervals:
         others = modes[len(self._names) :].tobytes() + sides.tobytes()
         named = modes[: len(self._names)]
         if others == self._others:
-            for i in np.flatnonzero(named != self._named).tolist():
-                self._change(t, i, int(named[i]))
-            self._named = named.copy()
+            changed = np.flatnonzero(named != self._named).tolist()
+            if changed:
+                self._change(t, changed, named)
             return
         self._named, self._others = named.copy(), others
         active = np.flatnonzero(modes)
@@ -62,35 +62,29 @@ class ModeIntervals:
             self._names_of(i, mode) for i, mode in zip(active.tolist(), modes[active].tolist(), strict=True)
         )
         now |= {self._drive(j): "saturated" for j, side in enumerate(sides.tolist()) if side}
-        for source, (mode, start) in list(self.present.items()):
-            if now.get(source) != mode:
-                if t > start:
-                    self.ended.append(ModeInterval(source, mode, start, t))
-                del self.present[source]
-        for source, mode in now.items():
-            self.present.setdefault(source, (mode, t))
+        lasting = {}
+        for source, (mode, start) in self.present.items():
+            if now.get(source) == mode:
+                lasting[source] = mode, start
+            elif t > start:
+                self.ended.append(ModeInterval(source, mode, start, t))
+        self.present = lasting | {source: (mode, t) for source, mode in now.items() if source not in lasting}
 
-    def _change(self, t: float, i: int, mode: int) -> None:
-        """Take the mode of a contact or a limit from t, which has another one."""
-        source = self._names[i]
-        before = self.present.pop(source, None)
-        if before is not None and t > before[1]:
-            self.ended.append(ModeInterval(source, before[0], before[1], t))
-        if mode:
-            self.present[source] = self._names_of(i, mode)[1], t
+    def _change(self, t: float, changed: list[int], named: NDArray[np.int64]) -> None:
+        """Take the modes of contacts and limits from t, of which some have others."""
+        present = dict(self.present)
+        for i in changed:
+            source, mode = self._names[i], int(named[i])
+            before = present.pop(source, None)
+            if before is not None and t > before[1]:
+                self.ended.append(ModeInterval(source, before[0], before[1], t))
+            if mode:
+                present[source] = self._names_of(i, mode)[1], t
+        self.present, self._named = present, named.copy()
 
-    def return_to(self, present: dict[str, tuple[str, float]]) -> None:
+    def return_to(self, present: Mapping[str, tuple[str, float]]) -> None:
         """Take modes that were present before for those of now."""
-        self.present, self._others = dict(present), None
-
-    def values(self) -> tuple[Any, ...]:
-        """Return the modes of the run, to be pickled or given to `take_over`."""
-        return self.ended.copy(), self.present.copy(), self._named, self._others
-
-    def take_over(self, values: tuple[Any, ...]) -> None:
-        """Continue from the `values` of another run of the same scene."""
-        ended, present, self._named, self._others = values
-        self.ended, self.present = ended.copy(), present.copy()
+        self.present, self._others = present, None
 
     def _drive(self, velocity: int) -> str:
         """Return the name of a drive."""

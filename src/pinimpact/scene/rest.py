@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from ._kernels.workspace import SceneWorkspace
 from .forces import StepForces
+from .hybrid_state import HybridState
 
 Integers = NDArray[np.int64]
 
@@ -20,40 +19,47 @@ class Rest:
     Args:
         model: The robot.
         work: The workspace.
+        state: The state of the motion, with what rests.
 
     Attributes:
         tree: (nv,) number of the tree that each velocity belongs to.
         joints: (nj,) which joints are at rest; the world always is.
-        forces: On what rests, or None.
     """
 
-    def __init__(self, model: pin.Model, work: SceneWorkspace) -> None:
-        self._work = work
+    def __init__(self, model: pin.Model, work: SceneWorkspace, state: HybridState) -> None:
+        self._work, self._state = work, state
         roots = np.zeros(model.njoints, dtype=np.int64)
         for joint in range(1, model.njoints):
             roots[joint] = roots[model.parents[joint]] or joint
         self._trees = np.searchsorted(np.unique(roots[1:]), roots)  # of each joint; the world's says nothing
         self.tree: Integers = self._trees[work.velocity_joint]
         self.joints = np.arange(model.njoints) == 0
-        self.forces: StepForces | None = None
-        self._islands = np.full(int(self.tree.max()) + 1, -1)
+        self._none = np.full(int(self.tree.max()) + 1, -1)
+        if state.islands is None:
+            state.islands = self._none
+        self._set_joints()
 
     def __bool__(self) -> bool:
         return self.forces is not None
 
     @property
+    def forces(self) -> StepForces | None:
+        """The forces on what rests."""
+        return self._state.resting_forces
+
+    @property
+    def _islands(self) -> Integers:
+        islands = self._state.islands
+        assert islands is not None
+        return islands
+
+    def _set_joints(self) -> None:
+        self.joints[1:] = self._islands[self._trees[1:]] >= 0
+
+    @property
     def complete(self) -> bool:
         """Whether everything rests."""
         return bool(self.joints.all())
-
-    def values(self) -> tuple[Any, ...]:
-        """Return what rests, to be pickled or given to `take_over`."""
-        return self.joints.copy(), self._islands.copy(), self.forces
-
-    def take_over(self, values: tuple[Any, ...]) -> None:
-        """Take over the `values` of another run of the same scene."""
-        joints, islands, self.forces = values
-        self.joints[:], self._islands[:] = joints, islands
 
     def begin(self, islands: Integers, forces: StepForces) -> bool:
         """Let trees come to rest; return whether any does that has not rested.
@@ -65,22 +71,22 @@ class Rest:
         fresh = (islands >= 0) & (self._islands < 0)
         if not fresh.any():
             return False
-        self._islands[fresh] = islands[fresh]
+        self._state.islands = np.where(fresh, islands, self._islands)
         self._keep(forces.together())
         return True
 
     def wake(self, joints: Integers) -> None:
         """Let what rests with some joints take part again."""
         islands = self._islands[self._trees[joints[joints > 0]]]
-        self._islands[np.isin(self._islands, islands[islands >= 0])] = -1
+        awake = np.isin(self._islands, islands[islands >= 0])
+        self._state.islands = np.where(awake, -1, self._islands)
         if self.forces is not None:
             self._keep(self.forces)
 
     def wake_all(self) -> None:
         """Let everything take part again."""
-        self._islands[:] = -1
-        self.joints[1:] = False
-        self.forces = None
+        self._state.islands, self._state.resting_forces = self._none, None
+        self._set_joints()
 
     def wake_moving(self, v: NDArray[np.float64]) -> None:
         """Let what has a velocity (nv,) take part again, with what rests on it."""
@@ -90,13 +96,13 @@ class Rest:
 
     def _keep(self, forces: StepForces) -> None:
         """Set which joints rest, and keep those of some forces that act on them."""
-        self.joints[1:] = self._islands[self._trees[1:]] >= 0
+        self._set_joints()
         work = self._work
         on_them = self.joints[work.contact_joints[forces.contacts]].all(axis=1)
         contacts, world, points, normals, joints, _ = forces
-        self.forces = None
+        self._state.resting_forces = None
         if self.joints[1:].any():
             joints = np.where(self.joints[work.velocity_joint], joints, 0.0)
-            self.forces = StepForces(
+            self._state.resting_forces = StepForces(
                 contacts[on_them], world[on_them], points[on_them], normals[on_them], joints
             )

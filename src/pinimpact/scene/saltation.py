@@ -21,6 +21,7 @@ from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .forces import ClosedSet
 from .integrator import Integrator
+from .options import Options
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .records import ImpactRecord
 from .scene import Scene
@@ -368,7 +369,7 @@ def saltation_matrix(
         UnknownNameError: A contact that the scene does not have.
     """
     name = contact.label if isinstance(contact, Contact) else contact
-    integrator = Integrator(scene, q, v, 1e-8, 1e-10, None, 1)
+    integrator = Integrator(scene, q, v, Options(max_impacts=1))
     saltation = Saltation(scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv))
     if name not in [one.label for one in scene.contacts]:
         raise UnknownNameError(
@@ -376,7 +377,7 @@ def saltation_matrix(
         )
     integrator.state.t = float(t)
     integrator.begin()
-    impacts = integrator.state.impacts
+    impacts = integrator.record.impacts
     if [record.source for record in impacts] != [name]:
         struck = ", ".join(repr(record.source) for record in impacts) or "nothing"
         raise InputError(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from ._kernels.events.gap import SAFETY
 from .crossing import crossing
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
+from .hybrid_state import HybridState, Touching
 from .layout import SceneLayout
 from .pairs_apart import PairsApart
 
@@ -72,33 +73,55 @@ class Meeting(NamedTuple):
     leaving: bool
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Watched:
     """A pair in a run.
 
     Attributes:
+        number: Of the pair.
         pair: The shapes.
         places: Numbers of the contacts that are kept for it.
         blanks: What stands there where nothing touches.
         size: Of both shapes together [m].
         supports: (2, nv) True for velocities that move A, and those that move B.
-        points: What touches, by place.
-        normals: (3,) normal of each, from B to A.
-        flush: Corners that have come to the plane of contact where nothing is to touch, of A and of B.
+        state: The state of the motion, with what touches.
     """
 
+    number: int
     pair: ShapePair
     places: list[int]
     blanks: list[Contact]
     size: float
     supports: NDArray[np.bool_]
-    points: dict[int, PointContact] = field(default_factory=dict)
-    normals: dict[int, Array] = field(default_factory=dict)
-    flush: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
+    state: HybridState
 
     @property
     def label(self) -> str:
         return self.pair.contact.label
+
+    @property
+    def now(self) -> Touching:
+        """What touches."""
+        return self.state.touching.get(self.number, _NOTHING)
+
+    @property
+    def points(self) -> dict[int, PointContact]:
+        """The points that touch, by place."""
+        return self.now.points
+
+    @property
+    def normals(self) -> dict[int, Array]:
+        """(3,) normal of each, from B to A."""
+        return self.now.normals
+
+    def become(self, **changes: Any) -> None:
+        """Let something else touch."""
+        others = {number: one for number, one in self.state.touching.items() if number != self.number}
+        now = self.now._replace(**changes)
+        self.state.touching = others | {self.number: now} if now.points else others
+
+
+_NOTHING = Touching({}, {})
 
 
 class ShapeWatch:
@@ -108,10 +131,13 @@ class ShapeWatch:
         model: The robot.
         layout: Of the scene.
         dynamics: Its contacts, whose places for pairs are filled here.
+        state: The state of the motion, with what touches.
     """
 
-    def __init__(self, model: pin.Model, layout: SceneLayout, dynamics: SceneDynamics) -> None:
-        self._model, self._layout = model, layout
+    def __init__(
+        self, model: pin.Model, layout: SceneLayout, dynamics: SceneDynamics, state: HybridState
+    ) -> None:
+        self._model, self._layout, self._state = model, layout, state
         self._dynamics, self._work = dynamics, dynamics.work
         self.tolerance = 0.0
         groups: dict[int, tuple[Contact, list[int]]] = {}  # places, by the contact that they are of
@@ -122,42 +148,35 @@ class ShapeWatch:
         if pairs:
             self._apart = PairsApart(model, layout, pairs)
             moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
-        self._pairs = [
-            self._watched(layout.pairs[pair], places, moves[k])
-            for k, (pair, places) in enumerate(groups.values())
-        ]
+        self._pairs = []
+        for k, (contact, places) in enumerate(groups.values()):
+            pair, blanks = layout.pairs[contact], [dynamics.contacts[i] for i in places]
+            size = pair.a.shape.reach + pair.b.shape.reach
+            self._pairs.append(_Watched(k, pair, places, blanks, size, moves[k], state))
 
     @cached_property
     def _data(self) -> Any:
         return self._layout.data_for(self, self._model)
 
-    def _watched(self, pair: ShapePair, places: list[int], supports: NDArray[np.bool_]) -> _Watched:
-        blanks = [self._dynamics.contacts[i] for i in places]
-        return _Watched(pair, places, blanks, pair.a.shape.reach + pair.b.shape.reach, supports)
-
     def __bool__(self) -> bool:
         return bool(self._pairs)
 
-    def values(self) -> list[tuple[Any, ...]]:
-        """Return the state of every pair, to be pickled or given to `take_over`."""
-        contacts = self._dynamics.contacts
-        return [
-            (
-                *(self._apart.directions[k].copy(), dict(pair.points), dict(pair.normals), pair.flush),
-                [contacts[i] for i in pair.places],
-            )
-            for k, pair in enumerate(self._pairs)
-        ]
+    @property
+    def directions(self) -> Array | None:
+        """(p, 3) along which pairs are apart, which steps change in place; None without pairs."""
+        return self._apart.directions if self._pairs else None
 
-    def take_over(self, values: list[tuple[Any, ...]]) -> None:
-        """Continue from the `values` of another run of the same scene."""
-        for k, (pair, (direction, points, normals, flush, contacts)) in enumerate(
-            zip(self._pairs, values, strict=True)
-        ):
-            self._apart.directions[k] = direction
-            pair.points, pair.normals, pair.flush = dict(points), dict(normals), flush
-            for i, contact in zip(pair.places, contacts, strict=True):
-                self._dynamics.contacts[i] = contact
+    def continue_with(self, directions: Array | None) -> None:
+        """Continue from another state, with its directions."""
+        if directions is not None:
+            self._apart.directions[:] = directions
+        for watched in self._touching():
+            for i, point in watched.points.items():
+                self._dynamics.contacts[i] = point.instant
+
+    def _touching(self) -> list[_Watched]:
+        """Return the pairs that touch."""
+        return [self._pairs[number] for number in sorted(self._state.touching)]
 
     # ---- states
 
@@ -200,9 +219,7 @@ class ShapeWatch:
                 self._put(i, blank)
                 self._dynamics.contacts[i] = blank
                 self._work.modes[i] = FREE
-            watched.points.clear()
-            watched.normals.clear()
-            watched.flush = frozenset(), frozenset()
+        self._state.touching = {}
 
     def restart(self, q: Array, within: float) -> list[int]:
         """Let the pairs touch that are near each other, after time stepping; return the places filled.
@@ -236,16 +253,17 @@ class ShapeWatch:
 
     def refresh(self, q: Array) -> None:
         """Bring the contacts of what touches, as impacts take them, to a configuration."""
-        if any(watched.points for watched in self._pairs):
+        touching = self._touching()
+        if touching:
             self._set(q)
-        for watched in self._pairs:
-            if watched.points:
-                placed = watched.pair.placed(self._data)
-                for i, point in watched.points.items():
-                    now = follow(point.touch, *placed, watched.normals[i])
-                    watched.normals[i] = now.normal
-                    made = self._made(watched, i, placed, now.touch, now.normal)
-                    self._dynamics.contacts[i] = made.instant
+        for watched in touching:
+            placed, points, normals = watched.pair.placed(self._data), {}, {}
+            for i, point in watched.points.items():
+                now = follow(point.touch, *placed, watched.normals[i])
+                instant = self._made(watched, i, placed, now.touch, now.normal).instant
+                points[i], normals[i] = point._replace(instant=instant), now.normal
+                self._dynamics.contacts[i] = instant
+            watched.become(points=points, normals=normals)
 
     def _made(self, watched: _Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
         blank = watched.blanks[watched.places.index(i)]
@@ -274,11 +292,11 @@ class ShapeWatch:
         for i, touch in zip(free, fresh, strict=False):
             self._take(watched, i, self._made(watched, i, placed, touch, normal), normal)
         if fresh:
-            watched.flush = frozenset(), frozenset()
+            watched.become(flush=_NOTHING.flush)
         return free[: len(fresh)]
 
     def _take(self, watched: _Watched, i: int, point: PointContact, normal: Array) -> None:
-        watched.points[i], watched.normals[i] = point, normal
+        watched.become(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
         self._put(i, point.lasting or point.instant)
         self._dynamics.contacts[i] = point.instant
 
@@ -290,7 +308,8 @@ class ShapeWatch:
     def _leave(self, watched: _Watched, i: int) -> None:
         """Let nothing touch in a place any more."""
         blank = watched.blanks[watched.places.index(i)]
-        del watched.points[i], watched.normals[i]
+        points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
+        watched.become(points=points, normals=normals)
         self._put(i, blank)
         self._dynamics.contacts[i] = blank
         self._work.modes[i] = FREE
@@ -306,8 +325,8 @@ class ShapeWatch:
             IrregularMotionError: Corners of polytopes that stay on corners or edges: no plane is common.
         """
         modes = self._work.modes
-        for watched in self._pairs:
-            for i in list(watched.points):
+        for watched in self._touching():
+            for i in watched.points:
                 if modes[i] == FREE:
                     self._leave(watched, i)
                 elif watched.points[i].lasting is None:
@@ -321,7 +340,9 @@ class ShapeWatch:
 
     def swapped(self) -> NDArray[np.int64]:
         """Return the contacts whose forces act on the second shape of their pair."""
-        found = [i for w in self._pairs for i, point in w.points.items() if point.swapped and point.lasting]
+        found = [
+            i for w in self._touching() for i, point in w.points.items() if point.swapped and point.lasting
+        ]
         return np.array(found, dtype=np.int64)
 
     # ---- within a step
@@ -330,16 +351,15 @@ class ShapeWatch:
         """Return where the first pair ends a step until a time, or None."""
         peak = SAFETY * self._work.rate_bounds[:2]
         best: Meeting | None = None
-        apart = [False] * len(self._pairs)
-        if not all(watched.points for watched in self._pairs):
-            apart = self._apart.over(step, peak).tolist()
-        for number, watched in enumerate(self._pairs):
-            if watched.points:
-                meeting = self._change(watched, number, step, end, peak)
-            elif apart[number]:
-                continue
+        near, touching = [], self._state.touching
+        if len(touching) < len(self._pairs):
+            near = np.flatnonzero(~self._apart.over(step, peak)).tolist()
+        for number in sorted({*near, *touching}):
+            watched = self._pairs[number]
+            if number in touching:
+                meeting = self._change(watched, step, end, peak)
             else:
-                found = self._touch(watched, number, step, end)
+                found = self._touch(watched, step, end)
                 meeting = Meeting(found.time, number, False) if found.touches else None
             if meeting is not None and (best is None or meeting.time < best.time):
                 best, end = meeting, meeting.time
@@ -359,7 +379,7 @@ class ShapeWatch:
 
         return at
 
-    def _touch(self, watched: _Watched, number: int, step: DenseStep, end: float) -> Advance:
+    def _touch(self, watched: _Watched, step: DenseStep, end: float) -> Advance:
         """Return where a pair that is apart touches."""
         at = self._at(watched, step)
 
@@ -367,10 +387,10 @@ class ShapeWatch:
             state = at(t)
             return gap(state.a, state.b).normal
 
-        start = self._apart.until(number, step, normal)
+        start = self._apart.until(watched.number, step, normal)
         if start >= end:
             return Advance(end, np.inf, False)
-        bend, floor = float(self._apart.bends[number]), 0.25 * self._work.touching_gap
+        bend, floor = float(self._apart.bends[watched.number]), 0.25 * self._work.touching_gap
         return self._settled(watched, first_touch(at, start, end, bend, floor), step)
 
     def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
@@ -395,9 +415,7 @@ class ShapeWatch:
 
     # ---- pairs that touch
 
-    def _change(
-        self, watched: _Watched, number: int, step: DenseStep, end: float, peak: Array
-    ) -> Meeting | None:
+    def _change(self, watched: _Watched, step: DenseStep, end: float, peak: Array) -> Meeting | None:
         """Return where what touches becomes something else."""
         at = self._at(watched, step)
         slack = max(ROUNDING * watched.size, self.tolerance)
@@ -415,13 +433,13 @@ class ShapeWatch:
             time = end if part == 1.0 else step.start + part * (end - step.start)
             if beyond(time) > slack:
                 found = crossing(lambda t: slack - beyond(t), before, time, step.h)
-                best, end = Meeting(found, number, True), found
+                best, end = Meeting(found, watched.number, True), found
                 break
             before = time
         # within no time at all nothing else can come near
         advanced = self._next_corner(watched, at, step, end, peak) if end > step.start else None
         if advanced is not None and advanced.touches:
-            best = Meeting(advanced.time, number, False)
+            best = Meeting(advanced.time, watched.number, False)
         if best is None:
             last = at(end)
             depth = -gap(last.a, last.b).value
@@ -461,7 +479,7 @@ class ShapeWatch:
             mask[corners_of(touch, states[0].a, states[0].b)[k]] = False
             tips = [p.touch.features[k] for p in watched.points.values() if p.touch.kind == side]
             mask[tips] = False
-            held = [m for m in watched.flush[k] if heights[0, m] <= lift]
+            held = [m for m in watched.now.flush[k] if heights[0, m] <= lift]
             mask[held] = False
             if touch.kind in ("vertex-face", "face-vertex") and touch.kind != side:
                 mask[:] = False  # the normal is that of its own face
@@ -529,10 +547,8 @@ class ShapeWatch:
             if arriving:
                 return arriving
             if watched.pair.a.shape.radius + watched.pair.b.shape.radius == 0.0:
-                watched.flush = (
-                    frozenset(np.flatnonzero(low_a <= slack).tolist()),
-                    frozenset(np.flatnonzero(low_b <= slack).tolist()),
-                )
+                flush = (frozenset(np.flatnonzero(low <= slack).tolist()) for low in (low_a, low_b))
+                watched.become(flush=tuple(flush))
                 return []
         return self._change_features(watched, step, meeting.time, q, v)
 

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from ..checks import choice, function
 from ..errors import PinimpactError
 from .alternating import Alternating
-from .integrator import Integrator, Progress, check_numbers
+from .integrator import Integrator, Report
+from .options import Options, check_numbers
 from .scene import Scene
 from .sensitivities import MotionSlopes, Sensitivities, parse
 from .time_stepping import TimeStepping
@@ -28,7 +29,7 @@ def simulate(
     atol: float = 1e-10,
     max_step: float | None = None,
     max_impacts: int = 100_000,
-    progress: Progress | None = None,
+    progress: Report | None = None,
     scheme: str = "auto",
     dt: float = 1e-3,
     sensitivities: Sequence[str] = (),
@@ -74,10 +75,10 @@ def simulate(
     if progress is not None:
         function("progress", progress, "a function of the time and the duration")
     names = parse(scene, sensitivities, scheme) if sensitivities else ()
-    integrator = integrator_of(scheme, scene, q0, v0, rtol, atol, max_step, max_impacts, dt)
-    trajectory = _run(integrator, float(duration), progress)
+    options = Options(rtol, atol, max_step, max_impacts, dt)
+    trajectory = _run(integrator_of(scheme, scene, q0, v0, options), float(duration), progress)
     if names:
-        own = Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
+        own = Integrator(scene, q0, v0, options)
         slopes = MotionSlopes(
             scene, own.dynamics, own.model, [name for name in names if name != "state"], None
         )
@@ -87,36 +88,26 @@ def simulate(
     return trajectory
 
 
-def integrator_of(
-    scheme: str,
-    scene: Scene,
-    q0: ArrayLike,
-    v0: ArrayLike,
-    rtol: float,
-    atol: float,
-    max_step: float | None,
-    max_impacts: int,
-    dt: float,
-) -> Integrator:
+def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, options: Options) -> Integrator:
     """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
-    check_numbers(dt=dt)
     if scheme == "event-driven":
-        return Integrator(scene, q0, v0, rtol, atol, max_step, max_impacts)
+        return Integrator(scene, q0, v0, options)
     if scheme == "auto":
-        return Alternating(scene, q0, v0, rtol, atol, max_step, max_impacts, float(dt))
-    return TimeStepping(scene, q0, v0, float(dt), max_impacts)
+        return Alternating(scene, q0, v0, options)
+    return TimeStepping(scene, q0, v0, Options(max_impacts=options.max_impacts, dt=options.dt))
 
 
-def _run(integrator: Integrator, duration: float, progress: Progress | None) -> Trajectory:
+def _run(integrator: Integrator, duration: float, report: Report | None) -> Trajectory:
     """Run to the end; return the trajectory, or raise with what there is of it."""
     try:
         integrator.begin()
-        integrator.advance(duration, progress)
+        integrator.advance(duration, report)
     except KeyboardInterrupt:
         return integrator.trajectory("Interrupted from the keyboard.", False)
     except PinimpactError as error:
         integrator.stop(error)
-    if integrator.ended_by is not None:
-        return integrator.trajectory(f"The event {integrator.ended_by!r} ended the run.", False)
+    ended_by = integrator.state.ended_by
+    if ended_by is not None:
+        return integrator.trajectory(f"The event {ended_by!r} ended the run.", False)
     return integrator.trajectory("The duration is covered.", True)

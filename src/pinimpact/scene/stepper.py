@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
-from .integrator import check_numbers
+from .options import Options, check_numbers
 from .scene import Scene
 from .sensitivities import Linearization, MotionSlopes, Sensitivities, check_supported
 from .simulation import integrator_of
@@ -63,7 +63,7 @@ class Stepper:
                 value=scene,
             )
         self._scene = scene
-        self._scheme, self._options = scheme, (rtol, atol, max_step, max_impacts, dt)
+        self._scheme, self._options = scheme, Options(rtol, atol, max_step, max_impacts, dt)
         self.reset(q0, v0)
 
     def reset(self, q0: ArrayLike, v0: ArrayLike) -> None:
@@ -72,7 +72,7 @@ class Stepper:
         Raises:
             InputError: As in `simulate`; the stepper is then unchanged.
         """
-        self._integrator = integrator_of(self._scheme, self._scene, q0, v0, *self._options)
+        self._integrator = integrator_of(self._scheme, self._scene, q0, v0, self._options)
         self._begun = self._failed = False
 
     def copy(self) -> Stepper:
@@ -139,8 +139,8 @@ class Stepper:
         """
         check_supported(self._scene, self._scheme)
         ahead = self.copy()
-        integrator = ahead._integrator
-        steps, impacts = len(integrator.dense_steps), len(integrator.state.impacts)
+        integrator, record = ahead._integrator, ahead._integrator.record
+        steps, impacts = len(record.dense_steps), len(record.impacts)
         ahead.step(tau, dt)
         slopes = MotionSlopes(
             self._scene, integrator.dynamics, integrator.model, (), np.asarray(tau, dtype=np.float64)
@@ -148,11 +148,11 @@ class Stepper:
         found = Sensitivities(
             slopes,
             ("state",),
-            integrator.dense_steps[steps:],
-            integrator.state.impacts[impacts:],
-            integrator._stepped(),
+            record.dense_steps[steps:],
+            record.impacts[impacts:],
+            integrator.state.stepped,
         )
-        last = len(integrator.dense_steps) - steps - 1
+        last = len(record.dense_steps) - steps - 1
         x, boundary = found.changes(last, integrator.state.t)
         n = len(x)
         return Linearization(x[:, :n], x[:, n:], boundary)

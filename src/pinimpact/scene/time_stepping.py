@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import IrregularMotionError
 from ..robot.forest import mass_matrix, potential_energy
@@ -26,7 +26,6 @@ from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
 from .rest import Rest
-from .scene import Scene
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -108,32 +107,27 @@ class _Rows(NamedTuple):
 
 
 class TimeStepping(Integrator):
-    """A motion in steps of a given length; see `Integrator`.
+    """A motion in steps of the length `dt` of the options; see `Integrator`."""
 
-    Args:
-        scene, q0, v0, max_impacts: As of `simulate`.
-        dt: The length of the steps [s].
-    """
-
-    def __init__(self, scene: Scene, q0: ArrayLike, v0: ArrayLike, dt: float, max_impacts: int) -> None:
-        super().__init__(scene, q0, v0, 1e-8, 1e-10, dt, max_impacts)
-        self._prepare(dt)
+    def _prepare(self) -> None:
+        self._dt = self.options.dt
+        self.max_step = min(self.max_step, self._dt)
+        self._prepare_steps()
         self.work.sliding_friction[:] = 0.0
 
-    def _prepare(self, dt: float) -> None:
-        """Prepare steps of a length [s]."""
-        self._dt = dt
-        scene, model, work = self._made_of[0], self.model, self.work
+    def _prepare_steps(self) -> None:
+        """Prepare time steps."""
+        scene, model, work, state = self.scene, self.model, self.work, self.state
         self._touching = max(work.touching_gap, TOUCHING * scene.extent)
-        self._rest, self._widest = Rest(model, work), _widest(work.velocity_parent)
+        self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._still = REST * (work.resting_speed or 1.0)
         self._faces = FacingShapes(model, self.dynamics, scene.layout(), self._rest.joints)
         self._mass, self._inverse = np.zeros((2, model.nv, model.nv))
         self._mass_constant, self._added = _has_constant_mass(model, self.data), np.full(model.nv, math.nan)
-        self._begin = np.zeros(model.nv)  # see `step_impulses`
-        self._pushed = np.zeros(model.nv)  # mean acceleration by the impulses of the step before
-        self._unsolved, self._no_change = 0.0, np.zeros(model.nv)
+        self._no_change = np.zeros(model.nv)
+        if state.warm_start is None:
+            state.warm_start = state.pushed = self._no_change
         # what has no restitution closes within a step's contact problem, by Moreau's law
         bounces = [callable(c.restitution) or c.restitution > 0.0 for c in self.dynamics.contacts]
         bounces += [scene.limit_restitution > 0.0] * len(self.dynamics.limits)
@@ -143,22 +137,6 @@ class TimeStepping(Integrator):
         self._near = np.empty(work.contacts + work.limits, dtype=np.int64)
         self._gravity = float(np.linalg.norm(model.gravity.linear))
 
-    def _arguments(self) -> tuple[Any, ...]:
-        scene, q0, v0, *_, max_impacts = self._made_of
-        return scene, q0, v0, self._dt, max_impacts
-
-    def _values(self) -> dict[str, Any]:
-        arrays = self._mass, self._inverse, self._added, self._begin, self._pushed
-        return super()._values() | {
-            "stepping": ([array.copy() for array in arrays], self._unsolved, self._rest.values())
-        }
-
-    def _take_over(self, values: dict[str, Any]) -> None:
-        super()._take_over(values)
-        arrays, self._unsolved, rest = values["stepping"]
-        self._rest.take_over(rest)
-        self._mass, self._inverse, self._added, self._begin, self._pushed = (one.copy() for one in arrays)
-
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen; see `Integrator.begin`."""
         if self._sampled is not None:
@@ -167,7 +145,7 @@ class TimeStepping(Integrator):
             self.work.control_force[:] = tau
         self._collide()
         self._let_events_happen()
-        self._length = self._dt
+        self.state.length = self._dt
 
     def hold_force(self, tau: Array) -> None:
         """Let a constant force (nv,) act from now on."""
@@ -194,12 +172,12 @@ class TimeStepping(Integrator):
         if stop - state.t - left < none:
             left = stop - state.t
         end = state.t + left
-        while left > none and self.ended_by is None:
+        while left > none and self.state.ended_by is None:
             struck += self._take(left, struck < MOST_IMPACTS)
             left = end - state.t
-        if self.ended_by is None and abs(end - state.t) <= none:
-            state.t = self.dense_steps[-1].end = stop if end == stop else end
-        self.steps += 1
+        if self.state.ended_by is None and abs(end - state.t) <= none:
+            state.t = self.record.dense_steps[-1].end = stop if end == stop else end
+        state.steps += 1
         self._sample()
         return self._dt
 
@@ -223,6 +201,7 @@ class TimeStepping(Integrator):
         self._invert(middle, softened)
         impulse, u_start, u_end = np.empty((3, len(rows.counts)))
         v_end, predicted = np.empty((2, len(v)))
+        state.warm_start, state.pushed = np.array(state.warm_start), np.array(state.pushed)
         gap_end, numbers = np.empty(len(rows.contacts) + len(rows.limits)), np.empty(3)
         arrives = np.empty(len(gap_end), dtype=bool)
         off = midpoint_step(
@@ -236,7 +215,7 @@ class TimeStepping(Integrator):
                 self._rest.joints,
                 *rows[:4],
             ),
-            *(self._begin, self._pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
+            *(state.warm_start, state.pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
             *(gap_end, numbers),
         )
         self.dynamics.check()
@@ -246,21 +225,21 @@ class TimeStepping(Integrator):
                 f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help",
                 field="scene",
             )
-        if off > max(USABLE, self._unsolved):
-            if self._unsolved == 0.0:
-                state.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
-            self._unsolved = off
+        if off > max(USABLE, state.unsolved):
+            if state.unsolved == 0.0:
+                self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
+            state.unsolved = off
         share, lost, overlap = numbers.tolist()
         step = self._dense(t, h, rows, (v_end, softened, predicted), (impulse, u_start, u_end))
         step.end = t + share * h
-        state.modes.update(t, self.work.modes, self.work.drive_side)
-        self.dense_steps.append(step)
+        self.record.modes.update(t, self.work.modes, self.work.drive_side)
+        self.record.dense_steps.append(step)
         if self.events:
             interruption = self.events.within(step, step.end)
             if interruption is not None:
                 self._interrupt(step, interruption, None)
                 return True
-        self.w = step.work_at(step.end)
+        state.works = step.work_at(step.end)
         state.impact_energy += lost
         state.t = step.end
         state.q, state.v = step.at(step.end)
@@ -366,7 +345,7 @@ class TimeStepping(Integrator):
             *(work, h, still, self.state.v, *velocities, self._rest.joints, *rows[:8], *of_rows),
             *(coefficients, world, points, normals, joints),
         )
-        step = DenseStep(t, h, self.state.q, self.state.v, self.w, coefficients, work.joint_charts)
+        step = DenseStep(t, h, self.state.q, self.state.v, self.state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:
             step.closed = StepForces(contacts, world, points, normals, joints, resting)
@@ -414,12 +393,12 @@ class TimeStepping(Integrator):
             within: The gap up to which it touches [m]; at least the tolerance of touching.
         """
         state, touching = self.state, max(self._touching, within)
-        before = len(state.impacts)
+        before = len(self.record.impacts)
         self._faces.place(state.q, state.v, 0.0, touching=touching)
-        state.collide(touching, max(self.work.resting_speed, slowest))
-        if len(state.impacts) > before:
+        self.instant.collide(touching, max(self.work.resting_speed, slowest))
+        if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
-            self._count_impacts(before)
+            self.progress.count_impacts(before)
             self._sample()
 
 

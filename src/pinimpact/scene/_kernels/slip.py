@@ -13,9 +13,33 @@ from .workspace import SceneWorkspace
 CERTAIN = 10.0
 """Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
 
+DIRECTED = 1e-3
+"""Part of the speed of sticking below which slip has no direction but the one last known."""
+
 BEHIND = 1e-3
 """A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
 is larger."""
+
+
+@inlined
+def certain(work):
+    """Return the speed above which slip goes on, by the error of a step from `v0`."""
+    fastest = 0.0
+    for speed in work.v0:
+        fastest = max(fastest, abs(speed))
+    return CERTAIN * (work.atol + work.rtol * fastest)
+
+
+@inlined
+def set_certain_speed(work):
+    """Set above which speed a contact keeps sliding."""
+    work.certain_speed = min(certain(work), work.stick_speed)
+
+
+@inlined
+def set_direction_speed(work):
+    """Set below which speed slip has no direction but the one last known."""
+    work.direction_speed = min(certain(work), DIRECTED * work.stick_speed)
 
 
 @inlined

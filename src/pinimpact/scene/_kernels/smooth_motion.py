@@ -26,7 +26,14 @@ from .dynamics import (
 from .events.registry import find_first_event
 from .force_choice import choose_forces
 from .samples import along, record_sample
-from .slip import restore_directions, set_directions_within, stiffness_of_slip, turn_references
+from .slip import (
+    restore_directions,
+    set_certain_speed,
+    set_direction_speed,
+    set_directions_within,
+    stiffness_of_slip,
+    turn_references,
+)
 from .step_drives import rate_of_drives
 from .workspace import SceneWorkspace
 
@@ -49,6 +56,8 @@ def begin(work, t, q, v):
     n = len(v)
     assign(work.q0, q)
     assign(work.v0, v)
+    set_certain_speed(work)
+    set_direction_speed(work)
     set_state(work, q, v)
     for i in range(len(rates)):
         for m in range(2 * n, rates.shape[1]):
@@ -143,6 +152,7 @@ def finish(work, t, h, error, explicit):
     work.growth = 1.0
     if work.event_time > t + h:
         step_dop853.begin_next(work)
+        set_certain_speed(work)
         for i in range(len(work.end_gaps)):
             assign(work.start_gaps[i], work.end_gaps[i])
         for k in range(work.spheres):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ..._compile.workspace import Workspace, count, flag, integer, integers, real, reals, size
 from ...geometry._kernels.constants import CONSTANTS
 from .dop853 import DENSE_STAGES
@@ -22,16 +20,6 @@ class SceneWorkspace(Workspace):
     ones last of them; then the joint limits; then each velocity, which dry friction may hold at rest. What is
     closed is rearranged whenever modes change, by `active_set.close`.
     """
-
-    def values(self) -> dict[str, Any]:
-        """Return all values but the addresses, to be pickled or given to `take_over`."""
-        room = {"closable": self.closable, "rows": self.rows}
-        return {"room": room, "values": self.copied_values(but=("calls",))}
-
-    def take_over(self, values: dict[str, Any]) -> None:
-        """Take over the `values` of another workspace of the same scene."""
-        self.enlarge(values["room"])
-        self.set_values(values["values"])
 
     nq = size("numbers of a configuration")
     nv = size("velocities")

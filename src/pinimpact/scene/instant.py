@@ -1,10 +1,9 @@
-"""The state of a simulation, and what changes it at one instant: impacts, modes, corrections."""
+"""What changes the state of a motion at one instant: impacts, modes, corrections."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,27 +11,22 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
-from ..errors import (
-    BoundReachedWarning,
-    InputError,
-    IrregularMotionError,
-    SimulationError,
-)
+from ..errors import BoundReachedWarning, IrregularMotionError
 from ..robot.contact import Contact
-from ..robot.inverse_kinematics import closed_by_rounding
-from ..robot.joint_limits import degrees_hint
 from ..robot.pinocchio_bridge import check_inertia
-from ..robot.placed_robot import PlacedRobot
-from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART, ARRIVING, STRUCK
-from ._kernels.contact_forces import FREE, SLIP
+from ._kernels.contact_forces import SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
+from .hybrid_state import HybridState
 from .mode_intervals import ModeIntervals
+from .recorder import Recorder
 from .records import ImpactRecord, Note
+from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import GroupImpact, Impact, SceneImpacts
 from .shape_watch import Meeting, ShapeWatch
+from .start import START_ROUNDING, altered, check_start
 
 Array = NDArray[np.float64]
 
@@ -45,12 +39,6 @@ cost of its events grows steeply with their number."""
 
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
-
-START_ROUNDING = 2e-9
-"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
-
-HELD_GAP = 1e-3
-"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
 
 STICK_FRACTION = 0.1
 """Slip slower than this part of the resting speed is none."""
@@ -71,92 +59,79 @@ LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
 """How far to look ahead for modes that begin without a jump, in parts of a step."""
 
 
-NEARLY_FLAT = 1e-4
-"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
+class Instant:
+    """What happens to a motion at one instant.
 
+    Contacts are numbered first, held ones last of them, then joint limits.
 
-class SimulationState:
-    """The state of a simulation, and what there is to tell of the run so far.
-
-    Contacts are numbered first, held ones last of them, then joint limits. The arrays q and v are replaced,
-    never changed, so that records may share them.
+    Args:
+        scene: The scene.
+        model: Its model, without what is switched off.
+        data: Its data.
+        state: The state of the motion.
+        starts: Whether the motion starts in it, so that it is checked.
 
     Attributes:
-        t, q, v: Time [s] and state.
+        data: That of the arguments.
+        state: Likewise.
+        record: What there is to tell of the motion.
         shapes: The pairs of shapes that may meet.
+        rims: The rims.
         dynamics: The motion between events, with the modes that hold now.
         names: Of the contacts that are watched, and of the joint limits.
-        impact_energy: Change of kinetic energy in impacts so far [J].
         crowds_refused: Whether impacts that restore nothing are refused at more than `CROWD` contacts.
-        impacts, notes, modes: What there is to tell of the run so far.
     """
 
-    def __init__(self, scene: Scene, model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
+    def __init__(
+        self, scene: Scene, model: pin.Model, data: pin.Data, state: HybridState, starts: bool
+    ) -> None:
         without = scene.without
-        self.t, self.q, self.v = 0.0, q, v
-        self._model, self._data = model, data
+        self.data, self.state = data, state
         layout = scene.layout()
         watched = () if "contact guards" in without else layout.watched
-        contacts = [_altered(contact, without) for contact in watched] if without else list(watched)
-        held = [_altered(c, without) for c in scene.held] if "held contacts" not in without else []
+        contacts = [altered(contact, without) for contact in watched] if without else list(watched)
+        held = [altered(c, without) for c in scene.held] if "held contacts" not in without else []
         limits = layout.limits if "joint limits" not in without else ()
-        self._record = scene.record and "recorded path" not in without
+        self._recorded = scene.record and "recorded path" not in without
         extent, resting_speed = layout.extent, scene.rest
         self._resting_speed = resting_speed
 
-        check_inertia(model, data, q)
+        if starts:
+            check_inertia(model, data, state.q)
         self.dynamics = SceneDynamics(scene, model, contacts, held, limits)
         self._impacts = SceneImpacts(scene, model, data, self.dynamics, held, resting_speed)
-        self._impacts.compile_kernels(q)
         contact_names = [contact.label for contact in self.dynamics.contacts]
         limit_names = [limit.name for limit in limits]
         self.names = [*contact_names, *limit_names]
         work = self.dynamics.work
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
-        rounding = 8.0 * np.finfo(float).eps * float(np.abs(q).max(initial=0.0))
+        rounding = 8.0 * np.finfo(float).eps * float(np.abs(state.q).max(initial=0.0))
         work.gap_floor = GAP_FLOOR * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
         work.resting_speed = 0.0 if "sustained contact" in without else resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
         work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
-        self.shapes = ShapeWatch(model, layout, self.dynamics)
+        self.shapes = ShapeWatch(model, layout, self.dynamics, state)
         self.shapes.tolerance = work.touching_gap
-        self._rims = [k for k, contact in enumerate(self.dynamics.contacts) if contact.rim > 0.0]
+        self.rims = Rims(model, data, self.dynamics, state)
         self._where = np.zeros(len(self.names), dtype=np.int64)
         self._slow = np.zeros(len(self.names), dtype=np.int64)
-
-        self._forces_found = True
-        self.impact_energy, self.bound_reached, self.crowds_refused = 0.0, False, False
-        self.impacts: list[ImpactRecord] = []
-        self.notes: list[Note] = []
-        self.modes = ModeIntervals(model, contact_names, limit_names)
-        self._check_start(len(held), extent)
-        if self.shapes:
-            self.shapes.start(q, START_ROUNDING)
-        self._tell_modes()
+        self.crowds_refused = False
+        self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
+        if starts:
+            self._impacts.compile_kernels(state.q)
+            check_start(model, data, self.dynamics, state, self.names, extent)
+            if self.shapes:
+                self.shapes.start(state.q, START_ROUNDING)
+            self._tell_modes()
 
     def _tell_modes(self) -> None:
         work = self.dynamics.work
-        self.modes.update(self.t, work.modes, work.drive_side)
-
-    def values(self) -> tuple[Any, ...]:
-        """Return the state without the dynamics, to be pickled or given to `take_over`."""
-        return (
-            *(self.t, self.q.copy(), self.v.copy(), self.impact_energy, self.bound_reached),
-            *(self.impacts.copy(), self.notes.copy(), self.shapes.values(), self.modes.values()),
-        )
-
-    def take_over(self, values: tuple[Any, ...]) -> None:
-        """Continue from the `values` of another run of the same scene."""
-        self.t, q, v, self.impact_energy, self.bound_reached, *lists = values
-        impacts, notes, shapes, modes = lists
-        self.q, self.v, self.impacts, self.notes = q.copy(), v.copy(), impacts.copy(), notes.copy()
-        self.shapes.take_over(shapes)
-        self.modes.take_over(modes)
+        self.record.modes.update(self.state.t, work.modes, work.drive_side)
 
     def note(self, text: str) -> None:
         """Tell of something, at the present time."""
-        self.notes.append(Note(self.t, text))
+        self.record.notes.append(Note(self.state.t, text))
 
     # ---- impacts
 
@@ -175,29 +150,29 @@ class SimulationState:
         """
         where, slow, work = self._where, self._slow, self.dynamics.work
         # an approach that the error of a step explains is no impact; modes take it away
-        work.least_approach = min(self.error(self.v), work.resting_speed)
+        work.least_approach = min(self.error(self.state.v), work.resting_speed)
         where[:] = APART
         if arriving is not None:
             where[arriving] = ARRIVING
         if self.shapes:
-            self.shapes.refresh(self.q)
+            self.shapes.refresh(self.state.q)
         resolved: list[dict[str, Any]] = []
         jams, retried = 0, False
         while True:
-            i, rate = self.dynamics.fastest_approach(self.q, self.v, starting, where, slow)
-            self._check_rims(where)
+            i, rate = self.dynamics.fastest_approach(self.state.q, self.state.v, starting, where, slow)
+            self.rims.check(where)
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
                 continue
-            before = self.v
+            before = self.state.v
             jammed = self._set_modes(slow)
-            if jammed < 0 and self._forces_found:
+            if jammed < 0 and self.state.forces_found:
                 break
             jams += 1
             if jams > MOST_JAMS:
                 raise IrregularMotionError(
-                    f"scene: {jams - 1} impacts without collision at t = {self.t:.6g} s do not "
+                    f"scene: {jams - 1} impacts without collision at t = {self.state.t:.6g} s do not "
                     f"end, the last at {_last(resolved)}; less friction may help",
                     field="scene",
                 )
@@ -208,11 +183,11 @@ class SimulationState:
             if not struck:
                 raise IrregularMotionError(
                     f"contacts: neither forces nor impulses were found for what touches at t = "
-                    f"{self.t:.6g} s; less friction may help",
+                    f"{self.state.t:.6g} s; less friction may help",
                     field="contacts",
                 )
             resolved += struck
-        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
     def collide(self, touching: float, slowest: float) -> None:
         """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.
@@ -223,7 +198,7 @@ class SimulationState:
         """
         resolved: list[dict[str, Any]] = []
         while self.names:
-            gaps, rates = self.dynamics.gaps_at(self.q, self.v).T
+            gaps, rates = self.dynamics.gaps_at(self.state.q, self.state.v).T
             near = gaps <= touching
             near[: len(self.dynamics.contacts)] &= self.dynamics.work.bilateral == 0
             i = int(np.argmin(np.where(near, rates, math.inf)))
@@ -231,7 +206,7 @@ class SimulationState:
                 break
             self._where[:] = np.where(near, ARRIVING, APART)
             resolved += self._strike(i, -float(rates[i]), resolved)
-        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
     def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.
@@ -250,8 +225,10 @@ class SimulationState:
                 f"Slip at {self.names[jammed]} has a negative normal acceleration and no admissible force: "
                 "an impact without collision."
             )
-            return [self._take_over(jammed, self._impacts.without_collision(self.q, self.v, jammed))]
-        group = self._impacts.without_forces(self.t, self.q, v, touching, slips, 0.0)
+            return [
+                self._take_over(jammed, self._impacts.without_collision(self.state.q, self.state.v, jammed))
+            ]
+        group = self._impacts.without_forces(self.state.t, self.state.q, v, touching, slips, 0.0)
         if group is None:
             return []
         self.change_velocity(v)
@@ -281,50 +258,9 @@ class SimulationState:
         slips[: len(contacts)] = self.dynamics.work.slips[contacts] != 0
         return slips
 
-    def rims_jump(self, q: Array, later: Array) -> bool:
-        """Whether the lowest point of a closed rim goes round by a right angle or more from q to another.
-
-        It does where the rim has come to lie flat and goes on beyond, however short the step is.
-        """
-        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
-        if not closed:
-            return False
-        tilts = [self._tilts(closed, at) for at in (q, later)]
-        return any(float(one @ other) <= 0.0 for one, other in zip(*tilts, strict=True))
-
-    def refuse_flat_rims(self) -> None:
-        """Stop where a closed rim has come to lie flat, as nearly as steps can tell.
-
-        Raises:
-            SimulationError: See above.
-        """
-        closed = [k for k in self._rims if self.dynamics.work.modes[k] != FREE]
-        self._refuse_flat(closed, NEARLY_FLAT)
-
-    def _check_rims(self, where: NDArray[np.int64]) -> None:
-        """Stop where a rim touches all round, within the tolerance of touching."""
-        touching = [k for k in self._rims if where[k] != APART]
-        self._refuse_flat(touching, 0.0)
-
-    def _refuse_flat(self, rims: list[int], least: float) -> None:
-        """Stop where a rim lies flat, or the sine of its tilt is below `least`."""
-        for k, tilt in zip(rims, self._tilts(rims, self.q), strict=True):
-            contact, size = self.dynamics.contacts[k], float(np.linalg.norm(tilt))
-            if 2.0 * contact.rim * size <= self.dynamics.work.touching_gap or size < least:
-                raise SimulationError(
-                    f"contacts: at t = {self.t:.6g} s {flat_rim(contact)}", field="contacts", value=contact
-                )
-
-    def _tilts(self, rims: list[int], q: Array) -> list[Array]:
-        """Return u × n (3,) of rims, see `tilt_of_rim`."""
-        if not rims:
-            return []
-        placed = PlacedRobot(self._model, self._data, q)
-        return [tilt_of_rim(placed, self.dynamics.contacts[k]) for k in rims]
-
     def _collide(self, i: int, approach: float) -> dict[str, Any]:
         """Resolve one impact; return the fields of its record."""
-        impact = self._impacts.resolve(self.t, self.q, self.v, i, approach)
+        impact = self._impacts.resolve(self.state.t, self.state.q, self.state.v, i, approach)
         for text in impact.notes:
             self.note(text)
         if impact.resting:
@@ -348,10 +284,10 @@ class SimulationState:
         beyond = len(before) - MOST_IMPACTS * len(touching)
         if beyond < 0:
             return self._collide_together(i, touching) or [self._collide(i, approach)]
-        impact = self._impacts.resolve_group(self.q, self.v, i, touching, limit=True)
+        impact = self._impacts.resolve_group(self.state.q, self.state.v, i, touching, limit=True)
         if impact is None or not impact.struck or beyond > len(touching):
             raise IrregularMotionError(
-                f"scene: {len(before)} impacts at t = {self.t:.6g} s do not end, the last at "
+                f"scene: {len(before)} impacts at t = {self.state.t:.6g} s do not end, the last at "
                 f'{_last(before)}; use simultaneous="propagate"',
                 field="scene",
             )
@@ -364,7 +300,7 @@ class SimulationState:
         if len(touching) < 2 or not self._impacts.together:
             return []
         most = CROWD if self.crowds_refused else math.inf
-        impact = self._impacts.resolve_group(self.q, self.v, first, touching, most=most)
+        impact = self._impacts.resolve_group(self.state.q, self.state.v, first, touching, most=most)
         if impact is None:
             return []
         return self._take_over_group(impact)
@@ -375,7 +311,7 @@ class SimulationState:
             self.note(text)
         if impact.bounded:
             self._warn_of_bound()
-        contacts, before = len(self.dynamics.contacts), self.v
+        contacts, before = len(self.dynamics.contacts), self.state.v
         self.change_velocity(impact.v)
         found = []
         for source, place, resting, make in impact.struck:
@@ -384,14 +320,14 @@ class SimulationState:
                 self._note_rest(source)
             found.append(
                 {
-                    "time": self.t,
+                    "time": self.state.t,
                     "source": self.names[source],
-                    "q": self.q,
+                    "q": self.state.q,
                     "v_before": before,
                     "v_after": impact.v,
                     "contact_space": make,
                     "resting": resting,
-                    "record": self._record and source < contacts,
+                    "record": self._recorded and source < contacts,
                     "group": (impact.group, place),
                     "contact": self._of_pair(source),
                 }
@@ -400,10 +336,11 @@ class SimulationState:
 
     def _warn_of_bound(self) -> None:
         """Warn once per run that an impact is approximate; its note has been made."""
-        if not self.bound_reached:
-            self.bound_reached = True
+        if not self.record.bound_reached:
+            self.record.bound_reached = True
+            text = self.record.notes[-1].text
             warnings.warn(
-                f"t = {self.t:.6g} s: {self.notes[-1].text} Further such notes are in trajectory.notes only.",
+                f"t = {self.state.t:.6g} s: {text} Further such notes are in trajectory.notes only.",
                 BoundReachedWarning,
                 stacklevel=2,
             )
@@ -416,17 +353,17 @@ class SimulationState:
 
     def _take_over(self, i: int, impact: Impact) -> dict[str, Any]:
         """Take over the velocity after an impact; return the fields of its record."""
-        before = self.v
+        before = self.state.v
         self.change_velocity(impact.v)
         return {
-            "time": self.t,
+            "time": self.state.t,
             "source": self.names[i],
-            "q": self.q,
+            "q": self.state.q,
             "v_before": before,
             "v_after": impact.v,
             "contact_space": impact.contact_space,
             "resting": impact.resting,
-            "record": self._record and i < len(self.dynamics.contacts),
+            "record": self._recorded and i < len(self.dynamics.contacts),
             "contact": self._of_pair(i),
         }
 
@@ -438,8 +375,8 @@ class SimulationState:
     def change_velocity(self, v: Array) -> None:
         """Go on with another velocity, and count the kinetic energy that it brings."""
         energy = self._impacts.kinetic_energy
-        self.impact_energy += energy(self.q, v) - energy(self.q, self.v)
-        self.v = v
+        self.state.impact_energy += energy(self.state.q, v) - energy(self.state.q, self.state.v)
+        self.state.v = v
 
     def resolve_jam(self, singular: float = SINGULAR, leaving: bool = False) -> bool:
         """Resolve the impact without collision of slip whose forces have no bound, if there is any. (13.3)
@@ -449,9 +386,11 @@ class SimulationState:
             leaving: Whether forces have just left their bounds: if with a determinant that has changed its
                 sign, they have gone through infinity.
         """
-        without = leaving or not self._forces_found
+        without = leaving or not self.state.forces_found
         work = self.dynamics.work
-        unbounded = self.dynamics.forces_unbounded(self.t, self.q, self.v, without, singular)
+        unbounded = self.dynamics.forces_unbounded(
+            self.state.t, self.state.q, self.state.v, without, singular
+        )
         # within rounding of a singularity the equations have no solution any more, or many
         if not unbounded and (singular == SINGULAR or work.forces_unique):
             return False
@@ -460,7 +399,7 @@ class SimulationState:
         slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
         passed = without and work.force_margin == -math.inf
         slack = max(PASSED * passed, CLEAR * singular)
-        group = self._impacts.without_forces(self.t, self.q, self.v, touching, slips, slack)
+        group = self._impacts.without_forces(self.state.t, self.state.q, self.state.v, touching, slips, slack)
         if group is None:
             return False
         slipping = self._names(touching, slips)
@@ -468,7 +407,7 @@ class SimulationState:
             f"Slip at {slipping} makes the forces grow without bound (jam): an impact without collision."
         )
         resolved = self._take_over_group(group)
-        self.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
         return True
 
     # ---- contacts that stay closed
@@ -477,13 +416,13 @@ class SimulationState:
         """Set the modes of what touches without bouncing; return a contact where no force exists, or −1."""
         work = self.dynamics.work
         before, constrained = work.modes.copy(), self.dynamics.constrained
-        self.dynamics.set_saturation(self.q, self.v)
-        self.v = self.v.copy()
-        jammed, converged, energy = self.dynamics.set_modes(self.t, self.q, self.v, slow)
-        self.impact_energy += energy
+        self.dynamics.set_saturation(self.state.q, self.state.v)
+        self.state.v = self.state.v.copy()
+        jammed, converged, energy = self.dynamics.set_modes(self.state.t, self.state.q, self.state.v, slow)
+        self.state.impact_energy += energy
         if jammed >= 0:
             return jammed
-        self._forces_found = converged
+        self.state.forces_found = converged
         same = bool((work.modes == before).all())
         work.force_bound_ignored = constrained and same
         if not same or work.driven:
@@ -502,8 +441,8 @@ class SimulationState:
         ahead, certain = LEAST_AHEAD * step.h, False
         while ahead <= MOST_AHEAD * step.h and not certain:
             self.dynamics.slip_as(*present)
-            q, v = step.at(self.t + ahead)
-            jammed, _, _ = self.dynamics.set_modes(self.t + ahead, q, v, self._slow)
+            q, v = step.at(self.state.t + ahead)
+            jammed, _, _ = self.dynamics.set_modes(self.state.t + ahead, q, v, self._slow)
             modes = work.modes.copy()
             changed = jammed < 0 and (modes != before).any()
             # of what begins together one may show before the other: the same modes twice are those
@@ -529,89 +468,12 @@ class SimulationState:
 
     def correct_constraint_drift(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""
-        self.q, self.v = self.q.copy(), self.v.copy()
-        self.impact_energy += self.dynamics.correct_constraint_drift(self.t, self.q, self.v)
-
-    # ---- the start
-
-    def _begin_at(self, numbers: NDArray[np.int64]) -> None:
-        """Put the start onto the surfaces and limits that it is off by rounding."""
-        dynamics, count = self.dynamics, len(self.dynamics.contacts)
-        self.q = self.q.copy()
-        for limit in (dynamics.limits[i - count] for i in numbers if i >= count):
-            self.q[limit.index_q] = limit.bound
-        contacts = [dynamics.contacts[i] for i in numbers if i < count]
-        if contacts:
-            self.q = closed_by_rounding(self._model, self._data, self.q, contacts)
-
-    def _check_start(self, held_count: int, extent: float) -> None:
-        dynamics = self.dynamics
-        count = len(dynamics.contacts)
-        free = count - held_count
-        gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
-        acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # an angle in degrees is met first
-        if ((gaps[acting] < -dynamics.work.touching_gap) & (gaps[acting] >= -START_ROUNDING)).any():
-            self._begin_at(acting[np.abs(gaps[acting]) <= START_ROUNDING])
-            gaps = dynamics.gaps_at(self.q, self.v)[:, 0]
-        for i in acting.tolist():
-            gap = float(gaps[i])
-            if gap >= -dynamics.work.touching_gap:
-                continue
-            if i < count:
-                contact = dynamics.contacts[i]
-                where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
-                raise InputError(
-                    f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m "
-                    "below its surface; start with every contact on or above its surface",
-                    field="q0",
-                    value=gap,
-                )
-            limit = dynamics.limits[i - count]
-            raise InputError(
-                f"q0: the joint starts {-gap:.6g} beyond its limit {self.names[i]!r} "
-                f"({limit.bound:.6g}){degrees_hint(self.q[limit.index_q])}; start within the limits, or "
-                'leave them out with without=("joint limits",)',
-                field="q0",
-                value=gap,
-            )
-        if held_count == 0:
-            return
-        for contact, gap in zip(dynamics.contacts[free:], gaps[free:count].tolist(), strict=True):
-            if abs(gap) > HELD_GAP * extent:
-                raise InputError(
-                    f"q0: the held contact {contact.label!r} starts {gap:.6g} m from its surface; start "
-                    "with it there, or put the surface where it is held",
-                    field="q0",
-                    value=gap,
-                )
-        rest_gaps = np.zeros(count)
-        rest_gaps[free:] = gaps[free:count]
-        dynamics.hold_at(rest_gaps)
-        held = range(free, count)
-        velocities = dynamics.free_motion_at(self.t, self.q, self.v, held).velocity
-        for i, velocity in zip(held, velocities, strict=True):
-            speed = float(np.linalg.norm(velocity))
-            if speed > 1e-6 * (1.0 + float(np.abs(self.v).max(initial=0.0))):
-                raise InputError(
-                    f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} "
-                    "m/s relative to its surface; start with it at rest there, or remove it from "
-                    "held",
-                    field="v0",
-                    value=speed,
-                )
+        self.state.q, self.state.v = self.state.q.copy(), self.state.v.copy()
+        self.state.impact_energy += self.dynamics.correct_constraint_drift(
+            self.state.t, self.state.q, self.state.v
+        )
 
 
 def _last(resolved: list[dict[str, Any]]) -> str:
     """Return the names of what the last impacts were at."""
     return ", ".join(repr(fields["source"]) for fields in resolved[-LAST:])
-
-
-def _altered(contact: Contact, without: tuple[str, ...] | Any) -> Contact:
-    """Return a contact without the effects that are switched off."""
-    if "contact friction" in without:
-        contact = replace(contact, friction=0.0, sliding_friction=None)
-    if "restitution" in without:
-        contact = replace(contact, restitution=0.0)
-    if "moving surfaces" in without:
-        contact = replace(contact, plane=contact.plane.at_rest())
-    return contact

@@ -1,0 +1,142 @@
+"""When a motion makes no progress, gains energy from friction or has too many impacts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from ..contact_space.simultaneous import LAST
+from ..errors import IrregularMotionError, SimulationError
+from ..robot.pinocchio_bridge import kinetic_energy
+from .dense_step import DenseStep
+from .hybrid_state import HybridState
+from .instant import Instant
+from .options import Options
+from .scene import Scene
+
+MAX_STALLED = 200
+"""Steps without progress after which a simulation gives up."""
+
+JUMPING, FEW = 1e-3, 0.1
+"""So many steps that cover less than this part of the scene's time scale, this part of them refused before,
+are those of a control that jumps again and again."""
+
+RUBBING = slice(1, 3)
+"""Which of the works are those of friction, in joints and in contacts: it takes energy."""
+
+GAINED = 10.0
+"""Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps."""
+
+ROLLING = 0.25
+"""Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
+grows with time and is no gain. With none of it rolling balls are refused, with all of it a gain of 0.4 % of
+the energy is not seen."""
+
+STALLED = 1e-8
+"""Time [s] that is no progress, or that part of a duration below 1 s."""
+
+ACCELERATED = 1e-3
+"""The part of the velocity whose change is progress: near a jam forces grow and do much in no time."""
+
+
+class Progress:
+    """Watches over a motion.
+
+    Args:
+        scene: The scene.
+        model: Its model, without what is switched off.
+        options: Those of the motion.
+        instant: Its contacts, state and record.
+        jumps: Whether there is a control that may jump again and again.
+    """
+
+    def __init__(
+        self, scene: Scene, model: pin.Model, options: Options, instant: Instant, jumps: bool
+    ) -> None:
+        self._model, self._options, self._instant, self._jumps = model, options, instant, jumps
+        self._state: HybridState = instant.state
+        self._time_scale = scene.time_scale
+        self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
+        self._little = self._weight * options.rtol * scene.extent
+
+    def mark(self) -> None:
+        """Note that there is progress."""
+        state = self._state
+        state.marked = state.steps, state.t, state.v, state.rejected
+
+    def stalled(self, scale: float) -> IrregularMotionError | None:
+        """Return why not to continue where steps make no progress, or None.
+
+        Args:
+            scale: The time of which `STALLED` is a part [s].
+        """
+        state, (steps, then, velocity, rejected) = self._state, self._state.marked
+        count = state.steps - steps
+        if count <= MAX_STALLED:
+            return None
+        covered, t = state.t - then, state.t
+        refused = state.rejected - rejected > FEW * count
+        if self._jumps and refused and covered < JUMPING * self._time_scale:
+            return IrregularMotionError(
+                f"control: it jumps again and again at t = {t:.6g} s, "
+                f"where {count} steps cover {covered:.2g} s; "
+                "give dry friction as the model's friction, which also holds joints at rest, and sample a "
+                "control that switches, with period=",
+                field="control",
+            )
+        least = max(ACCELERATED * np.abs(velocity).max(), self._instant.error(velocity))
+        if not (np.abs(state.v - velocity).max() > least or covered > STALLED * scale):
+            return IrregularMotionError(
+                f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "
+                "converge; a larger resting_speed may help",
+                field="scene",
+            )
+        self.mark()
+        return None
+
+    def check_friction(self, step: DenseStep, until: float) -> None:
+        """Refuse a step until whose event friction has given energy.
+
+        Raises:
+            IrregularMotionError: See above.
+        """
+        state = self._state
+        joints, contacts = state.works[RUBBING].tolist()
+        least_joints, least_contacts = state.rubbed
+        state.rubbed = least_joints, least_contacts = min(joints, least_joints), min(contacts, least_contacts)
+        joints, contacts = step.work_at(until)[RUBBING].tolist()
+        gained = max(joints - least_joints, contacts - least_contacts)
+        if not gained > self._little:
+            return
+        rounding = 4.0 * math.ulp(max(abs(joints), abs(contacts)))  # of sums that grow step by step
+        explained = self._little + self._weight * ROLLING * self._instant.error(state.v) * until + rounding
+        if gained > explained and gained > GAINED * self._options.rtol * kinetic_energy(
+            self._model, self._instant.data, state.q, state.v
+        ):
+            raise IrregularMotionError(
+                f"scene: friction would give {gained:.3g} J at t = {state.t:.6g} s, so that the modes of "
+                "contact are none; a smaller rtol may help",
+                field="scene",
+            )
+
+    def count_impacts(self, before: int) -> None:
+        """Count the instant at which the impacts from a number on have taken place.
+
+        Raises:
+            SimulationError: There are too many.
+        """
+        state, impacts = self._state, self._instant.record.impacts
+        self.mark()  # `max_impacts` watches over impacts
+        state.struck += before == 0 or impacts[before - 1].time < state.t
+        if state.struck > self._options.max_impacts:
+            last = ", ".join(f"{record.source!r} ({record.time:.9g} s)" for record in impacts[-LAST:])
+            raise SimulationError(
+                f"max_impacts: impacts at {state.struck} instants until t = {state.t:.6g} s, "
+                f"the last at {last}; "
+                "if they accumulate, a larger resting_speed or a smaller restitution ends them, "
+                "otherwise raise max_impacts",
+                field="max_impacts",
+                value=self._options.max_impacts,
+            )

@@ -1,0 +1,129 @@
+"""The start of a motion: contacts without what is switched off, and checks of the state."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..robot.contact import Contact
+from ..robot.inverse_kinematics import closed_by_rounding
+from ..robot.joint_limits import degrees_hint
+from .dynamics import SceneDynamics
+from .hybrid_state import HybridState
+
+START_ROUNDING = 2e-9
+"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
+
+HELD_GAP = 1e-3
+"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
+
+HELD_SPEED = 1e-6
+"""Speed [m/s] up to which they start at rest: rounding of velocities up to 1, in parts of larger ones."""
+
+Array = NDArray[np.float64]
+
+
+def check_start(
+    model: pin.Model,
+    data: Any,
+    dynamics: SceneDynamics,
+    state: HybridState,
+    names: Sequence[str],
+    extent: float,
+) -> None:
+    """Check the state in which a motion starts; put it onto surfaces and limits that it is off by rounding.
+
+    Args:
+        model: The robot.
+        data: Its data.
+        dynamics: Contacts and limits; held contacts keep the gaps that they have.
+        state: The state.
+        names: Of contacts and limits.
+        extent: The robot's size [m].
+
+    Raises:
+        InputError: A contact below its surface, a joint beyond its limit, a held contact that moves or is off
+            its surface.
+    """
+    count = len(dynamics.contacts)
+    free = count - int(dynamics.work.bilateral.sum())
+    gaps = dynamics.gaps_at(state.q, state.v)[:, 0]
+    acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # an angle in degrees is met first
+    below = -dynamics.work.touching_gap
+    if ((gaps[acting] < below) & (gaps[acting] >= -START_ROUNDING)).any():
+        _begin_at(model, data, dynamics, state, acting[np.abs(gaps[acting]) <= START_ROUNDING])
+        gaps = dynamics.gaps_at(state.q, state.v)[:, 0]
+    for i in acting[~(gaps[acting] >= below)].tolist():
+        gap = float(gaps[i])
+        if i < count:
+            contact = dynamics.contacts[i]
+            where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
+            raise InputError(
+                f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m "
+                "below its surface; start with every contact on or above its surface",
+                field="q0",
+                value=gap,
+            )
+        limit = dynamics.limits[i - count]
+        raise InputError(
+            f"q0: the joint starts {-gap:.6g} beyond its limit {names[i]!r} "
+            f"({limit.bound:.6g}){degrees_hint(state.q[limit.index_q])}; start within the limits, or "
+            'leave them out with without=("joint limits",)',
+            field="q0",
+            value=gap,
+        )
+    if free < count:
+        _check_held(dynamics, state, gaps[:count], range(free, count), extent)
+
+
+def _begin_at(
+    model: pin.Model, data: Any, dynamics: SceneDynamics, state: HybridState, numbers: NDArray[np.int64]
+) -> None:
+    """Put the start onto the surfaces and limits that it is off by rounding."""
+    count = len(dynamics.contacts)
+    state.q = state.q.copy()
+    for limit in (dynamics.limits[i - count] for i in numbers if i >= count):
+        state.q[limit.index_q] = limit.bound
+    contacts = [dynamics.contacts[i] for i in numbers if i < count]
+    if contacts:
+        state.q = closed_by_rounding(model, data, state.q, contacts)
+
+
+def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: range, extent: float) -> None:
+    """Let held contacts keep their gaps (n,), if these are small and they do not move."""
+    for i in held:
+        if abs(gaps[i]) > HELD_GAP * extent:
+            raise InputError(
+                f"q0: the held contact {dynamics.contacts[i].label!r} starts {gaps[i]:.6g} m from its "
+                "surface; start with it there, or put the surface where it is held",
+                field="q0",
+                value=float(gaps[i]),
+            )
+    dynamics.hold_at(np.where(np.arange(len(gaps)) < held.start, 0.0, gaps))
+    velocities = dynamics.free_motion_at(state.t, state.q, state.v, held).velocity
+    for i, speed in zip(held, np.linalg.norm(velocities, axis=1).tolist(), strict=True):
+        if speed > HELD_SPEED * (1.0 + float(np.abs(state.v).max(initial=0.0))):
+            raise InputError(
+                f"v0: the held contact {dynamics.contacts[i].label!r} moves at {speed:.6g} "
+                "m/s relative to its surface; start with it at rest there, or remove it from "
+                "held",
+                field="v0",
+                value=speed,
+            )
+
+
+def altered(contact: Contact, without: Container[str]) -> Contact:
+    """Return a contact without the effects that are switched off."""
+    if "contact friction" in without:
+        contact = replace(contact, friction=0.0, sliding_friction=None)
+    if "restitution" in without:
+        contact = replace(contact, restitution=0.0)
+    if "moving surfaces" in without:
+        contact = replace(contact, plane=contact.plane.at_rest())
+    return contact
