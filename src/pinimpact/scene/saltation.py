@@ -21,8 +21,8 @@ from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .forces import ClosedSet
 from .integrator import Integrator
-from .options import Options
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
+from .options import Options
 from .records import ImpactRecord
 from .scene import Scene
 
