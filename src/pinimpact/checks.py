@@ -102,6 +102,8 @@ def float_array(field: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray
     A number is accepted for an array of one. The array is writable: kernels are compiled for such arrays, and
     read-only ones would be compiled separately.
     """
+    if type(value) is np.ndarray and value.dtype == _DOUBLE and value.shape == shape and value.flags.carray:
+        return value
     given = real_numbers(field, value, f"an array of real numbers of shape {shape}")
     array = np.atleast_1d(given if given.flags.carray else np.array(given, order="C"))
     if array.shape != shape:

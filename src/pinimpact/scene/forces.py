@@ -62,9 +62,10 @@ class ClosedSet(NamedTuple):
         """
         if work.active_contacts + work.active_scalars == 0 and not work.sliding_friction.any():
             return None
-        index, modes, friction = work.active_index, work.active_mode.tolist(), work.active_friction.tolist()
+        index, modes, rubs = work.active_index, work.active_mode.tolist(), False
         slips = SLIP in modes
-        rubs = slips and any(m == SLIP and mu > 0.0 for m, mu in zip(modes, friction, strict=True))
+        if slips:
+            rubs = bool((work.active_friction[work.active_mode == SLIP] > 0.0).any())
         return cls(
             work.modes.copy(),
             work.sliding_friction.copy(),

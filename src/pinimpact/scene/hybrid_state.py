@@ -55,7 +55,7 @@ class HybridState:
         length: The length of step to try next [s].
         bounce: Up to how much longer than a bounce just begun steps may be [s].
         cut_short: Whether the last step ended at a given time.
-        high_order_until: The step up to which the order is high.
+        low_orders_from: The steps from which orders 5 and 3 may be tried.
         steps, rejected: Numbers of steps.
         marked: `steps`, `t`, `v` and `rejected` where there was progress last.
         rubbed: Least works of friction so far, in joints and in contacts [J].
@@ -95,7 +95,7 @@ class HybridState:
     length: float = 0.0
     bounce: float = math.inf
     cut_short: bool = False
-    high_order_until: int = 0
+    low_orders_from: tuple[int, ...] = (0, 0)
     steps: int = 0
     rejected: int = 0
     marked: tuple[int, float, Array, int] = (0, 0.0, np.zeros(0), 0)

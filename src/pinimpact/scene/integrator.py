@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from functools import partial
 from types import ModuleType
@@ -46,7 +47,7 @@ FALSE_ALARM = 0.2
 """Part of a step to try next where forces have left their bounds only by its error."""
 
 HIGH_ORDER = 10
-"""Steps for which the order stays high where a low one has not been accurate enough."""
+"""Steps for which a low order is not tried again where it has not been accurate enough."""
 
 SEEN_EVERY = 0.25
 """The part of the scene's time scale after which functions of the user's own are asked again: a smooth force
@@ -319,14 +320,16 @@ class Integrator:
                 method = step_radau
             elif trial * work.drive_rate > step_drives.STIFF:
                 method = step_drives
-            cut_short = state.cut_short and trial == left
-            work.low_order = cut_short and method is step_dop853 and state.steps >= state.high_order_until
+            work.method = 0
+            if state.cut_short and trial == left and method is step_dop853:
+                work.method = bisect_right(state.low_orders_from, state.steps)
             error = method.attempt(work, t, trial, work.rtol, work.atol)
-            self.dynamics.check()
             if error > 1.0:
+                self.dynamics.check()
                 state.rejected += 1
-                if work.low_order:
-                    state.high_order_until = state.steps + HIGH_ORDER
+                if work.method > 0:
+                    higher, later = state.low_orders_from[: work.method - 1], state.steps + HIGH_ORDER
+                    state.low_orders_from = (*higher, later, later)[:2]
                     continue
                 natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
                 continue

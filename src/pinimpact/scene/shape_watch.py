@@ -121,7 +121,7 @@ class _Watched:
         self.state.touching = others | {self.number: now} if now.points else others
 
 
-_NOTHING = Touching({}, {})
+_NOTHING, _NONE = Touching({}, {}), np.zeros(0, dtype=np.int64)
 
 
 class ShapeWatch:
@@ -340,6 +340,8 @@ class ShapeWatch:
 
     def swapped(self) -> NDArray[np.int64]:
         """Return the contacts whose forces act on the second shape of their pair."""
+        if not self._state.touching:
+            return _NONE
         found = [
             i for w in self._touching() for i, point in w.points.items() if point.swapped and point.lasting
         ]

@@ -174,7 +174,7 @@ def set_growth(work, h, error):
     The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
     after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
     """
-    error, power = max(error, 1e-7), 0.2 if work.low_order else 0.125
+    error, power = max(error, 1e-7), step_dop853.POWERS[work.method]
     factor = min(5.0, 0.9 * error**-power)
     if work.previous_length > 0.0:
         trend = 0.9 * h / work.previous_length

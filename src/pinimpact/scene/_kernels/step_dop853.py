@@ -1,8 +1,8 @@
-"""One step of a method of Dormand and Prince in a chart about its start, with its dense output.
+"""One step of an explicit method in a chart about its start, with its dense output.
 
-Of order 8; or of order 5, with half of the evaluations, where a step is short since something ends it early,
-as the next sample of a control does: `work.low_order`. Both are one code with two sets of coefficients, the
-first of each for order 8.
+Of order 8 (Dormand and Prince); where a step is short since something ends it early, as the next sample of a
+control does, of order 5 with half of the evaluations, or of order 3 with half of those: `work.method`. They
+are one code with three sets of coefficients, in this order.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from ..._compile.declared import declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
-from . import dopri5
+from . import bogacki_shampine, dopri5
 from .dense_output import rate_bounds
 from .dop853 import DENSE, DENSE_STAGES, ERROR, NODES, STAGES, STEP
 from .dynamics import evaluate
@@ -26,34 +26,33 @@ SAMPLES = np.array(
     [
         [0, -1, -1, -1, -1, 3, -1, -1, -1, 4, -1, -1, 6, 1, 2, 5],
         [0, 1, 2, 3, 4, -1, 5, -1, -1, -1, -1, -1, -1, -1, -1, -1],
+        [0, 1, 2, 3, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1],
     ]
 )
 """Which sample of the step a stage is, see `samples`."""
 
-SAMPLE_COUNTS = np.array([7, 6])
+SAMPLE_COUNTS = np.array([7, 6, 4])
 
-LAST = np.array([STAGES, dopri5.STAGES])
+POWERS = np.array([1 / 8, 1 / 5, 1 / 3])
+"""Of the error, in the factor by which the next step may be longer."""
+
+LAST = np.array([STAGES, dopri5.STAGES, bogacki_shampine.STAGES])
 """The stage at the end of the step."""
 
 
-def _both(high, low):
-    """Return the coefficients of both methods, in arrays of one shape."""
-    found = np.zeros((2, *high.shape))
+def _all(high, *others):
+    """Return the coefficients of all methods, in arrays of one shape."""
+    found = np.zeros((1 + len(others), *high.shape))
     found[0] = high
-    found[1][tuple(map(slice, low.shape))] = low
+    for k, low in enumerate(others, start=1):
+        found[k][tuple(map(slice, low.shape))] = low
     return found
 
 
-ALL_NODES = _both(NODES, dopri5.NODES)
-STEPS = _both(STEP, dopri5.STEP)
-ERRORS = _both(ERROR, np.array([0.0 * dopri5.ERROR, dopri5.ERROR]))
-DENSES = _both(DENSE, dopri5.DENSE[None])
-
-
-@inlined
-def method(work):
-    """Return which coefficients are those of the step."""
-    return 1 if work.low_order else 0
+ALL_NODES = _all(NODES, dopri5.NODES, bogacki_shampine.NODES)
+STEPS = _all(STEP, dopri5.STEP, bogacki_shampine.STEP)
+ERRORS = _all(ERROR, *(np.array([0.0 * one.ERROR, one.ERROR]) for one in (dopri5, bogacki_shampine)))
+DENSES = _all(DENSE, dopri5.DENSE[None], np.zeros((1, 0)))
 
 
 @declared(SceneWorkspace, float, float, float, float)
@@ -64,7 +63,7 @@ def attempt(work, t, h, rtol, atol):
     reactions = work.stage_reactions
     work.step_turns = False
     n, closed = len(v0), work.active_contacts + work.active_scalars > 0
-    which = method(work)
+    which = work.method
     last = LAST[which]
     for i in range(1, last + 1):
         set_stage(work, i, h)
@@ -118,7 +117,7 @@ def reaction_error(h, weights, reactions, v0, v1, rtol, atol):
 def set_stage(work, i, h):
     """Set the state at stage i, and fill the stage's ξ̇."""
     rates, v0, xi, v = work.stage_rates, work.v0, work.xi, work.v
-    n, weights = len(v0), STEPS[method(work), i]
+    n, weights = len(v0), STEPS[work.method, i]
     for m in range(n):
         a = b = 0.0
         for j in range(i):
@@ -154,7 +153,7 @@ def error_norm(h, weights, rates, v0, v1, sizes, rtol, atol):
 def complete(work, t, h):
     """Fill the dense output of the step last attempted, and the bounds of its rates."""
     rates, out = work.stage_rates, work.dense_coefficients
-    n, which = len(work.v0), method(work)
+    n, which = len(work.v0), work.method
     last = LAST[which]
     used = DENSE_STAGES if which == 0 else last + 1
     rate_bounds(rates, last + 1, n, work.rate_bounds)
@@ -180,7 +179,7 @@ def complete(work, t, h):
 @inlined
 def begin_next(work):
     """Take the end of the step last attempted as the start of the next one."""
-    rates, v0, last = work.stage_rates, work.v0, LAST[method(work)]
+    rates, v0, last = work.stage_rates, work.v0, LAST[work.method]
     assign(work.q0, work.q1)
     assign(v0, work.v1)
     assign(rates[0], rates[last])

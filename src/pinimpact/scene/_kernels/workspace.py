@@ -165,7 +165,7 @@ class SceneWorkspace(Workspace):
     # the end of the step last completed, and the first event in it
     step_start = real("[s]")
     step_length = real("[s]")
-    low_order = flag("whether an explicit step is of order 5, see `step_dop853`")
+    method = integer("of an explicit step: 0, 1, 2 for orders 8, 5, 3, see `step_dop853`")
     step_turns = flag("whether the directions of slip were unknowns of it, see `step_radau`")
     gap_bounds = reals("contacts", 4, meaning="of the motion over the step, see `gap_bounds.curvatures`")
     turning_bounds = reals("contacts", meaning="of rims, see `contact_motion.turning_bound`")
