@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pinimpact._numeric import coulomb_problem
-from pinimpact.scene import instant, integrator, progress, scene_impacts
+from pinimpact.scene import instant, integrator, jam_growth, progress, scene_impacts
 from pinimpact.scene._kernels import contact_forces, contact_modes, slip
 from tools import pages
 
@@ -122,7 +122,7 @@ NUMBERS = [
     (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
     (scene_impacts.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
-    (scene_impacts.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
+    (jam_growth.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
     (progress.GAINED, 10.0, r"$10\,\mathrm{rtol}$ of the kinetic energy"),
 ]
 """Constants of the code, and where the theory page gives them."""

@@ -56,7 +56,7 @@ class Alternating(TimeStepping):
 
     def _prepare(self) -> None:
         state, dt = self.state, self.options.dt
-        self._longest = min(dt, self.scene.time_scale / STEPS_PER_SCALE)
+        self._longest = min(dt, self.time_scale / STEPS_PER_SCALE)
         if state.coarse == 0.0:
             state.coarse = dt
         self._set_crossing(state.crossing)
@@ -207,9 +207,7 @@ class Alternating(TimeStepping):
             by_position = np.abs(pin.difference(self.model, coarse.q, fine.q)).max(initial=0.0)
             by_velocity = 0.5 * state.coarse * np.abs(coarse.v - fine.v).max(initial=0.0)
             error = float(max(by_position, by_velocity))
-            allowed = self.work.atol + self.work.rtol * max(
-                self.scene.extent, np.abs(fine.q).max(initial=0.0)
-            )
+            allowed = self.work.atol + self.work.rtol * max(self.extent, np.abs(fine.q).max(initial=0.0))
             wanted = 2 * math.ceil(error / allowed)
             if 2 < wanted <= MOST_PARTS:
                 error, parts = 2.0 * error / wanted, wanted

@@ -19,12 +19,13 @@ from ._kernels.contact_forces import SLIP
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
+from .impact_results import GroupImpact, Impact
 from .mode_intervals import ModeIntervals
 from .recorder import Recorder
 from .records import ImpactRecord, Note
 from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
-from .scene_impacts import GroupImpact, Impact, SceneImpacts
+from .scene_impacts import SceneImpacts
 from .shape_watch import Meeting, ShapeWatch
 from .start import START_ROUNDING, altered, check_start
 

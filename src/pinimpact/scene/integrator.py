@@ -127,7 +127,8 @@ class Integrator:
         self.switched_off = scene.plan().switched_off if without else ()
         names = (drive_name(model, j) for j in work.drive_velocity.tolist())
         self.sources = (*layout.sources, *names)
-        seen_every = SEEN_EVERY * scene.time_scale
+        self.extent, self.time_scale = layout.extent, scene.time_scale
+        seen_every = SEEN_EVERY * self.time_scale
         guards = as_events(scene.events) if "user events" not in without else ()
         self.events = EventWatch(guards, seen_every, self.state, self.record.events)
         self._sampled = None
@@ -138,7 +139,8 @@ class Integrator:
                 self._sampled = SampledControl(control, scene.period, scene.delay)
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
-        self.progress = Progress(scene, model, self.options, self.instant, self._continuous is not None)
+        sizes = self.extent, self.time_scale
+        self.progress = Progress(model, self.options, self.instant, sizes, self._continuous is not None)
         longest = math.inf if self._continuous is None else seen_every
         self.max_step = longest if self.options.max_step is None else self.options.max_step
         self._prepare()

@@ -14,7 +14,6 @@ from .dense_step import DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
 from .options import Options
-from .scene import Scene
 
 MAX_STALLED = 200
 """Steps without progress after which a simulation gives up."""
@@ -45,21 +44,21 @@ class Progress:
     """Watches over a motion.
 
     Args:
-        scene: The scene.
-        model: Its model, without what is switched off.
+        model: The robot.
         options: Those of the motion.
         instant: Its contacts, state and record.
+        sizes: Its size [m] and time scale [s].
         jumps: Whether there is a control that may jump again and again.
     """
 
     def __init__(
-        self, scene: Scene, model: pin.Model, options: Options, instant: Instant, jumps: bool
+        self, model: pin.Model, options: Options, instant: Instant, sizes: tuple[float, float], jumps: bool
     ) -> None:
         self._model, self._options, self._instant, self._jumps = model, options, instant, jumps
         self._state: HybridState = instant.state
-        self._time_scale = scene.time_scale
+        extent, self._time_scale = sizes
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
-        self._little = self._weight * options.rtol * scene.extent
+        self._little = self._weight * options.rtol * extent
 
     def mark(self) -> None:
         """Note that there is progress."""

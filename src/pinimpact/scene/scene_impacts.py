@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..contact_space.many_solution import ManySolution
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -32,6 +29,8 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
 from .dynamics import SceneDynamics
+from .impact_results import GroupImpact, Impact, Solved, given, group_impact, of_hit, of_limit
+from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
 
@@ -48,75 +47,8 @@ LEAST_NUDGE = 1e-9
 GROWN = 100.0
 """By what factor it has grown at least where it is no rounding."""
 
-RANK = 1e-9
-"""Eigenvalues below this part of the largest are zero."""
-
-PULLS = 1e-6
-"""Part of the largest force up to which one that pulls is rounding."""
-
-MOST_CHOSEN = 12
-"""Contacts of which all choices of some are tried."""
-
 _NO_AXES = np.zeros((3, 3))
 """Those of a joint limit, whose impulse is none in the world."""
-
-
-class Impact(NamedTuple):
-    """What an impact comes to.
-
-    Attributes:
-        v: (nv,) velocity after it.
-        resting: The bounce would have been slower than the resting speed, so restitution was left out.
-        contact_space: Makes the problem and the impulse in world axes.
-        notes: What a reader should know of it.
-    """
-
-    v: Array
-    resting: bool
-    contact_space: Callable[[], tuple[ImpactProblem, Array]]
-    notes: tuple[str, ...] = ()
-
-
-class Struck(NamedTuple):
-    """What has had an impulse in an impact at several contacts and limits at one instant.
-
-    Attributes:
-        source: Which contact or limit.
-        place: In the problem of all.
-        resting: The bounce would have been slower than the resting speed, so restitution was left out.
-        contact_space: Makes its own problem and the impulse in world axes.
-    """
-
-    source: int
-    place: int
-    resting: bool
-    contact_space: Callable[[], tuple[ImpactProblem, Array]]
-
-
-class GroupImpact(NamedTuple):
-    """What an impact at several contacts and limits at one instant comes to.
-
-    Attributes:
-        v: (nv,) velocity after it.
-        struck: What has had an impulse.
-        group: What the records of these share.
-        notes: What a reader should know of it.
-        bounded: Whether a bound on steps or events was reached.
-    """
-
-    v: Array
-    struck: tuple[Struck, ...]
-    group: ImpactGroup
-    notes: tuple[str, ...]
-    bounded: bool
-
-
-class Solved(NamedTuple):
-    """The solution of an impact at many contacts, which of them rest, and the problem."""
-
-    solution: ManySolution
-    resting: list[bool]
-    group: ImpactGroup
 
 
 class SceneImpacts:
@@ -211,7 +143,7 @@ class SceneImpacts:
                 known = self._plastic[i] = contact, replace(contact, restitution=0.0)
             hit, more = self._impact(known[1], q, v)
             notes += more
-        return Impact(hit.v, resting, partial(_of_hit, hit), notes)
+        return Impact(hit.v, resting, partial(of_hit, hit), notes)
 
     def _impact(self, contact: Contact, q: Array, v: Array) -> tuple[Hit, tuple[str, ...]]:
         if not self._held:
@@ -238,7 +170,7 @@ class SceneImpacts:
                 field="locked",
                 value=limit.name,
             )
-        return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(_of_limit, c, -approach, e))
+        return Impact(v - column * ((1.0 + e) * speed / c), resting, partial(of_limit, c, -approach, e))
 
     def resolve_group(
         self,
@@ -304,7 +236,7 @@ class SceneImpacts:
             velocity = np.where(rests, 0.0, velocity)
             solved = self._solve(policy, struck, (delassus, velocity, friction, surface), e)
         axes = [matrices.axes[k] if k < len(matrices.axes) else _NO_AXES for k in chosen.tolist()]
-        return _group_impact(v, response, solved, sources, axes, 0.0)
+        return group_impact(v, response, solved, sources, axes, 0.0)
 
     def without_forces(
         self,
@@ -338,11 +270,13 @@ class SceneImpacts:
             return None
         friction = np.array([0.0 if contact is None else contact.sustained_friction for contact in every])
         if slack > 0.0:
-            more = _friction_of_jam(matrices.delassus, velocity, friction, slips)
+            more = friction_of_jam(matrices.delassus, velocity, friction, slips)
             if more > 1.0 + slack:
                 return None
             friction = friction * more
-        growing = _growing(matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus))
+        growing = growing_indentations(
+            matrices.delassus, velocity, friction, slips, _stiffness(every, matrices.delassus)
+        )
         if growing is None:
             if slack > 0.0 or not friction[~slips].any():
                 return None
@@ -362,7 +296,7 @@ class SceneImpacts:
         if not float(np.abs(change).max()) > GROWN * nudge:
             return None
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
-        return _group_impact(v, matrices.response, solved, touching, axes, NUDGE)
+        return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of what touches that joints and contacts, held ones too, connect with the first."""
@@ -483,7 +417,7 @@ class SceneImpacts:
             factor_scale=matrices.factor_scale,
         )
         p = solve_impact(problem).impulse
-        return Impact(v + matrices.response @ p, False, partial(_given, problem, p @ matrices.axes))
+        return Impact(v + matrices.response @ p, False, partial(given, problem, p @ matrices.axes))
 
     def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
         """Return the matrices of a contact, with what the scene holds and locks."""
@@ -492,151 +426,6 @@ class SceneImpacts:
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
         return kinetic_energy(self._model, self._data, q, v)
-
-
-def _group_impact(
-    v: Array,
-    response: Array,
-    solved: Solved,
-    sources: Sequence[int],
-    axes: Sequence[Array],
-    least: float,
-) -> GroupImpact:
-    """Return what a solution comes to.
-
-    Args:
-        v: (nv,) velocity before it.
-        response: (nv, 3n) Δq̇ per unit impulse.
-        solved: The solution.
-        sources: Which contacts and limits.
-        axes: Contact axes of each.
-        least: Part of the largest impulse below which one is none.
-    """
-    impulses = solved.solution.impulse
-    pressed = impulses[:, 2].tolist()
-    struck = []
-    for place, source in enumerate(sources):
-        if pressed[place] > least * max(pressed):
-            make = partial(_of_group, solved.group, place, impulses[place], axes[place])
-            struck.append(Struck(source, place, solved.resting[place], make))
-    v_after, found = v + response @ impulses.ravel(), solved.solution
-    return GroupImpact(v_after, tuple(struck), solved.group, found.notes, found.story.bounded)
-
-
-def _friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:
-    """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
-
-    Args:
-        delassus: (3n, 3n) of what is closed.
-        velocity: (n, 3) of the contacts.
-        friction: (n,) its coefficients.
-        slips: (n,) which of them slip.
-    """
-    rows, along = _slipping_rows(velocity, friction, slips)
-    of_rows = delassus[rows]
-    weights, basis = np.linalg.eigh(of_rows[:, rows])
-    known = weights > RANK * weights[-1]
-    basis = basis[:, known] / np.sqrt(weights[known])
-    # det(1 − s C) = 0
-    inverses = np.linalg.eigvals(basis.T @ of_rows @ along @ basis)
-    real = inverses.real[np.abs(inverses.imag) <= RANK * np.abs(inverses).max()]
-    largest = float(real.max(initial=0.0))
-    return max(1.0, (1.0 + RANK) / largest) if largest > 0.0 else math.inf
-
-
-def _growing(
-    delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_], stiffness: Array
-) -> Array | None:
-    """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
-
-    Those of the fastest growth at which nothing pulls, of what is indented then. Where those of all can but
-    swing, some may grow and lift the others. Arguments as in `_friction_of_jam`, and the stiffnesses (n,).
-    """
-    numbers = delassus, velocity, friction, slips, stiffness
-    count = len(velocity)
-    active = list(range(count))
-    while active:
-        grown = _fastest_growth(active, *numbers)
-        if grown is None:
-            break
-        forces = grown[0]
-        if forces.min() >= -PULLS * forces.max():
-            return _indentations(active, forces, stiffness)
-        del active[int(np.argmin(forces))]
-    if count > MOST_CHOSEN:
-        return None
-    for fewer in range(count - 1, 0, -1):
-        for some in combinations(range(count), fewer):
-            grown = _fastest_growth(list(some), *numbers)
-            if grown is None:
-                continue
-            forces, rates = grown
-            others = np.delete(rates, some)
-            if forces.min() >= -PULLS * forces.max() and others.min() >= -PULLS * np.abs(rates).max():
-                return _indentations(some, forces, stiffness)
-    return None
-
-
-def _fastest_growth(
-    active: list[int],
-    delassus: Array,
-    velocity: Array,
-    friction: Array,
-    slips: NDArray[np.bool_],
-    stiffness: Array,
-) -> tuple[Array, Array] | None:
-    """Return the normal forces with which indentations of active contacts grow fastest by themselves.
-
-    Those add up to more than zero, and the largest is 1 or −1; also returned is how fast they move all (n,)
-    contacts along their normals. None if those indentations do not grow.
-    """
-    places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
-    rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
-    part = delassus[np.ix_(places, places)]
-    system = part[rows][:, rows] - part[rows] @ along
-    normal = np.array(rows) % 3 == 2
-    held = system[np.ix_(~normal, ~normal)]
-    answer = np.zeros((int((~normal).sum()), len(active)))  # of what sticks, whose tangential rows are held
-    if held.size:
-        answer = -np.linalg.pinv(held, rcond=RANK, hermitian=True) @ system[np.ix_(~normal, normal)]
-    pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
-    values, vectors = np.linalg.eig(stiffness[active, None] * pressed)
-    size = float(np.abs(values).max())
-    real = np.abs(values.imag) <= RANK * size
-    rates = np.where(real, values.real, np.inf)
-    fastest = int(np.argmin(rates))
-    if not rates[fastest] < 0.1 * RANK * size:
-        return None
-    forces = vectors[:, fastest].real
-    forces /= forces[np.argmax(np.abs(forces))]
-    if forces.sum() < 0.0:
-        forces = -forces
-    of_rows = np.empty(len(rows))
-    of_rows[normal], of_rows[~normal] = forces, answer @ forces
-    total = -along @ of_rows
-    total[rows] += of_rows
-    return forces, delassus[2::3, places] @ total
-
-
-def _indentations(active: Sequence[int], forces: Array, stiffness: Array) -> Array:
-    """Return the indentations (n,) that go with normal forces of active contacts, the largest 1."""
-    indentations = np.zeros(len(stiffness))
-    indentations[list(active)] = np.maximum(forces, 0.0) / stiffness[list(active)]
-    return np.array(indentations / indentations.max())
-
-
-def _slipping_rows(velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> tuple[list[int], Array]:
-    """Return which rows of contacts are held, and per held row the friction against it, (3n, rows)."""
-    rows, columns = [], []
-    for i, (x, y, _) in enumerate(velocity.tolist()):
-        for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):
-            rows.append(3 * i + d)
-            column = np.zeros(3 * len(velocity))
-            speed = math.hypot(x, y)
-            if slips[i] and speed > 0.0:
-                column[3 * i : 3 * i + 2] = friction[i] * x / speed, friction[i] * y / speed
-            columns.append(column)
-    return rows, np.array(columns).T
 
 
 def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:
@@ -650,19 +439,3 @@ def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:
             for contact, w in zip(struck, inverse_masses, strict=True)
         ]
     )
-
-
-def _of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:
-    return hit.problem, hit.impulse_world
-
-
-def _of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
-    return ImpactProblem(np.diag([0.0, 0.0, c]), np.array([0.0, 0.0, rate]), 0.0, e), np.zeros(3)
-
-
-def _of_group(group: ImpactGroup, place: int, impulse: Array, axes: Array) -> tuple[ImpactProblem, Array]:
-    return group.part(place), impulse @ axes
-
-
-def _given(problem: ImpactProblem, impulse: Array) -> tuple[ImpactProblem, Array]:
-    return problem, impulse

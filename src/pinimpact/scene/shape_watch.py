@@ -9,34 +9,23 @@ holds the shapes apart meets another corner.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..errors import InputError, IrregularMotionError
+from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
-from ..geometry.convex_shape import PlacedShape, cross
+from ..geometry.convex_shape import cross
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
-from ..robot.contact import Contact, contact_constants
 from ..robot.forest import forward_kinematics, joint_jacobian
-from ..robot.shape_pair import PointContact, ShapePair, point_contact
-from ._kernels.contact_forces import FREE
 from ._kernels.events.gap import SAFETY
 from .crossing import crossing
 from .dense_step import DenseStep
-from .dynamics import SceneDynamics
-from .hybrid_state import HybridState, Touching
-from .layout import SceneLayout
-from .pairs_apart import PairsApart
+from .touching_points import Placed, TouchingPoints, Watched
 
 Array = NDArray[np.float64]
-
-Placed = tuple[PlacedShape, PlacedShape]
 
 THIRDS = 8
 """Parts of a step from which the third rates of corners' heights are estimated."""
@@ -73,281 +62,12 @@ class Meeting(NamedTuple):
     leaving: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Watched:
-    """A pair in a run.
+class ShapeWatch(TouchingPoints):
+    """When, in a step, pairs touch, or touch elsewhere; see `TouchingPoints`."""
 
-    Attributes:
-        number: Of the pair.
-        pair: The shapes.
-        places: Numbers of the contacts that are kept for it.
-        blanks: What stands there where nothing touches.
-        size: Of both shapes together [m].
-        supports: (2, nv) True for velocities that move A, and those that move B.
-        state: The state of the motion, with what touches.
-    """
-
-    number: int
-    pair: ShapePair
-    places: list[int]
-    blanks: list[Contact]
-    size: float
-    supports: NDArray[np.bool_]
-    state: HybridState
-
-    @property
-    def label(self) -> str:
-        return self.pair.contact.label
-
-    @property
-    def now(self) -> Touching:
-        """What touches."""
-        return self.state.touching.get(self.number, _NOTHING)
-
-    @property
-    def points(self) -> dict[int, PointContact]:
-        """The points that touch, by place."""
-        return self.now.points
-
-    @property
-    def normals(self) -> dict[int, Array]:
-        """(3,) normal of each, from B to A."""
-        return self.now.normals
-
-    def become(self, **changes: Any) -> None:
-        """Let something else touch."""
-        others = {number: one for number, one in self.state.touching.items() if number != self.number}
-        now = self.now._replace(**changes)
-        self.state.touching = others | {self.number: now} if now.points else others
-
-
-_NOTHING, _NONE = Touching({}, {}), np.zeros(0, dtype=np.int64)
-
-
-class ShapeWatch:
-    """The pairs of shapes of one run.
-
-    Args:
-        model: The robot.
-        layout: Of the scene.
-        dynamics: Its contacts, whose places for pairs are filled here.
-        state: The state of the motion, with what touches.
-    """
-
-    def __init__(
-        self, model: pin.Model, layout: SceneLayout, dynamics: SceneDynamics, state: HybridState
-    ) -> None:
-        self._model, self._layout, self._state = model, layout, state
-        self._dynamics, self._work = dynamics, dynamics.work
-        self.tolerance = 0.0
-        groups: dict[int, tuple[Contact, list[int]]] = {}  # places, by the contact that they are of
-        for i, contact in enumerate(dynamics.contacts):
-            if contact.pair is not None:
-                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
-        pairs = tuple(pair for pair, _ in groups.values())
-        if pairs:
-            self._apart = PairsApart(model, layout, pairs)
-            moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
-        self._pairs = []
-        for k, (contact, places) in enumerate(groups.values()):
-            pair, blanks = layout.pairs[contact], [dynamics.contacts[i] for i in places]
-            size = pair.a.shape.reach + pair.b.shape.reach
-            self._pairs.append(_Watched(k, pair, places, blanks, size, moves[k], state))
-
-    @cached_property
-    def _data(self) -> Any:
-        return self._layout.data_for(self, self._model)
-
-    def __bool__(self) -> bool:
-        return bool(self._pairs)
-
-    @property
-    def directions(self) -> Array | None:
-        """(p, 3) along which pairs are apart, which steps change in place; None without pairs."""
-        return self._apart.directions if self._pairs else None
-
-    def continue_with(self, directions: Array | None) -> None:
-        """Continue from another state, with its directions."""
-        if directions is not None:
-            self._apart.directions[:] = directions
-        for watched in self._touching():
-            for i, point in watched.points.items():
-                self._dynamics.contacts[i] = point.instant
-
-    def _touching(self) -> list[_Watched]:
-        """Return the pairs that touch."""
-        return [self._pairs[number] for number in sorted(self._state.touching)]
-
-    # ---- states
-
-    def _set(self, q: Array) -> None:
-        forward_kinematics(self._model, self._data, q)
-
-    def start(self, q: Array, rounding: float) -> None:
-        """Let the pairs touch that do at the start.
-
-        Args:
-            q: (nq,) configuration.
-            rounding: Overlap that is none [m].
-
-        Raises:
-            InputError: A pair that overlaps.
-        """
-        if not self._pairs:
-            return
-        self._set(q)
-        near = self._apart.at(q) <= rounding
-        for number in np.flatnonzero(near).tolist():
-            watched = self._pairs[number]
-            placed = watched.pair.placed(self._data)
-            found = gap(*placed)
-            if found.value < -rounding:
-                a, b = watched.pair.a.name, watched.pair.b.name
-                raise InputError(
-                    f"q0: {a!r} starts {-found.value:.6g} m inside {b!r}; start with the shapes apart, or "
-                    f"leave out the contact {watched.label!r}",
-                    field="q0",
-                    value=found.value,
-                )
-            if found.value <= rounding:
-                self._fill(watched, touches(*placed, found.normal, rounding), placed, found.normal)
-
-    def clear(self) -> None:
-        """Let nothing touch."""
-        for watched in self._pairs:
-            for i, blank in zip(watched.places, watched.blanks, strict=True):
-                self._put(i, blank)
-                self._dynamics.contacts[i] = blank
-                self._work.modes[i] = FREE
-        self._state.touching = {}
-
-    def restart(self, q: Array, within: float) -> list[int]:
-        """Let the pairs touch that are near each other, after time stepping; return the places filled.
-
-        Args:
-            q: (nq,) configuration.
-            within: Gap or overlap up to which shapes touch [m].
-
-        Raises:
-            IrregularMotionError: A pair that overlaps by more.
-        """
-        self.clear()
-        if not self._pairs:
-            return []
-        self._set(q)
-        filled: list[int] = []
-        for number in np.flatnonzero(self._apart.at(q) <= within).tolist():
-            watched = self._pairs[number]
-            placed = watched.pair.placed(self._data)
-            found = gap(*placed)
-            if found.value < -within:
-                raise IrregularMotionError(
-                    f"contacts: {watched.label!r} overlaps by {-found.value:.3g} m",
-                    field="contacts",
-                    value=watched.label,
-                )
-            if found.value <= within:
-                touching = touches(*placed, found.normal, max(within, abs(found.value)))
-                filled += self._fill(watched, touching, placed, found.normal)
-        return filled
-
-    def refresh(self, q: Array) -> None:
-        """Bring the contacts of what touches, as impacts take them, to a configuration."""
-        touching = self._touching()
-        if touching:
-            self._set(q)
-        for watched in touching:
-            placed, points, normals = watched.pair.placed(self._data), {}, {}
-            for i, point in watched.points.items():
-                now = follow(point.touch, *placed, watched.normals[i])
-                instant = self._made(watched, i, placed, now.touch, now.normal).instant
-                points[i], normals[i] = point._replace(instant=instant), now.normal
-                self._dynamics.contacts[i] = instant
-            watched.become(points=points, normals=normals)
-
-    def _made(self, watched: _Watched, i: int, placed: Placed, touch: Touch, normal: Array) -> PointContact:
-        blank = watched.blanks[watched.places.index(i)]
-        return point_contact(watched.pair, self._data, placed, normal, touch, blank)
-
-    # ---- what touches
-
-    def _fill(self, watched: _Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
-        """Give places to what touches and has none; return them."""
-        present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
-        near = 1e-9 * watched.size
-        fresh = [
-            touch
-            for touch in found
-            if all(float(np.linalg.norm(touch.point - other)) > near for other in present)
-        ]
-        free = [i for i in watched.places if i not in watched.points]
-        if len(fresh) > len(free):
-            raise IrregularMotionError(
-                f"contacts: {watched.label!r} touches in {len(present) + len(fresh)} points, more "
-                f"than the {len(watched.places)} that two such faces can share; corners may "
-                "differ by rounding",
-                field="contacts",
-                value=watched.label,
-            )
-        for i, touch in zip(free, fresh, strict=False):
-            self._take(watched, i, self._made(watched, i, placed, touch, normal), normal)
-        if fresh:
-            watched.become(flush=_NOTHING.flush)
-        return free[: len(fresh)]
-
-    def _take(self, watched: _Watched, i: int, point: PointContact, normal: Array) -> None:
-        watched.become(points={**watched.points, i: point}, normals={**watched.normals, i: normal})
-        self._put(i, point.lasting or point.instant)
-        self._dynamics.contacts[i] = point.instant
-
-    def _put(self, i: int, contact: Contact) -> None:
-        """Let a place of the workspace be that of a contact."""
-        tip, base, constants = contact_constants(self._model, contact)
-        self._work.contact_constants[i], self._work.contact_joints[i] = constants, (tip, base)
-
-    def _leave(self, watched: _Watched, i: int) -> None:
-        """Let nothing touch in a place any more."""
-        blank = watched.blanks[watched.places.index(i)]
-        points, normals = ({k: x for k, x in of.items() if k != i} for of in watched.now[:2])
-        watched.become(points=points, normals=normals)
-        self._put(i, blank)
-        self._dynamics.contacts[i] = blank
-        self._work.modes[i] = FREE
-
-    def _lift(self, watched: _Watched) -> float:
+    def _lift(self, watched: Watched) -> float:
         """Return the height over the plane of contact below which corners lie in it [m]."""
         return max(4.0 * self.tolerance, 1e-9 * watched.size)
-
-    def review(self) -> None:
-        """Leave the places of what has opened.
-
-        Raises:
-            IrregularMotionError: Corners of polytopes that stay on corners or edges: no plane is common.
-        """
-        modes = self._work.modes
-        for watched in self._touching():
-            for i in watched.points:
-                if modes[i] == FREE:
-                    self._leave(watched, i)
-                elif watched.points[i].lasting is None:
-                    kind = watched.points[i].touch.kind.replace("-", " on ")
-                    raise IrregularMotionError(
-                        f"contacts: {watched.label!r} rests {kind}, where its normal is not "
-                        "determined; start slightly beside it, or give one of the shapes a radius",
-                        field="contacts",
-                        value=watched.label,
-                    )
-
-    def swapped(self) -> NDArray[np.int64]:
-        """Return the contacts whose forces act on the second shape of their pair."""
-        if not self._state.touching:
-            return _NONE
-        found = [
-            i for w in self._touching() for i, point in w.points.items() if point.swapped and point.lasting
-        ]
-        return np.array(found, dtype=np.int64)
-
-    # ---- within a step
 
     def within(self, step: DenseStep, end: float) -> Meeting | None:
         """Return where the first pair ends a step until a time, or None."""
@@ -367,7 +87,7 @@ class ShapeWatch:
                 best, end = meeting, meeting.time
         return best
 
-    def _at(self, watched: _Watched, step: DenseStep) -> Callable[[float], PairState]:
+    def _at(self, watched: Watched, step: DenseStep) -> Callable[[float], PairState]:
         model, data, pair = self._model, self._data, watched.pair
 
         def at(t: float) -> PairState:
@@ -381,7 +101,7 @@ class ShapeWatch:
 
         return at
 
-    def _touch(self, watched: _Watched, step: DenseStep, end: float) -> Advance:
+    def _touch(self, watched: Watched, step: DenseStep, end: float) -> Advance:
         """Return where a pair that is apart touches."""
         at = self._at(watched, step)
 
@@ -395,7 +115,7 @@ class ShapeWatch:
         bend, floor = float(self._apart.bends[watched.number]), 0.25 * self._work.touching_gap
         return self._settled(watched, first_touch(at, start, end, bend, floor), step)
 
-    def _settled(self, watched: _Watched, found: Advance | None, step: DenseStep) -> Advance:
+    def _settled(self, watched: Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:
             raise IrregularMotionError(
                 f"contacts: the shapes of {watched.label!r} neither touch nor separate near t = "
@@ -405,7 +125,7 @@ class ShapeWatch:
             )
         return found
 
-    def _turning(self, watched: _Watched, step: DenseStep, peak: Array) -> tuple[float, float]:
+    def _turning(self, watched: Watched, step: DenseStep, peak: Array) -> tuple[float, float]:
         """Return what the speeds of turning of both shapes do not exceed together [1/s], and second rates.
 
         The latter is for directions that one of them carries, as seen from the other [1/s²].
@@ -417,7 +137,7 @@ class ShapeWatch:
 
     # ---- pairs that touch
 
-    def _change(self, watched: _Watched, step: DenseStep, end: float, peak: Array) -> Meeting | None:
+    def _change(self, watched: Watched, step: DenseStep, end: float, peak: Array) -> Meeting | None:
         """Return where what touches becomes something else."""
         at = self._at(watched, step)
         slack = max(ROUNDING * watched.size, self.tolerance)
@@ -455,13 +175,13 @@ class ShapeWatch:
                 )
         return best
 
-    def _guarding(self, watched: _Watched) -> int:
+    def _guarding(self, watched: Watched) -> int:
         """Return the place whose plane holds the shapes apart."""
         return min(watched.points, key=lambda i: MEMBERS_PREFERRED.index(watched.points[i].touch.kind))
 
     def _next_corner(
         self,
-        watched: _Watched,
+        watched: Watched,
         at: Callable[[float], PairState],
         step: DenseStep,
         end: float,
@@ -554,7 +274,7 @@ class ShapeWatch:
                 return []
         return self._change_features(watched, step, meeting.time, q, v)
 
-    def _slack(self, watched: _Watched, placed: Placed) -> float:
+    def _slack(self, watched: Watched, placed: Placed) -> float:
         """Return by how much what touches may seem apart, for what is closed drifts within a step [m]."""
         radius = watched.pair.a.shape.radius + watched.pair.b.shape.radius
         worst = 0.0
@@ -563,7 +283,7 @@ class ShapeWatch:
             worst = max(worst, abs(float((now.touch.point - now.touch.other) @ now.normal) - radius))
         return max(self.tolerance, worst)
 
-    def _change_features(self, watched: _Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
+    def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Let go of points that leave their faces and edges; let touch what touches a little later."""
         speed = float(np.abs(v).max()) * (1.0 + watched.size)
         ahead = AHEAD * watched.size / speed if speed > 0.0 else 0.0

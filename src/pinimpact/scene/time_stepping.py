@@ -118,7 +118,7 @@ class TimeStepping(Integrator):
     def _prepare_steps(self) -> None:
         """Prepare time steps."""
         scene, model, work, state = self.scene, self.model, self.work, self.state
-        self._touching = max(work.touching_gap, TOUCHING * scene.extent)
+        self._touching = max(work.touching_gap, TOUCHING * self.extent)
         self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._still = REST * (work.resting_speed or 1.0)

@@ -1,0 +1,137 @@
+"""Where no forces let contacts slip on: how their indentations grow by themselves. (theory.md, 13)"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RANK = 1e-9
+"""Eigenvalues below this part of the largest are zero."""
+
+PULLS = 1e-6
+"""Part of the largest force up to which one that pulls is rounding."""
+
+MOST_CHOSEN = 12
+"""Contacts of which all choices of some are tried."""
+
+
+def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> float:
+    """Return by what factor, at least 1, friction is to be larger for forces to have no bound; inf for none.
+
+    Args:
+        delassus: (3n, 3n) of what is closed.
+        velocity: (n, 3) of the contacts.
+        friction: (n,) its coefficients.
+        slips: (n,) which of them slip.
+    """
+    rows, along = _slipping_rows(velocity, friction, slips)
+    of_rows = delassus[rows]
+    weights, basis = np.linalg.eigh(of_rows[:, rows])
+    known = weights > RANK * weights[-1]
+    basis = basis[:, known] / np.sqrt(weights[known])
+    # det(1 − s C) = 0
+    inverses = np.linalg.eigvals(basis.T @ of_rows @ along @ basis)
+    real = inverses.real[np.abs(inverses.imag) <= RANK * np.abs(inverses).max()]
+    largest = float(real.max(initial=0.0))
+    return max(1.0, (1.0 + RANK) / largest) if largest > 0.0 else math.inf
+
+
+def growing_indentations(
+    delassus: Array, velocity: Array, friction: Array, slips: NDArray[np.bool_], stiffness: Array
+) -> Array | None:
+    """Return in which proportions (n,) indentations grow by themselves, the largest 1; None if they do not.
+
+    Those of the fastest growth at which nothing pulls, of what is indented then. Where those of all can but
+    swing, some may grow and lift the others. Arguments as in `friction_of_jam`, and the stiffnesses (n,).
+    """
+    numbers = delassus, velocity, friction, slips, stiffness
+    count = len(velocity)
+    active = list(range(count))
+    while active:
+        grown = _fastest_growth(active, *numbers)
+        if grown is None:
+            break
+        forces = grown[0]
+        if forces.min() >= -PULLS * forces.max():
+            return _indentations(active, forces, stiffness)
+        del active[int(np.argmin(forces))]
+    if count > MOST_CHOSEN:
+        return None
+    for fewer in range(count - 1, 0, -1):
+        for some in combinations(range(count), fewer):
+            grown = _fastest_growth(list(some), *numbers)
+            if grown is None:
+                continue
+            forces, rates = grown
+            others = np.delete(rates, some)
+            if forces.min() >= -PULLS * forces.max() and others.min() >= -PULLS * np.abs(rates).max():
+                return _indentations(some, forces, stiffness)
+    return None
+
+
+def _fastest_growth(
+    active: list[int],
+    delassus: Array,
+    velocity: Array,
+    friction: Array,
+    slips: NDArray[np.bool_],
+    stiffness: Array,
+) -> tuple[Array, Array] | None:
+    """Return the normal forces with which indentations of active contacts grow fastest by themselves.
+
+    Those add up to more than zero, and the largest is 1 or −1; also returned is how fast they move all (n,)
+    contacts along their normals. None if those indentations do not grow.
+    """
+    places = (3 * np.array(active)[:, None] + np.arange(3)).ravel()
+    rows, along = _slipping_rows(velocity[active], friction[active], slips[active])
+    part = delassus[np.ix_(places, places)]
+    system = part[rows][:, rows] - part[rows] @ along
+    normal = np.array(rows) % 3 == 2
+    held = system[np.ix_(~normal, ~normal)]
+    answer = np.zeros((int((~normal).sum()), len(active)))  # of what sticks, whose tangential rows are held
+    if held.size:
+        answer = -np.linalg.pinv(held, rcond=RANK, hermitian=True) @ system[np.ix_(~normal, normal)]
+    pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
+    values, vectors = np.linalg.eig(stiffness[active, None] * pressed)
+    size = float(np.abs(values).max())
+    real = np.abs(values.imag) <= RANK * size
+    rates = np.where(real, values.real, np.inf)
+    fastest = int(np.argmin(rates))
+    if not rates[fastest] < 0.1 * RANK * size:
+        return None
+    forces = vectors[:, fastest].real
+    forces /= forces[np.argmax(np.abs(forces))]
+    if forces.sum() < 0.0:
+        forces = -forces
+    of_rows = np.empty(len(rows))
+    of_rows[normal], of_rows[~normal] = forces, answer @ forces
+    total = -along @ of_rows
+    total[rows] += of_rows
+    return forces, delassus[2::3, places] @ total
+
+
+def _indentations(active: Sequence[int], forces: Array, stiffness: Array) -> Array:
+    """Return the indentations (n,) that go with normal forces of active contacts, the largest 1."""
+    indentations = np.zeros(len(stiffness))
+    indentations[list(active)] = np.maximum(forces, 0.0) / stiffness[list(active)]
+    return np.array(indentations / indentations.max())
+
+
+def _slipping_rows(velocity: Array, friction: Array, slips: NDArray[np.bool_]) -> tuple[list[int], Array]:
+    """Return which rows of contacts are held, and per held row the friction against it, (3n, rows)."""
+    rows, columns = [], []
+    for i, (x, y, _) in enumerate(velocity.tolist()):
+        for d in (2,) if slips[i] or friction[i] == 0.0 else range(3):
+            rows.append(3 * i + d)
+            column = np.zeros(3 * len(velocity))
+            speed = math.hypot(x, y)
+            if slips[i] and speed > 0.0:
+                column[3 * i : 3 * i + 2] = friction[i] * x / speed, friction[i] * y / speed
+            columns.append(column)
+    return rows, np.array(columns).T
