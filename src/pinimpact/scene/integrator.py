@@ -7,15 +7,12 @@ from bisect import bisect_right
 from collections.abc import Callable
 from functools import partial
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
-from ..errors import InputError, IrregularMotionError, PinimpactError, SimulationError
-from ..robot.data_cache import checked_configuration, data_cache
+from ..errors import InputError, IrregularMotionError
 from ..robot.names import coordinate_names
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
@@ -34,6 +31,7 @@ from .progress import Progress
 from .recorder import Mark
 from .scene import Scene
 from .shape_watch import Meeting
+from .start import altered_model, state_at
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -104,17 +102,10 @@ class Integrator:
             )
         self._made_of = scene, q0, v0, options
         self.scene, self.options, without = scene, options.checked(), scene.without
-        model = scene.model
-        if "gravity" in without or "rotor inertia" in without:
-            model = model.copy()
-            if "gravity" in without:
-                model.gravity = pin.Motion.Zero()
-            if "rotor inertia" in without:
-                model.armature = np.zeros(model.nv)
-        self.model = model
+        model = self.model = altered_model(scene.model, without)
         layout = scene.layout()
         self.data = layout.data_for(self, model)
-        self.state = self._start(q0, v0) if state is None else state.kept(memory=None)
+        self.state = state_at(model, self.data, q0, v0) if state is None else state.kept(memory=None)
         self.instant = Instant(scene, model, self.data, self.state, state is None)
         self.record, self.shapes, self.dynamics = (
             self.instant.record,
@@ -150,14 +141,6 @@ class Integrator:
         self.progress.mark()
         self._sample()
         self.reached = self.mark()
-
-    def _start(self, q0: ArrayLike, v0: ArrayLike) -> HybridState:
-        """Return the state of the start."""
-        try:
-            q = checked_configuration(data_cache(self.model, self.data), self.model, q0).copy()
-        except InputError as error:
-            raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
-        return HybridState(0.0, q, finite_array("v0", v0, (self.model.nv,)).copy())
 
     def _prepare(self) -> None:
         """Prepare what the scheme needs."""
@@ -237,20 +220,6 @@ class Integrator:
             self.state.ended_by = None
             self._settle_and_begin()
 
-    def stop(self, error: PinimpactError) -> NoReturn:
-        """Raise what stops the motion, with what there is of it until then."""
-        reached = self.trajectory(f"Stopped: {error}", False)
-        if isinstance(error, SimulationError):
-            error.partial = reached
-            raise error
-        raise SimulationError(
-            f"{error.field}: the simulation stops at t = {reached.t[-1]:.6g} s: "
-            f"{type(error).__name__}: {error}",
-            partial=reached,
-            field=error.field,
-            value=error.value,
-        ) from error
-
     def trajectory(self, termination: str, complete: bool) -> Trajectory:
         """Return the motion until now, as far as it is consistent."""
         mark, state = self.reached
@@ -300,51 +269,10 @@ class Integrator:
             scale: The time of which `progress.STALLED` is a part [s].
         """
         state, work, t = self.state, self.work, self.state.t
-        refusal = self.progress.stalled(scale)
-        if refusal is not None:
-            return self._jam_or_refuse(refusal)
-        left = stop - t
-        natural = h
-        h = min(h, self.max_step, state.bounce)
-        while True:
-            trial = left if h > 0.9 * left else h
-            if t + trial <= t:
-                self.instant.rims.refuse_flat()
-                refusal = IrregularMotionError(
-                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
-                    "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
-                    field="rtol",
-                    value=work.rtol,
-                )
-                return self._jam_or_refuse(refusal)
-            method: ModuleType = step_dop853
-            if trial * work.slip_stiffness > step_radau.STIFF:
-                method = step_radau
-            elif trial * work.drive_rate > step_drives.STIFF:
-                method = step_drives
-            work.method = 0
-            if state.cut_short and trial == left and method is step_dop853:
-                work.method = bisect_right(state.low_orders_from, state.steps)
-            error = method.attempt(work, t, trial, work.rtol, work.atol)
-            if error > 1.0:
-                self.dynamics.check()
-                state.rejected += 1
-                if work.method > 0:
-                    higher, later = state.low_orders_from[: work.method - 1], state.steps + HIGH_ORDER
-                    state.low_orders_from = (*higher, later, later)[:2]
-                    continue
-                natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
-                continue
-            if self.instant.rims.jump(work.q0, work.q1):
-                state.rejected += 1
-                h = 0.5 * trial
-                continue
-            directions = directions_within(work) if state.closed is not None and state.closed.slips else None
-            self.dynamics.finish(t, trial, error, method is step_dop853)
-            if work.event_time >= t:
-                break
-            state.rejected += 1
-            h = 0.5 * trial
+        found = self.progress.stalled(scale) or self._compute(h, stop - t)
+        if isinstance(found, IrregularMotionError):
+            return self._jam_or_refuse(found)
+        trial, natural, directions = found
         state.steps += 1
         step = self.dynamics.dense_step(t, trial, state.q, state.v, state.works)
         step.closed, step.directions = state.closed, directions
@@ -367,11 +295,71 @@ class Integrator:
         if time <= step.end:
             confirmed = self._end_at_event(step, time, arriving)
             return natural if confirmed else FALSE_ALARM * trial
+        state.cut_short = trial == stop - t
+        self._complete(step, stop if state.cut_short else step.end)
+        longer = trial * work.growth
+        return max(longer, natural) if state.cut_short else longer
+
+    def _compute(self, h: float, left: float) -> tuple[float, float, Array | None] | IrregularMotionError:
+        """Compute a step whose error is small enough.
+
+        Args:
+            h: The length to try [s].
+            left: The longest [s].
+
+        Returns:
+            Its length, the length to go on with if it ends early, and the directions of slip; or why no step
+            is short enough.
+        """
+        state, work, t = self.state, self.work, self.state.t
+        natural, h = h, min(h, self.max_step, state.bounce)
+        while True:
+            trial = left if h > 0.9 * left else h
+            if t + trial <= t:
+                self.instant.rims.refuse_flat()
+                return IrregularMotionError(
+                    f"rtol: the step size fell to {trial:.3g} s at t = {t:.6g} s; the motion is not "
+                    "smooth (a discontinuous control, forces beyond bounds?), or the tolerance is too small",
+                    field="rtol",
+                    value=work.rtol,
+                )
+            method, work.method = self._method(trial), 0
+            if method is step_dop853 and state.cut_short and trial == left:
+                work.method = bisect_right(state.low_orders_from, state.steps)
+            error = method.attempt(work, t, trial, work.rtol, work.atol)
+            if error > 1.0:
+                self.dynamics.check()
+                state.rejected += 1
+                if work.method > 0:
+                    higher, later = state.low_orders_from[: work.method - 1], state.steps + HIGH_ORDER
+                    state.low_orders_from = (*higher, later, later)[:2]
+                else:
+                    natural = h = trial * (0.2 if math.isinf(error) else max(0.2, 0.9 * error**-0.125))
+                continue
+            if not self.instant.rims.jump(work.q0, work.q1):
+                slips = state.closed is not None and state.closed.slips
+                directions = directions_within(work) if slips else None
+                self.dynamics.finish(t, trial, error, method is step_dop853)
+                if work.event_time >= t:
+                    return trial, natural, directions
+            state.rejected += 1
+            h = 0.5 * trial
+
+    def _method(self, h: float) -> ModuleType:
+        """Return the method for a step of a length [s]."""
+        if h * self.work.slip_stiffness > step_radau.STIFF:
+            return step_radau
+        return step_drives if h * self.work.drive_rate > step_drives.STIFF else step_dop853
+
+    def _complete(self, step: DenseStep, end: float) -> None:
+        """Let a step end where it does, without an event; go on from there."""
+        state, work = self.state, self.work
         state.works = state.works + step.coefficients[0, -WORKS:]
-        state.t = step.end = stop if trial == left else step.end
+        state.t = step.end = end
         state.q, state.v = work.q0.copy(), work.v0.copy()
         if work.force_bound_ignored and work.end_margin >= 0.0:
             work.force_bound_ignored = False
+        state.bounce = math.inf
         if self.dynamics.constrained and (
             work.drift_at_end > self.drift_tolerance or work.force_bound_ignored
         ):
@@ -381,12 +369,7 @@ class Integrator:
             else:
                 self.instant.correct_constraint_drift()
             self._begin_motion()
-        else:
-            state.bounce = math.inf
         self._sample()
-        longer = trial * work.growth
-        state.cut_short = trial == left
-        return max(longer, natural) if state.cut_short else longer
 
     def _note_beyond(self, excess: float) -> None:
         """Tell of forces beyond their bounds, by more than the tolerance leaves unknown, once."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 from numpy.typing import ArrayLike
 
 from ..checks import choice, function
-from ..errors import PinimpactError
+from ..errors import PinimpactError, SimulationError
 from .alternating import Alternating
 from .integrator import Integrator, Report
 from .options import Options, check_numbers
@@ -106,8 +107,22 @@ def _run(integrator: Integrator, duration: float, report: Report | None) -> Traj
     except KeyboardInterrupt:
         return integrator.trajectory("Interrupted from the keyboard.", False)
     except PinimpactError as error:
-        integrator.stop(error)
+        stop(integrator, error)
     ended_by = integrator.state.ended_by
     if ended_by is not None:
         return integrator.trajectory(f"The event {ended_by!r} ended the run.", False)
     return integrator.trajectory("The duration is covered.", True)
+
+
+def stop(integrator: Integrator, error: PinimpactError) -> NoReturn:
+    """Raise what stops the motion, with what there is of it until then."""
+    reached = integrator.trajectory(f"Stopped: {error}", False)
+    if isinstance(error, SimulationError):
+        error.partial = reached
+        raise error
+    raise SimulationError(
+        f"{error.field}: the simulation stops at t = {reached.t[-1]:.6g} s: {type(error).__name__}: {error}",
+        partial=reached,
+        field=error.field,
+        value=error.value,
+    ) from error

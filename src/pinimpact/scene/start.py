@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..checks import finite_array
 from ..errors import InputError
 from ..robot.contact import Contact
+from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
 from .dynamics import SceneDynamics
@@ -116,6 +118,30 @@ def _check_held(dynamics: SceneDynamics, state: HybridState, gaps: Array, held: 
                 field="v0",
                 value=speed,
             )
+
+
+def state_at(model: pin.Model, data: Any, q0: ArrayLike, v0: ArrayLike) -> HybridState:
+    """Return the state of a start.
+
+    Raises:
+        InputError: Numbers of the wrong shape, or not finite; q0 that is no configuration.
+    """
+    try:
+        q = checked_configuration(data_cache(model, data), model, q0).copy()
+    except InputError as error:
+        raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
+    return HybridState(0.0, q, finite_array("v0", v0, (model.nv,)).copy())
+
+
+def altered_model(model: pin.Model, without: Container[str]) -> pin.Model:
+    """Return a model without the effects that are switched off."""
+    if "gravity" in without or "rotor inertia" in without:
+        model = model.copy()
+    if "gravity" in without:
+        model.gravity = pin.Motion.Zero()
+    if "rotor inertia" in without:
+        model.armature = np.zeros(model.nv)
+    return model
 
 
 def altered(contact: Contact, without: Container[str]) -> Contact:

@@ -12,7 +12,7 @@ from ..errors import InputError, PinimpactError, SimulationError
 from .options import Options, check_numbers
 from .scene import Scene
 from .sensitivities import Linearization, MotionSlopes, Sensitivities, check_supported
-from .simulation import integrator_of
+from .simulation import integrator_of, stop
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ class Stepper:
                 integrator.hold_force(tau)
             integrator.advance(until)
         except PinimpactError as error:
-            integrator.stop(error)
+            stop(integrator, error)
         self._failed = False
         return self.q, self.v
 
