@@ -25,7 +25,10 @@ from pinimpact import (
     UnknownNameError,
     simulate,
 )
+from pinimpact.scene._kernels import step_dop853
 from pinimpact.scene.hybrid_state import same
+from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.options import Options
 
 from .scene_models import UP, G, ball, pendulum, shaped_body, slider
 
@@ -427,11 +430,24 @@ def swing():
     return errors
 
 
-def test_short_steps_are_of_order_five(swing):
-    coarse, fine = swing(10, 0.1), swing(40, 0.1)
-    assert 4.5 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 6.5
-    assert 3.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 6.5
-    assert fine[2] < 9.0
+def test_short_steps_are_of_order_three(swing):
+    coarse, fine = swing(40, 0.1), swing(160, 0.1)
+    assert 2.8 < np.log(coarse[0] / fine[0]) / np.log(4.0) < 3.5
+    assert 2.8 < np.log(coarse[1] / fine[1]) / np.log(4.0) < 3.5
+    assert fine[2] < 5.0
+
+
+@pytest.mark.parametrize(("method", "order", "length"), [(0, 8, 0.4), (1, 5, 0.1), (2, 3, 0.05)])
+def test_each_explicit_method_has_its_order(method, order, length):
+    scene, errors = Scene(pendulum()), []
+    for h in (length, 0.5 * length):
+        integrator = Integrator(scene, SWING, FAST, Options())
+        integrator.begin()
+        integrator.work.method = method
+        step_dop853.attempt(integrator.work, 0.0, h, 1.0, 1.0)
+        exact = simulate(scene, SWING, FAST, h, rtol=1e-13, atol=1e-15)
+        errors.append(abs(integrator.work.v1[0] - exact.v[-1, 0]))
+    assert order + 0.6 < math.log2(errors[0] / errors[1]) < order + 1.6
 
 
 @pytest.mark.parametrize("steps", [8, 200, 1000])

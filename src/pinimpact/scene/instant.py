@@ -38,6 +38,11 @@ CROWD = 16
 """Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
 cost of its events grows steeply with their number."""
 
+TREES = 5
+"""Trees of joints beyond which a crowd of contacts is left to time steps altogether. Forces of all contacts
+are found together here, at a cost that grows with the cube of their number; time steps find them island by
+island."""
+
 GAP_FLOOR = 1e-12
 """Gaps below this part of the robot's size are rounding."""
 
@@ -162,6 +167,8 @@ class Instant:
         while True:
             i, rate = self.dynamics.fastest_approach(self.state.q, self.state.v, starting, where, slow)
             self.rims.check(where)
+            if self.crowds_refused and not resolved:
+                self._refuse_crowd()
             if i >= 0:
                 where[i] = STRUCK
                 resolved += self._strike(i, -rate, resolved)
@@ -189,6 +196,12 @@ class Instant:
                 )
             resolved += struck
         self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+
+    def _refuse_crowd(self) -> None:
+        """Refuse to go on where so much touches, of so many trees, that time steps are cheaper by far."""
+        contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
+        if len(contacts) > CROWD and self._impacts.trees(contacts) > TREES:
+            raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch", field="scene")
 
     def collide(self, touching: float, slowest: float) -> None:
         """Resolve the impacts of what is nearer than a distance and approaches faster than a speed.

@@ -298,6 +298,10 @@ class SceneImpacts:
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
+    def trees(self, contacts: NDArray[np.int64]) -> int:
+        """Return how many trees of joints some contacts belong to, without the world."""
+        return len(set(self._roots[self._dynamics.work.contact_joints[contacts]].ravel().tolist()) - {0})
+
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of what touches that joints and contacts, held ones too, connect with the first."""
         work, count = self._dynamics.work, len(self._dynamics.contacts)
