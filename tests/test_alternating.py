@@ -252,3 +252,20 @@ def test_a_stack_hit_by_a_box_moves_as_in_short_time_steps():
     residuals = [abs(run.energy.residual[-1]) for run in runs]
     assert residuals[1] < 0.4 * residuals[0] < 1e-5
     assert residuals[2] < 1e-6
+
+
+def test_many_boxes_apart_are_stepped_and_lie_where_they_fell():
+    """Eight boxes fall flat from different heights: more islands than share the steps of located events."""
+    count, fall = 8, np.linspace(0.02, 0.1, 8)
+    q0 = np.tile([0, 0, 0, *UP], count)
+    q0[0::7], q0[2::7] = 0.5 * np.arange(count), 0.05 + fall
+    run = automatic(boxes(count, (0.2, 0.2, 0.1), 1.0), q0, np.zeros(6 * count), 0.6)
+    assert run.stepped[0].reason.endswith("contacts of many bodies touch")
+    # until six of them touch, the events are those of free fall
+    assert run.stepped[0].start == pytest.approx(math.sqrt(2.0 * fall[5] / 9.81), abs=1e-9)
+    rest = q0.copy()
+    rest[2::7] = 0.05
+    assert np.abs(run.q[-1] - rest).max() < 1e-8
+    assert np.abs(run.v[-1]).max() < 1e-6
+    assert np.abs(run.energy.residual).max() < 1e-6
+    assert run.forces("floor 7 corner 1", 0.6)[2] == pytest.approx(9.81 / 4.0, rel=1e-6)

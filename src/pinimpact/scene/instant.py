@@ -38,8 +38,8 @@ CROWD = 16
 """Contacts beyond which an impact that restores nothing is left to time steps, where they may take over: the
 cost of its events grows steeply with their number."""
 
-TREES = 5
-"""Trees of joints beyond which a crowd of contacts is left to time steps altogether. Forces of all contacts
+ISLANDS = 5
+"""Islands of bodies beyond which a crowd of contacts is left to time steps altogether. Forces of all contacts
 are found together here, at a cost that grows with the cube of their number; time steps find them island by
 island."""
 
@@ -198,9 +198,9 @@ class Instant:
         self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
 
     def _refuse_crowd(self) -> None:
-        """Refuse to go on where so much touches, of so many trees, that time steps are cheaper by far."""
+        """Refuse to go on where so much touches, in so many islands, that time steps are cheaper by far."""
         contacts = np.flatnonzero(self._where[: self.dynamics.work.contacts] != APART)
-        if len(contacts) > CROWD and self._impacts.trees(contacts) > TREES:
+        if len(contacts) > CROWD and self._impacts.islands(contacts) > ISLANDS:
             raise IrregularMotionError(f"scene: {len(contacts)} contacts of many bodies touch", field="scene")
 
     def collide(self, touching: float, slowest: float) -> None:

@@ -298,9 +298,13 @@ class SceneImpacts:
         axes = [*matrices.axes, *[_NO_AXES] * (len(every) - len(matrices.axes))]
         return group_impact(v, matrices.response, solved, touching, axes, NUDGE)
 
-    def trees(self, contacts: NDArray[np.int64]) -> int:
-        """Return how many trees of joints some contacts belong to, without the world."""
-        return len(set(self._roots[self._dynamics.work.contact_joints[contacts]].ravel().tolist()) - {0})
+    def islands(self, contacts: NDArray[np.int64]) -> int:
+        """Return how many islands of trees of joints contacts connect; the world connects nothing."""
+        ends = self._roots[self._dynamics.work.contact_joints[contacts]]
+        island = np.arange(len(self._roots))
+        for a, b in ends[(ends > 0).all(axis=1)].tolist():
+            island[island == island[a]] = island[b]
+        return len(np.unique(island[ends[ends > 0]]))
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of what touches that joints and contacts, held ones too, connect with the first."""
