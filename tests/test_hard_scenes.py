@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 from pinimpact import Contact, Event, Plane, Scene, load_robot, simulate
 from pinimpact.geometry.surfaces import contact_axes
 from pinimpact.scene.integrator import Integrator
+from pinimpact.scene.jam_growth import growing_indentations
 from pinimpact.scene.options import Options
-from pinimpact.scene.scene_impacts import _growing
 
 from .random_scenes import draw, unaccounted
 from .scene_models import UP, G, free_body, run, unbounded
@@ -324,7 +324,7 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
             pressed[i, j] = row[2] - 1.2 * row[:2] @ slip[j]
         if np.isreal(np.linalg.eigvals(stiffness[:, None] * pressed)).all():
             continue
-        grown = _growing(delassus, velocity, friction, np.full(2, True), stiffness)
+        grown = growing_indentations(delassus, velocity, friction, np.full(2, True), stiffness)
 
         def springs(_, y, pressed=pressed, stiffness=stiffness):
             return [*y[2:], *(-pressed @ (stiffness * np.maximum(y[:2], 0.0)))]
@@ -339,7 +339,7 @@ def test_of_contacts_that_can_but_swing_together_one_may_jam_and_lift_the_other(
         assert end.max() > 1e-8
         assert end.min() <= 0.0
         # nor do eight more that feel nothing of it hide it
-        among = _growing(
+        among = growing_indentations(
             block_diag(delassus, np.eye(24)),
             np.vstack([velocity, np.zeros((8, 3))]),
             np.append(friction, np.zeros(8)),

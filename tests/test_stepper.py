@@ -26,7 +26,7 @@ from pinimpact import (
     simulate,
 )
 from pinimpact.scene._kernels import step_dop853
-from pinimpact.scene.hybrid_state import same
+from pinimpact.scene.hybrid_state import HybridState
 from pinimpact.scene.integrator import Integrator
 from pinimpact.scene.options import Options
 
@@ -254,6 +254,21 @@ def test_copies_carry_pairs_of_shapes_events_and_modes(kind, steps, scheme):
         assert len(getattr(one.trajectory, record)) == len(getattr(other.trajectory, record))
     assert one.trajectory.modes == other.trajectory.modes
     assert [i.source for i in one.trajectory.impacts] == [i.source for i in other.trajectory.impacts]
+
+
+def same(one, other):
+    """Return whether two states, or values in them, are the same to the last bit."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return one.tobytes() == other.tobytes()
+    if isinstance(one, HybridState):
+        one, other = vars(one), vars(other)
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return bool(one == other)
 
 
 @pytest.mark.parametrize("steps", [0, 7, 30, 31])

@@ -130,18 +130,3 @@ class HybridState:
 
     def __repr__(self) -> str:
         return f"HybridState(t = {self.t:.6g} s)"
-
-
-def same(one: Any, other: Any) -> bool:
-    """Return whether two states, or values in them, are the same to the last bit."""
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, np.ndarray):
-        return one.tobytes() == other.tobytes()
-    if isinstance(one, HybridState):
-        one, other = vars(one), vars(other)
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    return bool(one == other)

@@ -26,7 +26,7 @@ from .records import ImpactRecord, Note
 from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import SceneImpacts
-from .shape_watch import Meeting, ShapeWatch
+from .shape_watch import ShapeWatch
 from .start import START_ROUNDING, altered, check_start
 
 Array = NDArray[np.float64]
@@ -470,15 +470,6 @@ class Instant:
             return
         work.force_bound_ignored = False
         self._tell_modes()
-
-    def shapes_meet(self, meeting: Meeting, step: DenseStep) -> Arriving:
-        """Let a pair of shapes touch at present, or elsewhere; return what arrives."""
-        return self.shapes.meet(meeting, step) or None
-
-    def review_shapes(self) -> None:
-        """Let go of what has opened of the pairs of shapes."""
-        if self.shapes:
-            self.shapes.review()
 
     def correct_constraint_drift(self) -> None:
         """Bring the closed contacts back onto their surfaces, in position and in velocity."""
