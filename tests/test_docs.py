@@ -162,6 +162,8 @@ def test_every_public_name_has_its_place_in_the_reference() -> None:
     assert sorted(shown) == sorted(pinimpact.__all__)
     plots = re.findall(r"^::: pinimpact\.visual\.plots\.(\w+)$", text, re.MULTILINE)
     assert sorted(plots) == sorted(pinimpact.visual.plots.__all__)
+    studies = re.findall(r"^::: pinimpact\.studies\.(\w+)$", text, re.MULTILINE)
+    assert sorted(studies) == sorted(pinimpact.studies.__all__)
 
 
 def test_what_the_reference_shows_can_be_imported_as_written() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -53,8 +53,6 @@ class Identified(OptimizeResult):
         scale: Residual from which on the loss gives less weight.
         law: Restitution law of the fit; None where no law was used.
     """
-
-    __hash__ = object.__hash__
 
     @property
     def standard_errors(self) -> Array:
@@ -227,14 +225,15 @@ def group_numbers(group: Any, count: int) -> NDArray[np.int64]:
     if group is None:
         numbers = np.arange(count)
     else:
-        labels = np.asarray(group)
-        if labels.shape != (count,):
+        labels = list(group) if isinstance(group, Iterable) else []
+        if len(labels) != count or not all(isinstance(label, Hashable) for label in labels):
             raise InputError(
-                f"group: shape {labels.shape} given, ({count},) expected, one label for each row",
+                f"group: {in_short(group)} given; {count} labels, one for each row, are expected",
                 field="group",
                 value=group,
             )
-        numbers = np.unique(labels, return_inverse=True)[1]
+        order = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+        numbers = np.array([order[label] for label in labels])
     if count < 2 or numbers.max() < 1:
         raise InputError(
             "group: all rows are in one group; intervals that are robust to groups need two at least",

@@ -76,8 +76,8 @@ def identify(
         loss: "soft_l1", which gives outliers less weight, or "linear".
         group: (N,) labels of impacts with common errors, such as those of one toss; None: those of `found`,
             or each impact on its own.
-        covariance: (N, 3, 3) of the measured v⁺ in contact space, or (N, nv, nv) of the robot's; or one for
-            all.
+        covariance: (N, 3, 3) of the measured v⁺ in contact space, or (N, nv, nv) of the robot's, such as
+            ``found.covariance[:, nv:, nv:]``; or one for all.
         contact: Name of the contact that collides, or (N,) names, for (q, v⁻, v⁺).
         fixed: Coefficients of arrays (W, v⁻, v⁺) that are not free.
 

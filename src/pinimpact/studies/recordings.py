@@ -77,7 +77,7 @@ class Motion:
 
     def label(self, number: int) -> Hashable:
         """Return the label of the group, of the motion of a number where there is none."""
-        return ("motion", number) if self.group is None else self.group
+        return f"motion {number}" if self.group is None else self.group
 
     def __repr__(self) -> str:
         return f"Motion({len(self.t)} frames, {self.t[0]:.3g} to {self.t[-1]:.3g} s, group={self.group!r})"
@@ -283,7 +283,7 @@ def _impact(
     order = np.argsort(near)
     if len(order) > 1 and near[order[1]] < clearance:
         return f"a second contact, {scene.contacts[order[1]].label}, is {1e3 * near[order[1]]:.1f} mm away"
-    if abs(near[order[0]]) > 0.5 * clearance:
+    if abs(near[order[0]]) > 0.5 * clearance:  # more than errors of shape
         return f"no contact is closed; the nearest is {1e3 * near[order[0]]:.1f} mm away"
     covariance = np.zeros((12, 12))
     states = []

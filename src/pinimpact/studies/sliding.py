@@ -89,9 +89,7 @@ def identify_sliding(
             value=len(motions),
         )
     rows, targets = np.array([slide.rows for slide in slides]), np.array([slide.target for slide in slides])
-    labels = [slide.label for slide in slides]
-    distinct = list(dict.fromkeys(labels))
-    group = group_numbers(np.array([distinct.index(label) for label in labels]), len(labels))
+    group = group_numbers([slide.label for slide in slides], len(slides))
     strength, given = float(np.linalg.norm(body.gravity)), axes[:2] @ body.gravity
     sustained = scene.contacts[0].sustained_friction
     place = {name: j for j, name in enumerate(names)}

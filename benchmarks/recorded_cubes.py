@@ -1,0 +1,72 @@
+"""Identify the tossed cube of ContactNets from recordings, and predict tosses that are left out.
+
+    python -m benchmarks.recorded_cubes ../shared/data/cube_tosses
+
+Run from the root of the repository; the data are not part of it. Lengths are in metres of the data.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from tests.test_identification import cross_validated, cube_scene, cube_states, names_of
+from tests.test_recorded_impacts import cube_motions
+
+from pinimpact import studies
+
+from .timing import FIGURES
+
+WIDTH = 0.1017
+"""Of the cube."""
+
+
+def row(what: str, fit: studies.Identified, index: int, unit: str = "") -> str:
+    """Return a line with a parameter and its standard error."""
+    return f"{what:<52}{fit.x[index]:>9.4f} ± {fit.standard_errors[index]:.4f}{unit}"
+
+
+def main() -> None:
+    """Print and write the results."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    d, recordings = (dict(np.load(folder / name)) for name in ("impacts.npz", "trajectories.npz"))
+    scene = cube_scene(d)
+    scene.model.gravity.linear = np.array([0.0, 0.0, -9.81 / float(d["scale_to_si"])])
+    given = studies.FoundImpacts(*cube_states(d), names_of(d), d["toss"], scene=scene)
+    pair = studies.identify(given, scene)
+    lines = [f"{len(given)} impacts found by others, {pair.groups} tosses"]
+    lines += [row("  friction", pair, 0), row("  restitution", pair, 1)]
+    lines += [f"{'  error of impacts left out of the fit':<52}{cross_validated(d):>9.4f} m/s"]
+    motions = cube_motions(d, recordings, len(recordings["toss"]))
+    found = studies.impacts(scene, motions)
+    own = studies.identify(found, scene)
+    lines += [f"{len(found)} impacts found in {len(motions)} recordings, {len(found.dropped)} dropped"]
+    lines += [row("  friction", own, 0), row("  restitution", own, 1)]
+    for slowest in (0.02, 0.3):
+        slid = studies.identify_sliding(motions, scene, slowest=slowest)
+        lines.append(row(f"friction of sliding faster than {slowest:g} m/s, {slid.groups} tosses", slid, 0))
+    labels = np.array([motion.group for motion in motions])
+    errors = np.zeros((len(motions), 2))
+    for fold in range(4):  # each fourth of the tosses is predicted by the others
+        out = np.arange(len(motions)) % 4 == fold
+        kept = ~np.isin(found.group, labels[out])
+        model = studies.identify(found[kept], scene).apply(scene)
+        others = [motion for motion, left in zip(motions, out, strict=True) if not left]
+        model = studies.identify_sliding(others, model, ("sliding_friction",)).apply(model)
+        test = studies.rollouts(model, [motion for motion, left in zip(motions, out, strict=True) if left])
+        errors[out] = test.mean()
+    position, rotation = errors.mean(axis=0)
+    middle = np.median(errors, axis=0)
+    lines += ["whole tosses left out of the fit, errors averaged over time"]
+    lines += [f"{'  mean':<52}{100 * position / WIDTH:>7.1f} % of the width, {np.degrees(rotation):.1f}°"]
+    lines += [f"{'  median':<52}{100 * middle[0] / WIDTH:>7.1f} % of the width, {np.degrees(middle[1]):.1f}°"]
+    text = "\n".join(lines) + "\n"
+    print(text)
+    (FIGURES / "recorded_cubes.txt").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
