@@ -1,6 +1,6 @@
-"""Check derivatives of random impacts by differences at two steps, and measure what they cost.
+"""Check derivatives of random impacts and motions by differences at two steps, and measure what they cost.
 
-    python -m benchmarks.derivatives --count 100000 --seed 0
+    python -m benchmarks.derivatives --count 100000 --motions 200 --seed 0
 
 Run from the root of the repository. Each problem is changed along a random direction of v°, W, μ and e. Where
 differences at both steps and to either side agree with each other and not with the derivative, and no flag of
@@ -10,8 +10,13 @@ differences at both steps and to either side agree with each other and not with 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
+from tests.random_scenes import plane_below
 from tests.reference.problems import RECIPES
 from tests.reference.slopes import slopes
 from tests.robot_cases import FRAMES, load
@@ -24,6 +29,8 @@ from .timing import best_of
 REGIMES = ("smooth slip", "slip to stick", "resumed slip", "jam", "no collision", "second compression")
 REGIMES += ("no slip", "near-invariant start", "isotropic", "straight", "high friction", "frictionless")
 STEPS = (1e-5, 3e-6)
+LENGTH = 0.25
+EXACT: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-14, "scheme": "event-driven"}
 ROWS = 40
 """Of a batch whose time is taken: few, so that other processes seldom come in between."""
 
@@ -80,6 +87,67 @@ def check(rng: np.random.Generator, regime: str, law: str, count: int) -> tuple[
     return int(flagged.sum()), int(compared.sum()), wrong
 
 
+def motion(rng: np.random.Generator) -> tuple[pinimpact.Scene, np.ndarray, np.ndarray]:
+    """Return a random scene of a robot with one contact, and a state above its plane."""
+    name = str(rng.choice(["panda", "ur5", "solo12"]))
+    model = load(name)[0]
+    if name != "solo12":
+        model.damping = rng.uniform(0, 1, model.nv)
+        model.friction = rng.choice([0, 1]) * rng.uniform(0, 3, model.nv)
+    q = np.array(pinimpact.load_robot(name).q0)
+    q = pin.integrate(model, q, 0.3 * rng.normal(size=model.nv) * (np.arange(model.nv) < 7))
+    tip, radius = FRAMES[name], rng.choice([0.0, 0.02])
+    plane = plane_below(rng, model, q, [tip], (0.5, 0.1), lambda: rng.uniform(0.03, 0.1))
+    mu, e = rng.choice([0.0, 0.1, 0.3, 0.8]), rng.choice([0.0, 0.0, 0.3, 0.6])
+    contact = pinimpact.Contact(tip, plane, mu, e, str(rng.choice(LAWS)), radius=radius, name="tip")
+    v = rng.normal(size=model.nv) * rng.choice([0.3, 1.0])
+    return pinimpact.Scene(model, [contact], without=["joint limits"]), q, v
+
+
+def moved(
+    scene: pinimpact.Scene, q: np.ndarray, v: np.ndarray, step: float, towards: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Return how the end of a motion changes in a direction, by differences, and whether its events do."""
+    nv, ends, events = len(v), [], []
+    for s in (-2, -1, 0, 1, 2):
+        e = s * step * towards
+        contact = replace(scene.contacts[0], friction=max(scene.contacts[0].friction + e[-1], 0.0))
+        start = pin.integrate(scene.model, q, e[:nv]), v + e[nv : 2 * nv]
+        run = pinimpact.simulate(replace(scene, contacts=[contact]), *start, LENGTH, **EXACT)
+        ends.append((run.q[-1], run.v[-1]))
+        events.append((len(run.impacts), sorted((one.source, one.mode) for one in run.modes)))
+    middle = ends[2][0]
+    a, b, _, c, d = (np.append(pin.difference(scene.model, middle, x), y) for x, y in ends)
+    return (a - 8 * b + 8 * c - d) / (12 * step), any(one != events[2] for one in events)
+
+
+def motions(rng: np.random.Generator, count: int) -> None:
+    """Compare sensitivities of random motions with differences at two steps, and print what comes of it."""
+    counts: Counter[str] = Counter()
+    errors: list[float] = []
+    while len(errors) < count:
+        scene, q, v = motion(rng)
+        towards = rng.normal(size=2 * len(v) + 1) * 0.5
+        towards[-1] *= scene.contacts[0].friction > 0.0
+        run = pinimpact.simulate(scene, q, v, LENGTH, **EXACT, sensitivities=("state", "friction:tip"))
+        found = run.sensitivity(LENGTH)
+        mine = found.state @ towards[:-1] + found.parameters["friction:tip"] * towards[-1]
+        if not np.isfinite(mine).all():
+            counts[f"flagged {found.boundary!r}"] += 1
+            continue
+        (a, kinks), (b, more) = (moved(scene, q, v, step, towards) for step in (2e-5, 1e-5))
+        size = float(np.linalg.norm(b))
+        if kinks or more or np.linalg.norm(a - b) > 1e-6 * size:
+            counts["without differences"] += 1
+            continue
+        errors.append(float(np.linalg.norm(mine - b)) / size)
+        if errors[-1] > 1e-6:
+            counts["beyond 1e-6"] += 1
+            print(f"  off by {errors[-1]:.1e}: {scene}, {scene.contacts}, {q.tolist()}, {v.tolist()}")
+    print(f"{len(errors)} motions compared, errors: median {np.median(errors):.1e}, max. {max(errors):.1e}")
+    print(f"others: {dict(counts)}")
+
+
 def cost() -> None:
     """Print what derivatives cost, over the solution itself."""
     rng = np.random.default_rng(1)
@@ -116,6 +184,7 @@ def main() -> None:
     """Check and measure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000)
+    parser.add_argument("--motions", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     total = np.zeros(3, dtype=int)
@@ -126,6 +195,7 @@ def main() -> None:
             print(f"{regime}, {law}: {counts[0]} flagged, {counts[1]} compared, {counts[2]} wrong")
             total += counts
     print(f"of {each * len(REGIMES) * len(LAWS)}: {total[0]} flagged, {total[1]} compared, {total[2]} wrong")
+    motions(np.random.default_rng(arguments.seed), arguments.motions)
     cost()
 
 

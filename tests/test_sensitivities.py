@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -353,3 +354,22 @@ def test_events_without_callback_change_nothing():
     run = simulate(scene, q, v, 0.1, sensitivities="state")
     assert run.events
     assert np.allclose(run.sensitivity(0.1).state, plain.sensitivity(0.1).state, atol=1e-7)
+
+
+def test_slip_that_reverses_on_a_curved_path():
+    # a spring draws a hand back that slides along the floor
+    model, q, _, contact = panda(0, above=0.005)
+    hand = replace(contact, friction=0.2, restitution=0.0)
+    at = pinimpact.contact_matrices(model, model.createData(), q, hand)
+    v = np.linalg.pinv(at.jacobian) @ np.array([0.6, 0.1, -0.3])
+    scene = Scene(model, [hand], control=JointPD(600.0, 1.0, q - 0.03), **FREE)
+    run = agrees(scene, q, v, 0.3, 5, ("friction:hand",))
+    directions = [step.directions[0, 0] for step in run._segments if step.directions is not None]
+    assert any(a @ b < -0.5 for a, b in itertools.pairwise(directions))
+
+
+def test_a_joint_that_stops_releases_another():
+    # dry friction, whose force at the other joint jumps as the first one stops
+    model, q, v, contact = panda(6)
+    model.friction = np.random.default_rng(6).uniform(0, 8, 9)
+    agrees(Scene(model, [replace(contact, friction=0.2, restitution=0.0)], **FREE), q, v, 0.15, 6)

@@ -50,7 +50,7 @@ class ModeSlopes(NamedTuple):
         response: (nv, m) v̇ per unit of λ.
         rows_q, rows_v: (m, nv) of the velocities that vanish.
         inverse: (nv, nv) M⁻¹.
-        turning: (nv, nv) N with d(δq)/dt = δv − N δq, δq in the tangent space at q. (D22)
+        turning: (k, k) N with d(δq)/dt = δv − N δq, where joints turn. (D22)
         by_friction: (nv, k) for the contacts asked for.
         slips: The contacts that slip.
         unique: Whether the motion determines λ.
@@ -78,6 +78,10 @@ class SlopesOfModes:
         friction: Numbers of the contacts by whose friction v̇ is differentiated.
         tau: (nv,) a constant generalized force.
 
+    Attributes:
+        turned: (nv,) which velocities are those of joints that turn.
+        tau: (nv,) the constant force, which may be set.
+
     Raises:
         InputError: A contact whose kinematics are not differentiated.
         ModelError: Joints whose axes turn within the joint.
@@ -93,7 +97,10 @@ class SlopesOfModes:
         self._data = model.createData()
         self._parent = np.array(model.parents, dtype=np.int64)
         self._scratch = np.empty((model.njoints, 6))
-        self._friction, self._tau = list(friction), tau
+        self.turned = np.zeros(model.nv, dtype=bool)
+        for kind, _, j, n in dynamics.work.joint_charts.tolist():
+            self.turned[j : j + n] = kind in (PLANAR, RIGID, ROTATION)
+        self._friction, self.tau = list(friction), tau.copy()
         names = [contact.label for contact in dynamics.contacts]
         self._forces = EvaluatedForces(lambda: dynamics, names)
 
@@ -110,7 +117,7 @@ class SlopesOfModes:
         q, v = step.at(t)
         if closed is None:
             work.sliding_friction[:] = 0.0
-            work.control_force[:] = self._tau
+            work.control_force[:] = self.tau
             self.dynamics.set_saturation(q, v)
             self.dynamics.free_motion_at(t, q, v, ())
             return self._flight(q, v)
@@ -140,7 +147,7 @@ class SlopesOfModes:
     def _constrained(self, closed: ClosedSet, q: Array, v: Array, moving: bool) -> ModeSlopes:
         work, nv = self.dynamics.work, len(v)
         jacobian, force = work.contact_jacobian, work.contact_force
-        tau = work.tau + np.tensordot(force, jacobian, 2)
+        tau = work.tau + force.ravel() @ jacobian.reshape(-1, nv)
         tau[work.scalar_velocity] += work.scalar_force
         free = work.acceleration.copy()
         acceleration, by_q, by_v, inverse = self._smooth(q, v, tau)
@@ -188,15 +195,19 @@ class SlopesOfModes:
         )
 
     def _turning(self, v: Array) -> Array:
-        """Return N. (D22)"""
-        found = np.zeros((len(v), len(v)))
+        """Return N for the joints that turn. (D22)"""
+        found = np.zeros((self.turned.sum(),) * 2)
+        at = 0
         for kind, _, j, n in self.dynamics.work.joint_charts.tolist():
-            own = slice(j, j + n)
+            own = v[j : j + n]
             if kind == RIGID:
-                found[own, own] = pin.Motion(v[own]).action
+                block = pin.Motion(own).action
             elif kind == ROTATION:
-                found[own, own] = pin.skew(v[own])
+                block = pin.skew(own)
             elif kind == PLANAR:
-                x, y, w = v[own]
-                found[own, own] = [[0.0, -w, y], [w, 0.0, -x], [0.0, 0.0, 0.0]]
+                block = np.array([[0.0, -own[2], own[1]], [own[2], 0.0, -own[0]], [0.0, 0.0, 0.0]])
+            else:
+                continue
+            found[at : at + n, at : at + n] = block
+            at += n
         return found

@@ -134,7 +134,7 @@ class Saltation:
         return step
 
     def cross(self, x: Array, before: DenseStep, after: DenseStep, impacts: Sequence[ImpactRecord]) -> Array:
-        """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D24)
+        """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D25)
 
         Args:
             x: The changes.
@@ -161,18 +161,18 @@ class Saltation:
         elif closes.any():
             return self._undefined(x, Boundary.GRAZING)
         else:
-            ends = any(later[slip.contact] == STICK for slip in minus.slips)
-            ends |= bool((later[count:] > modes[count:]).any())
-            opens = bool(((modes != 0) & (later == 0))[:count].any())
+            ends = [slip for slip in minus.slips if later[slip.contact] == STICK]
             turns = [slip for slip in minus.slips if _reversed(slip, plus, later)]
-            joints = np.flatnonzero(dry * sliding < 0.0)
-            reversals = len(turns) + len(joints)
-            if ends and not opens and not reversals:
+            joints = np.flatnonzero((dry != 0.0) & ((later[count:] != 0) | (dry * sliding < 0.0)))
+            lost = bool(((modes != 0) & ((later == 0) | (modes > later))).any())
+            reversed_ = len(turns) > 0 or bool((dry * sliding < 0.0).any())
+            if len(ends) + len(joints) > 0 and not lost and not reversed_:
                 return _onto(plus, x)
-            if reversals == 1 and not ends and not opens:
-                x = _through_reversal(x, minus, turns, joints, rates)
-            apart = np.linalg.norm(rates[0] - rates[1]) > CONTINUOUS * np.linalg.norm(rates[0])
-            if np.isnan(x).all() or ends or (apart and reversals != 1):
+            if len(ends) + len(turns) + len(joints) == 1:
+                x = _through_rest(x, minus, [*ends, *turns], joints, rates)
+            elif not np.linalg.norm(rates[0] - rates[1]) <= CONTINUOUS * np.linalg.norm(rates[0]):
+                return self._undefined(x, Boundary.EVENTS_COINCIDE)
+            if np.isnan(x).all():
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
         return self._checked(plus, x)
 
@@ -299,27 +299,28 @@ class Saltation:
         return float(work.atol + work.rtol * np.abs(v).max(initial=0.0))
 
 
-def _through_reversal(
-    x: Array, minus: ModeSlopes, turns: Sequence[Slip], joints: NDArray[np.int64], rates: tuple[Array, Array]
+def _through_rest(
+    x: Array, minus: ModeSlopes, stops: Sequence[Slip], joints: NDArray[np.int64], rates: tuple[Array, Array]
 ) -> Array:
-    """Return changes after a contact, or a joint with dry friction, has passed rest. (D26)
+    """Return changes after a contact, or a joint with dry friction, comes to rest or passes it. (D27)
 
     What is across the slip has decayed but for what friction takes in the last moment.
     """
     nv = len(x) // 2
     guard = np.zeros(2 * nv)
-    for slip in turns:
+    guard[nv + joints] = 1.0
+    rate = float(minus.acceleration[joints].sum())
+    for slip in stops:
         across = np.array([-slip.direction[1], slip.direction[0]])
         rows_q = np.vstack([minus.rows_q, across @ slip.by_q])
         rows_v = np.vstack([minus.rows_v, across @ slip.by_v])
         response = np.hstack([minus.response, minus.inverse @ (across @ slip.by_v)[:, None]])
         x = _onto(minus._replace(rows_q=rows_q, rows_v=rows_v, response=response), x)
         guard = np.concatenate([slip.direction @ slip.by_q, slip.direction @ slip.by_v])
-        if abs(across @ slip.rate) > 1e-4 * abs(slip.direction @ slip.rate):
+        rate = float(slip.direction @ slip.rate)
+        if abs(across @ slip.rate) > CONTINUOUS * abs(rate):
             return np.full_like(x, np.nan)
-    guard[nv + joints] = 1.0
-    shift = -(guard @ x) / (guard[nv:] @ minus.acceleration)
-    return np.asarray(x + np.outer(rates[0] - rates[1], shift))
+    return np.asarray(x - np.outer(rates[0] - rates[1], guard @ x / rate))
 
 
 def _reversed(slip: Slip, plus: ModeSlopes, later: NDArray[np.int64]) -> bool:
@@ -352,7 +353,7 @@ def saltation_matrix(
 ) -> Array:
     """Return how a small change of the state before an impact is after it, in the motion of a scene.
 
-    The change includes that of the time of the impact. (docs/derivatives.md, D24)
+    The change includes that of the time of the impact. (docs/derivatives.md, D25)
 
     Args:
         scene: The scene; its other contacts and joint limits are open.

@@ -45,6 +45,7 @@ def _radau(stages: int) -> tuple[Array, Array]:
 
 
 NODES, WEIGHTS = _radau(STAGES)
+TWICE = WEIGHTS @ WEIGHTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +146,7 @@ class MotionSlopes:
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
         self._nv = nv
+        self._turned = self.saltation.slopes.turned
         self._given = 0 if tau is None else nv
         self._coefficients = [
             k for k, p in enumerate(found) if p.kind == "friction" and dynamics_friction(dynamics, p.contact)
@@ -192,30 +194,55 @@ class MotionSlopes:
         return found
 
     def _collocate(self, nodes: Sequence[ModeSlopes], h: float, x: Array) -> Array:
-        """Return changes after a time h, by the values of the slopes at the nodes. (D23)"""
-        nv, m = self._nv, nodes[0].rows_q.shape[0]
-        n, size = 2 * nv, 2 * nv + m
-        system = np.zeros((STAGES, size, STAGES, size))
-        right = np.zeros((STAGES, size, x.shape[1]))
+        """Return changes after a time h, by the values of the slopes at the nodes. (D23, D24)"""
+        nv, n, m = self._nv, len(x), len(nodes[0].rows_q)
+        by_q, by_v = np.empty((2, STAGES, nv + m, nv))
         for i, node in enumerate(nodes):
-            rates = np.zeros((size, n))
-            rates[:nv, :nv], rates[:nv, nv:] = -node.turning, np.eye(nv)
-            rates[nv:n, :nv], rates[nv:n, nv:] = node.by_q, node.by_v
-            rates[n:, :nv], rates[n:, nv:] = node.rows_q / h, node.rows_v / h
-            system[i, :, :, :n] = -h * rates[:, None, :] * WEIGHTS[i][None, :, None]
-            system[i, range(n), i, range(n)] += 1.0
-            system[i, nv:n, i, n:] -= node.response
-            right[i] = rates @ x
-            right[i, nv:n, n : n + self._given] += node.inverse[:, : self._given]
+            by_q[i, :nv], by_q[i, nv:] = node.by_q, node.rows_q / -h
+            by_v[i, :nv], by_v[i, nv:] = node.by_v, node.rows_v / -h
+        start, turned = x[:nv] + (h * NODES)[:, None, None] * x[nv:], self._turned
+        system = np.zeros((STAGES, nv + m, STAGES, nv + m))
+        system[..., :nv] = -(h * h * TWICE)[:, None, :, None] * by_q[:, :, None, :]
+        if turned.any():
+            turning = np.array([node.turning for node in nodes])
+            start[:, turned], moved = _in_turning_axes(turning, h, start[:, turned])
+            system[:, :, :, :nv][..., turned] = -np.einsum("ira,iakb->irkb", by_q[:, :, turned], moved)
+        system[..., :nv] -= h * WEIGHTS[:, None, :, None] * by_v[:, :, None, :]
+        right = by_q @ start + by_v @ x[nv:]
+        for i, node in enumerate(nodes):
+            system[i, range(nv), i, range(nv)] += 1.0
+            system[i, :nv, i, nv:] -= node.response
+            right[i, :nv, n : n + self._given] += node.inverse[:, : self._given]
             for column, k in enumerate(self._friction):
                 if k in self._coefficients:
-                    right[i, nv:n, n + self._given + k] += node.by_friction[:, column]
-        flat, right = system.reshape(STAGES * size, -1), right.reshape(STAGES * size, -1)
+                    right[i, :nv, n + self._given + k] += node.by_friction[:, column]
+        flat, right = system.reshape(STAGES * (nv + m), -1), right.reshape(STAGES * (nv + m), -1)
         if all(node.unique for node in nodes):
             rates = np.linalg.solve(flat, right)
         else:
             rates = _least_norm(flat, right)
-        return np.asarray(x + h * np.tensordot(WEIGHTS[-1], rates.reshape(STAGES, size, -1)[:, :n], 1))
+        rates = rates.reshape(STAGES, nv + m, -1)[:, :nv]
+        flown, gained = np.tensordot((h * h * TWICE[-1], h * WEIGHTS[-1]), rates, 1)
+        end = np.concatenate([start[-1] + flown, x[nv:] + gained])
+        if turned.any():
+            end[:nv][turned] = start[-1, turned] + np.tensordot(moved[-1], rates[:, turned], 2)
+        return end
+
+
+def _in_turning_axes(turning: Array, h: float, start: Array) -> tuple[Array, Array]:
+    """Return changes of q at the stages where joints turn, and what rates of velocities change of them. (D22)
+
+    Args:
+        turning: (stages, k, k) N.
+        h: Length of the interval [s].
+        start: (stages, k, n) the changes without rates of velocities, if nothing turned.
+    """
+    stages, k = turning.shape[:2]
+    matrix = h * WEIGHTS[:, None, :, None] * turning.transpose(1, 0, 2)[None]
+    matrix = np.eye(stages * k) + matrix.reshape(stages * k, -1)
+    inverse = np.linalg.inv(matrix).reshape(stages, k, stages, k)
+    moved = h * h * np.einsum("iajb,jl->ialb", inverse, TWICE)
+    return np.tensordot(inverse, start, 2), moved
 
 
 def dynamics_friction(dynamics: SceneDynamics, contact: int) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,8 @@ from .simulation import integrator_of, stop
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
+
+_SLOPES: WeakKeyDictionary[Stepper, MotionSlopes] = WeakKeyDictionary()
 
 
 class Stepper:
@@ -137,14 +140,12 @@ class Stepper:
             InputError: As in `step`; a motion by time steps, impacts at several contacts.
             SimulationError: As in `step`.
         """
-        check_supported(self._scene, self._scheme)
+        slopes = self._slopes()
         ahead = self.copy()
         integrator, record = ahead._integrator, ahead._integrator.record
         steps, impacts = len(record.dense_steps), len(record.impacts)
         ahead.step(tau, dt)
-        slopes = MotionSlopes(
-            self._scene, integrator.dynamics, integrator.model, (), np.asarray(tau, dtype=np.float64)
-        )
+        slopes.saltation.slopes.tau[:] = tau
         found = Sensitivities(
             slopes,
             ("state",),
@@ -156,6 +157,16 @@ class Stepper:
         x, boundary = found.changes(last, integrator.state.t)
         n = len(x)
         return Linearization(x[:, :n], x[:, n:], boundary)
+
+    def _slopes(self) -> MotionSlopes:
+        """Return what differentiates the motion, with dynamics of its own, kept for the next time."""
+        found = _SLOPES.get(self)
+        if found is None:
+            check_supported(self._scene, self._scheme)
+            own = self.copy()._integrator
+            slopes = MotionSlopes(self._scene, own.dynamics, own.model, (), np.zeros(own.model.nv))
+            found = _SLOPES[self] = slopes
+        return found
 
     def __repr__(self) -> str:
         return f"Stepper({self._scene!r} at t = {self.t:.6g} s)"
