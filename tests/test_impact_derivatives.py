@@ -223,3 +223,19 @@ def test_joints_whose_axes_turn_are_refused():
         pinimpact.impact_derivatives(
             model, model.createData(), np.zeros(3), np.ones(3), Contact("tip", Plane(), 0.3, 0.5)
         )
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.02])
+def test_rows_for_a_controller(radius):
+    contact = Contact("panda_hand_tcp", Plane((0.1, 0.2, 1.0)), 0.3, 0.5, radius=radius)
+    q, v, _ = struck(MODEL, DATA, contact, 3)
+    A, b = pinimpact.impact_rows(MODEL, DATA, q, v, contact, 1e-3)
+
+    def after(acceleration):
+        hit = pinimpact.impact(MODEL, DATA, q, v + 1e-3 * acceleration, contact)
+        return np.concatenate([hit.v, hit.impulse_world])
+
+    assert close(A, slope(after, 9, 0.1))
+    assert np.allclose(b, after(np.zeros(9)), rtol=1e-13, atol=1e-15)
+    with pytest.raises(pinimpact.InputError, match="dt"):
+        pinimpact.impact_rows(MODEL, DATA, q, v, contact, 0.0)

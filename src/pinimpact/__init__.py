@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .geometry.sphere import Sphere
     from .robot.batch import Hits, impacts
     from .robot.contact import Contact
-    from .robot.derivatives import ImpactDerivatives, impact_derivatives
+    from .robot.derivatives import ImpactDerivatives, impact_derivatives, impact_rows
     from .robot.held import HeldContactWarning
     from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
@@ -108,6 +108,7 @@ __all__ = [
     "contact_matrices",
     "impact",
     "impact_derivatives",
+    "impact_rows",
     "impacts",
     "load_robot",
     "place_in_contact",
@@ -123,7 +124,7 @@ _HOMES = {
     "contact_space.batch": ("BatchSolution", "solve_impacts"),
     "robot.batch": ("Hits", "impacts"),
     "robot.contact": ("Contact",),
-    "robot.derivatives": ("ImpactDerivatives", "impact_derivatives"),
+    "robot.derivatives": ("ImpactDerivatives", "impact_derivatives", "impact_rows"),
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (

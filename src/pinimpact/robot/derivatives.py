@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_array
+from ..checks import above_zero, finite_array
 from ..contact_space.derivatives import Boundary, differentiate, empty_slopes
 from ..contact_space.inputs import FACTOR, NO_FACTOR
 from ..contact_space.one_contact import solve_inputs
@@ -244,21 +244,61 @@ def impact_derivatives(
     v = finite_array("v", v, (len(matrices.h),))
     check_at_rest(matrices.held, held, v)
     J = matrices.jacobian
-    velocity = J @ v - matrices.surface_velocity
-    scale = float((np.abs(J) @ np.abs(v) + np.abs(matrices.surface_velocity)).sum())
-    speed = max(-float(velocity[2]), 0.0)
-    slope = _slope_of_restitution(contact, speed)
-    impulse, slopes, boundary = _in_contact_space(contact, matrices, velocity, speed, scale)
-    slopes[:, 2] -= slope * slopes[:, 10]
+    impulse, slopes, boundary = _in_contact_space(contact, matrices, v)
     free = free_velocities(model, locked)
     robot = _Robot(joints, model, data, np.asarray(q, dtype=np.float64))
     return _assembled(model, data, robot, contact, held, matrices, J, free, v, impulse, slopes, boundary)
 
 
-def _in_contact_space(
-    contact: Contact, matrices: ContactMatrices, velocity: Array, speed: float, scale: float
-) -> tuple[Array, Array, Boundary]:
+def impact_rows(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    dt: float,
+    held: Sequence[Contact] = (),
+    locked: Sequence[str | int] = (),
+) -> tuple[Array, Array]:
+    """Return what an impact would come to, as rows for a controller: (q̇⁺, P) = A v̇ + b.
+
+    v̇ is the acceleration of this tick, so that the velocity before an impact at its end is v + v̇ dt, at the
+    present configuration. (docs/derivatives.md, D28)
+
+    Args:
+        model: As in `impact_derivatives`, with its errors.
+        data: Likewise.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        contact: The contact that may collide.
+        dt: Length of the tick [s].
+        held: Contacts that hold during the impact.
+        locked: Joints whose velocity the impact does not change.
+
+    Returns:
+        A (nv + 3, nv) and b (nv + 3,) of the velocity after the impact and of the impulse on the robot in
+        world axes [N s]; columns without derivative are NaN.
+    """
+    dt = above_zero("dt", dt)
+    check_contact("contact", contact)
+    held = check_held(held)
+    matrices = contact_matrices(model, data, q, contact, held, locked)
+    v = finite_array("v", v, (len(matrices.h),))
+    check_at_rest(matrices.held, held, v)
+    impulse, slopes, _ = _in_contact_space(contact, matrices, v)
+    by_v = slopes[:, :3] @ matrices.jacobian
+    to_robot = np.vstack([matrices.response, matrices.axes.T])
+    rows, now = to_robot @ by_v, to_robot @ impulse
+    rows[: len(v)] += np.eye(len(v))
+    now[: len(v)] += v
+    return dt * rows, now
+
+
+def _in_contact_space(contact: Contact, matrices: ContactMatrices, v: Array) -> tuple[Array, Array, Boundary]:
     """Return P (3,) in contact axes and its slopes (3, 11), see `INPUTS` of the kernel, and their flags."""
+    velocity, scale = matrices.velocity(v), matrices.velocity_scale(v)
+    speed = max(-float(velocity[2]), 0.0)
+    slope = _slope_of_restitution(contact, speed)
     mu, e, law = float(contact.friction), contact.restitution_at(speed), contact.law_code
     factor = NO_FACTOR
     if matrices.factor is not None and matrices.factor_scale:
@@ -274,7 +314,9 @@ def _in_contact_space(
     if codes[0, 0] > Status.LOCKED:
         v1, v2, v3 = velocity.tolist()
         solve_inputs((*delassus_upper(matrices.delassus), v1, v2, v3, mu, e, law, scale, factor))
-    return numbers[0, 3:6], slopes[0, 3:], Boundary(boundary[0])
+    of_impulse = slopes[0, 3:]
+    of_impulse[:, 2] -= slope * of_impulse[:, 10]
+    return numbers[0, 3:6], of_impulse, Boundary(boundary[0])
 
 
 _UPPER = np.triu_indices(3)
