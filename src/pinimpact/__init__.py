@@ -54,6 +54,8 @@ if TYPE_CHECKING:
     from .scene.stepper import Stepper
     from .scene.trajectory import Trajectory
     from .status import EFFECTS, Flag, Status
+    from .studies.ensemble import ensemble
+    from .studies.ensemble_result import Ensemble
     from .visual.html_replay import replay
 
 __version__ = "0.1.0"
@@ -70,6 +72,7 @@ __all__ = [
     "Contact",
     "ContactMatrices",
     "Derivatives",
+    "Ensemble",
     "Event",
     "Flag",
     "HeldContactWarning",
@@ -106,6 +109,7 @@ __all__ = [
     "UnstoppableApproachError",
     "Work",
     "contact_matrices",
+    "ensemble",
     "impact",
     "impact_derivatives",
     "impact_rows",
@@ -165,6 +169,8 @@ _HOMES = {
     "contact_space.solve": ("solve_impact",),
     "scene.stepper": ("Stepper",),
     "scene.trajectory": ("Trajectory",),
+    "studies.ensemble": ("ensemble",),
+    "studies.ensemble_result": ("Ensemble",),
     "visual.html_replay": ("replay",),
 }
 _PACKAGES = ("studies", "visual")

@@ -51,10 +51,17 @@ def check_table_path(field: str, path: str | Path) -> Path:
     return path
 
 
-def write_table(path: Path, columns: Columns) -> None:
-    """Write a table in the format of its suffix; numbers of a CSV file have all their digits."""
+def write_table(path: Path, columns: Columns, about: Mapping[str, str] | None = None) -> None:
+    """Write a table in the format of its suffix; numbers of a CSV file have all their digits.
+
+    Args:
+        path: A file that ends in .csv or .parquet.
+        columns: The table.
+        about: Texts by name for the metadata of a Parquet file.
+    """
     if path.suffix == ".parquet":
         table = _optional("pyarrow", "path").table({name: np.asarray(x) for name, x in columns.items()})
+        table = table.replace_schema_metadata({**(table.schema.metadata or {}), **(about or {})})
         import_module("pyarrow.parquet").write_table(table, path)
         return
     with path.open("w", newline="", encoding="utf-8") as file:

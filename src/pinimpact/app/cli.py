@@ -40,6 +40,7 @@ VECTOR = (float, float, float)
 DEMO_FILES = ("hodograph.png", "replay.html")
 RUN_FILES = ("trajectory.npz", "energy.png", "forces.png", "impact.png", "replay.html")
 COST_FILES = ("cost.png", "cost.json")
+ENSEMBLE_FILES = ("study.json", "summary.txt", "distributions.png")
 
 
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -379,6 +380,50 @@ def run(
         raise stopped
     if not trajectory.complete:
         raise SystemExit(INTERRUPTED)
+
+
+@main.command("ensemble")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Number of worker processes.  [default: run in this one]"
+)
+@click.option("--resume", is_flag=True, help="Continue the study that is in the output folder.")
+@OUT
+@JSON
+@QUIET
+@plain_errors
+def run_ensemble(
+    study: Path, workers: int | None, resume: bool, out: Path | None, as_json: bool, quiet: bool
+) -> None:
+    """Simulate a scene many times, with parameters drawn from distributions.
+
+    STUDY is the path of a study file. Prints medians, quantiles and frequencies, and writes the samples as
+    Parquet files, chunk by chunk, and a plot. After Ctrl-C or a crash, --resume continues.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from ..visual.plots import save_figure
+    from .study_file import load_study
+
+    if resume and out is None:
+        raise click.UsageError("--resume needs -o, the folder of the study.")
+    loaded = load_study(study)
+    folder = make_folder(out, ENSEMBLE_FILES, force=resume)
+    with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
+        task = bar.add_task("simulating", total=loaded.file.samples)
+        with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
+            found = loaded.run(
+                folder,
+                workers,
+                resume,
+                lambda done, total: bar.update(task, description="simulating", completed=done, total=total),
+            )
+    (folder / "summary.txt").write_text(found.summary() + "\n", encoding="utf-8")
+    picture = save_figure(found.plot(), folder / "distributions.png")
+    _print(found.facts, found.summary, as_json, quiet)
+    if not (as_json or quiet):
+        click.echo(f"Samples: {folder}\nPlot: {picture}")
 
 
 @main.command()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -38,7 +38,7 @@ Acceleration = Annotated[float, _of("acceleration")]
 FrameKey = str | int
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
     """A table of the file: unknown keys raise an error, and values are not converted.
 
     The docstrings of keys are also in docs/scene-files.md; ``python -m tools.scene_keys`` writes them.
@@ -47,7 +47,10 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
 
 
-class RobotTable(_Table):
+Checked = TypeVar("Checked", bound=Table)
+
+
+class RobotTable(Table):
     """``[[robot]]``: one or several robots; several need a ``prefix`` each.
 
     Position and roll, pitch, yaw are those of the base, at the start if the base is free; in world axes.
@@ -71,7 +74,7 @@ class RobotTable(_Table):
     """Initial angular velocity of a free base, in world axes."""
 
 
-class SurfaceTable(_Table):
+class SurfaceTable(Table):
     """Keys of all surfaces; see `Surface`."""
 
     kind: ClassVar[type[Surface]]
@@ -132,7 +135,7 @@ class ShapeTable(SurfaceTable):
     """Number of points of each rim of a cylinder or cone, at least 3; required for these."""
 
 
-class ContactTable(_Table):
+class ContactTable(Table):
     """``[[contact]]``: a point or a collision shape of a robot, and a surface; see `Contact`.
 
     The default name is "frame on surface". Give one of ``frame``,
@@ -170,7 +173,7 @@ class ContactTable(_Table):
     """Whether the contact is a bilateral constraint: a grasp, a bolted foot."""
 
 
-class StartTable(_Table):
+class StartTable(Table):
     """``[start]``: q and v as vectors, or joints by name; other joints are as in the robot, at rest."""
 
     q: list[float] | None = None
@@ -183,7 +186,7 @@ class StartTable(_Table):
     """``[start.speeds]``: velocities of joints by name [rad/s (deg/s, rpm), or m/s (cm/s, mm/s)]."""
 
 
-class ControlTable(_Table):
+class ControlTable(Table):
     """``[control]``: forces of the joints; a free base has no actuator.
 
     Stiffness, damping and largest effort are the same for all joints.
@@ -203,7 +206,7 @@ class ControlTable(_Table):
     """Time from a sample until its forces act; needs ``period``."""
 
 
-class OutputTable(_Table):
+class OutputTable(Table):
     """``[output]``: files that `run` writes in addition to the trajectory."""
 
     replay: bool = True
@@ -214,7 +217,7 @@ class OutputTable(_Table):
     """Whether to plot energy, forces and the impact with the largest impulse."""
 
 
-class SceneFile(_Table):
+class SceneFile(Table):
     """The whole file; these keys come before any table."""
 
     title: str = ""
@@ -281,20 +284,7 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
         InputError: No such file, invalid TOML, an invalid value; the message names the key.
         UnknownNameError: An unknown key; the message suggests similar ones.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(
-            f"scene: there is no file {path}, and no scene of that name; "
-            f"{near_matches(str(path), bundled_scenes())}",
-            field="scene",
-            value=str(path),
-        ) from error
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror
-        raise InputError(f"scene: cannot read {path}: {reason}", field="scene", value=str(path)) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"scene: {path} is not TOML: {error}", field="scene", value=str(path)) from error
+    tables = read_toml(path, "scene", bundled_scenes())
     if control:
         if not isinstance(tables.get("control"), dict):
             key = next(iter(control))
@@ -304,14 +294,32 @@ def read_scene_file(path: Path, control: Mapping[str, Any] | None = None) -> Sce
                 value=control[key],
             )
         tables["control"] |= control
+    return validated(SceneFile, tables, path)
+
+
+def read_toml(path: Path, what: str, names: Iterable[str]) -> dict[str, Any]:
+    """Return the tables of a TOML file of some kind; an `InputError` suggests names in place of a path."""
     try:
-        return SceneFile.model_validate_json(json.dumps(tables, default=str))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        known = f", and no {what} of that name; {near_matches(str(path), names)}" if names else ""
+        raise InputError(f"{what}: there is no file {path}{known}", field=what, value=str(path)) from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror
+        raise InputError(f"{what}: cannot read {path}: {reason}", field=what, value=str(path)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{what}: {path} is not TOML: {error}", field=what, value=str(path)) from error
+
+
+def validated(kind: type[Checked], tables: dict[str, Any], path: Path) -> Checked:
+    """Return checked tables, or raise the errors of `read_scene_file`."""
+    try:
+        return kind.model_validate_json(json.dumps(tables, default=str))
     except ValidationError as error:
-        raise _first_error(error, path) from None
+        raise _first_error(error, path, kind) from None
 
 
-_TABLES: dict[tuple[str, ...], type[_Table]] = {
-    (): SceneFile,
+_TABLES: dict[tuple[str, ...], type[Table]] = {
     ("robot",): RobotTable,
     ("plane",): PlaneTable,
     ("sphere",): SphereTable,
@@ -324,7 +332,7 @@ _TABLES: dict[tuple[str, ...], type[_Table]] = {
 }
 
 
-def _first_error(error: ValidationError, path: Path) -> PinimpactError:
+def _first_error(error: ValidationError, path: Path, kind: type[Table]) -> PinimpactError:
     """Return pydantic's first error as an `InputError` that names the key."""
     complaints = error.errors()
     # a table in place of a list is why other keys seem to be missing
@@ -332,7 +340,7 @@ def _first_error(error: ValidationError, path: Path) -> PinimpactError:
     place = complaint["loc"]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if complaint["type"] == "extra_forbidden":
-        table = _TABLES[tuple(str(part) for part in place[:-1][:1])]
+        table = _TABLES.get(tuple(str(part) for part in place[:-1][:1]), kind)
         return UnknownNameError(
             f"{key}: unknown key in {path.name}; {near_matches(str(place[-1]), table.model_fields)}",
             field=key,

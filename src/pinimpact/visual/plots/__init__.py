@@ -5,6 +5,7 @@ Each draws into the axes ``ax=``, or into new ones, and returns them. Legends ar
 
 from __future__ import annotations
 
+from .distributions import distributions
 from .figures import energy_figure, forces_figure, impact_figure, save_figure
 from .motions import energy, forces, gaps, modes, overview
 from .one_impact import energy_ledger, hodograph, impulses, velocities
@@ -12,6 +13,7 @@ from .regimes import regime_map
 from .routh import impulse_space
 
 __all__ = [
+    "distributions",
     "energy",
     "energy_figure",
     "energy_ledger",

@@ -1,0 +1,161 @@
+"""The rows of an ensemble, and statistics of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from ..checks import choice, counted, real_numbers
+from ..errors import InputError
+from ..tables import data_frame
+
+Array = NDArray[np.float64]
+
+
+class Estimate(NamedTuple):
+    """A value with its interval: `low` to `high` holds what more samples would give, with the confidence."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble:
+    """What `ensemble` returns.
+
+    Attributes:
+        columns: Arrays by name: sample, the parameters, status ("OK", the name of an error, or for impacts
+            that of a `Status`), message, and the rows of ``reduce``.
+        parameters: Names of the columns that were drawn.
+        design: How they were drawn.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    parameters: tuple[str, ...]
+    design: str
+
+    def __len__(self) -> int:
+        return len(self.columns["sample"])
+
+    def __repr__(self) -> str:
+        return f"Ensemble({counted(len(self), 'sample')} over {', '.join(self.parameters)})"
+
+    def to_dataframe(self) -> Any:
+        """Return the columns as a pandas DataFrame; raise `InputError` if pandas is not installed."""
+        return data_frame(self.columns)
+
+    def _numbers(self, column: str) -> Array:
+        name = choice("column", column, self.columns, "a column")
+        values = self.columns[name]
+        if values.dtype.kind not in "fiu":
+            raise InputError(f"column: {name!r} has text, numbers expected", field="column", value=name)
+        return np.asarray(values, dtype=float)
+
+    def quantiles(
+        self, column: str, q: ArrayLike = (0.05, 0.5, 0.95), confidence: float = 0.95
+    ) -> list[Estimate]:
+        """Return quantiles of a column with their intervals, from order statistics.
+
+        Rows without a number are left out. The intervals are exact for independent samples of any
+        distribution; for other designs than "random" they are too wide.
+        """
+        values = self._numbers(column)
+        values = values[np.isfinite(values)]
+        found = []
+        for level in np.ravel(real_numbers("q", q)).tolist():
+            if len(values) == 0:
+                found.append(Estimate(np.nan, np.nan, np.nan))
+                continue
+            test = stats.quantile_test(values, p=level)
+            interval = test.confidence_interval(confidence)
+            found.append(
+                Estimate(float(np.quantile(values, level)), float(interval.low), float(interval.high))
+            )
+        return found
+
+    def frequencies(self, column: str = "status", confidence: float = 0.95) -> dict[str, Estimate]:
+        """Return how often each value of a column occurs, with Wilson's intervals, most frequent first."""
+        values = self.columns[choice("column", column, self.columns, "a column")]
+        names, counts = np.unique(values.astype(str), return_counts=True)
+        found = {}
+        for k in np.argsort(-counts, kind="stable").tolist():
+            test = stats.binomtest(int(counts[k]), len(values))
+            interval = test.proportion_ci(confidence, method="wilson")
+            found[str(names[k])] = Estimate(counts[k] / len(values), interval.low, interval.high)
+        return found
+
+    def sobol_indices(self, column: str) -> Any:
+        """Return Sobol' indices of a column, first order and total, as `scipy.stats.sobol_indices` does.
+
+        Raises:
+            InputError: Another design than "saltelli", or rows without a number.
+        """
+        if self.design != "saltelli":
+            raise InputError(
+                f'design: {self.design!r}, "saltelli" expected: run the ensemble with it',
+                field="design",
+                value=self.design,
+            )
+        values, d = self._numbers(column), len(self.parameters)
+        if not np.isfinite(values).all():
+            raise InputError(
+                f"column: {column!r} lacks a number in {counted(int((~np.isfinite(values)).sum()), 'row')}; "
+                "Sobol' indices need all",
+                field="column",
+                value=column,
+            )
+        blocks = values.reshape(d + 2, -1)
+        given = {"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}
+        return stats.sobol_indices(func=given, n=blocks.shape[1])
+
+    def results(self) -> list[str]:
+        """Return the names of the columns that are neither parameters nor messages."""
+        return [name for name in self.columns if name not in {"sample", "message", *self.parameters}]
+
+    def plot(self, columns: Sequence[str] | None = None) -> Any:
+        """Return a figure with the distributions of columns, by default of all results."""
+        from ..visual.plots import distributions
+
+        names = columns or self.results()
+        return distributions({n: self.columns[choice("columns", n, self.columns, "a column")] for n in names})
+
+    def facts(self) -> dict[str, Any]:
+        """Return quantiles and frequencies of all results as plain data."""
+        found: dict[str, Any] = {"samples": len(self), "parameters": list(self.parameters)}
+        for name in self.results():
+            if self.columns[name].dtype.kind in "fiu":
+                estimates = zip(("5 %", "50 %", "95 %"), self.quantiles(name), strict=True)
+                found[name] = {level: _finite(e) for level, e in estimates}
+            else:
+                found[name] = {value: _finite(e) for value, e in self.frequencies(name).items()}
+        return found
+
+    def summary(self, columns: Sequence[str] | None = None) -> str:
+        """Return quantiles of columns with numbers and frequencies of those with text, as lines."""
+        lines = [f"{counted(len(self), 'sample')} over {', '.join(self.parameters)}"]
+        for name in columns or self.results():
+            if self.columns[choice("columns", name, self.columns, "a column")].dtype.kind in "fiu":
+                low, middle, high = self.quantiles(name)
+                lines.append(
+                    f"{name}: median {middle.value:.4g} ({middle.low:.4g} to {middle.high:.4g}), "
+                    f"90 % within {low.value:.4g} to {high.value:.4g}"
+                )
+            else:
+                shares = (
+                    f"{value or 'none'} {100 * share.value:.3g} % ({100 * share.low:.3g} to "
+                    f"{100 * share.high:.3g})"
+                    for value, share in self.frequencies(name).items()
+                )
+                lines.append(f"{name}: {', '.join(shares)}")
+        return "\n".join(lines)
+
+
+def _finite(estimate: Estimate) -> dict[str, float | None]:
+    numbers = estimate._asdict()
+    return {name: float(x) if np.isfinite(x) else None for name, x in numbers.items()}

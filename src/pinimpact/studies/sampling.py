@@ -1,0 +1,207 @@
+"""What varies in an ensemble, and how its samples are drawn."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import qmc
+
+from ..checks import choice, finite_array, in_short, near_matches, whole_number
+from ..errors import InputError, UnknownNameError
+from ..robot.names import coordinate_names
+from ..scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+COEFFICIENTS = ("friction", "restitution", "sliding_friction", "stiffness")
+"""Fields of `Contact` that can vary, of all contacts or of one, "friction:foot"."""
+
+DESIGNS = ("random", "sobol", "halton", "saltelli")
+
+
+class Sampling:
+    """The parameters of an ensemble and their distributions.
+
+    Args:
+        scene, q0, v0: As of `simulate`; what varies is changed about them.
+        over: Distributions by parameter, see `ensemble`.
+        samples: Number of samples; of the design "saltelli" it is rounded up to a multiple of d + 2.
+        seed: Seed of all draws.
+        design: One of `DESIGNS`.
+
+    Attributes:
+        names: (d,) names of the numbers that vary.
+        samples: Number of samples.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        over: Mapping[str | tuple[str, ...], Any],
+        samples: int,
+        seed: int,
+        design: str,
+    ) -> None:
+        model = scene.model
+        self.scene = scene
+        self.q0, self.v0 = finite_array("q0", q0, (model.nq,)), finite_array("v0", v0, (model.nv,))
+        self.samples = whole_number("samples", samples, 1)
+        self.seed = whole_number("seed", seed, 0)
+        self.design = choice("design", design, DESIGNS, "a design")
+        if not isinstance(over, Mapping) or not over:
+            raise InputError(
+                f"over: {in_short(over)} given, distributions by parameter expected, such as "
+                '{"friction": scipy.stats.uniform(0.3, 0.2)}',
+                field="over",
+                value=over,
+            )
+        self._velocities = coordinate_names(model)[1]
+        self._parts: list[tuple[tuple[str, ...], Any]] = []
+        for key, distribution in over.items():
+            self._parts.append((self._expanded(key), self._checked(key, distribution)))
+        self.names = tuple(name for names, _ in self._parts for name in names)
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise InputError(f"over: {twice[0]!r} is given twice", field="over", value=twice[0])
+        if self.design == "saltelli":
+            block = len(self.names) + 2
+            self.base = 2 ** math.ceil(math.log2(max(-(-self.samples // block), 1)))
+            self.samples = block * self.base
+
+    def _expanded(self, key: Any) -> tuple[str, ...]:
+        """Return the names of the numbers that a key stands for."""
+        names: list[str] = []
+        for part in key if isinstance(key, tuple) else (key,):
+            kind, _, of = str(part).partition(":")
+            if kind in ("q0", "v0"):
+                known: Sequence[str] = self._velocities
+                names += [f"{kind}:{name}" for name in ([of] if of else known)]
+            elif kind in COEFFICIENTS:
+                known = [contact.label for contact in self.scene.contacts]
+                names.append(str(part))
+            else:
+                choices = near_matches(kind, (*COEFFICIENTS, "q0", "v0"))
+                raise UnknownNameError(
+                    f"over: {in_short(part)} is not a parameter; {choices}",
+                    field="over",
+                    value=part,
+                )
+            if of and of not in known:
+                raise UnknownNameError(
+                    f"over: {part!r} names nothing in this scene; {near_matches(of, known)}",
+                    field="over",
+                    value=part,
+                )
+        return tuple(names)
+
+    def _checked(self, key: Any, distribution: Any) -> Any:
+        """Return a distribution that gives numbers of the length of its key, or raise `InputError`."""
+        needs = "rvs" if self.design == "random" else "ppf"
+        if not callable(getattr(distribution, needs, None)):
+            raise InputError(
+                f"over[{key!r}]: {in_short(distribution)} given, a frozen distribution of scipy.stats with "
+                f"{needs} expected" + ("" if needs == "rvs" else f" by the design {self.design!r}"),
+                field="over",
+                value=distribution,
+            )
+        length = len(self._expanded(key))
+        if needs == "rvs":
+            drawn = np.shape(np.squeeze(distribution.rvs(random_state=np.random.default_rng(0))))
+        else:
+            drawn = np.shape(distribution.ppf(0.5))
+        if drawn not in ((), (length,)) or (drawn == () and length > 1):
+            raise InputError(
+                f"over[{key!r}]: draws of shape {drawn} given, {length} numbers expected",
+                field="over",
+                value=distribution,
+            )
+        return distribution
+
+    def draw(self, first: int, count: int) -> Array:
+        """Return the numbers (count, d) of samples, which depend on the seed and their indices only."""
+        if self.design == "random":
+            rows = []
+            for i in range(first, first + count):
+                rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(i,)))
+                drawn = (np.ravel(distribution.rvs(random_state=rng)) for _, distribution in self._parts)
+                rows.append(np.concatenate(list(drawn)))
+            return np.array(rows)
+        unit = self._unit(first, count)
+        columns = [distribution.ppf(unit[:, k]) for k, (_, distribution) in enumerate(self._parts)]
+        return np.array(columns).T
+
+    def _unit(self, first: int, count: int) -> Array:
+        """Return points (count, d) of the unit cube."""
+        d = len(self.names)
+        if self.design == "halton":
+            return _points(qmc.Halton(d, seed=self.seed), first, count)
+        if self.design == "sobol":
+            return _points(qmc.Sobol(d, seed=self.seed), first, count)
+        # A, B, then A with each column of B
+        both = _points(qmc.Sobol(2 * d, seed=self.seed), 0, self.base)
+        a, b = both[:, :d], both[:, d:]
+        rows = []
+        for i in range(first, first + count):
+            block, k = divmod(i, self.base)
+            row = (b if block == 1 else a)[k].copy()
+            if block > 1:
+                row[block - 2] = b[k, block - 2]
+            rows.append(row)
+        return np.array(rows)
+
+    def apply(self, numbers: Array) -> tuple[Scene, Array, Array]:
+        """Return the scene, q0 and v0 of a sample."""
+        changes: dict[str, dict[str, float]] = {}
+        for name, number in zip(self.names, numbers.tolist(), strict=True):
+            kind, _, of = name.partition(":")
+            if kind in COEFFICIENTS:
+                changes.setdefault(of, {})[kind] = number
+        scene = self.scene
+        if changes:
+            everywhere = changes.get("", {})
+            contacts = [
+                replace(contact, **{**everywhere, **changes.get(contact.label, {})})  # type: ignore[arg-type]
+                for contact in scene.contacts
+            ]
+            scene = replace(scene, contacts=contacts)
+        q, v = self.states(numbers[None])
+        return scene, q[0], v[0]
+
+    def states(self, numbers: Array) -> tuple[Array, Array]:
+        """Return q0 (n, nq) and v0 (n, nv) of samples (n, d)."""
+        count, nv = len(numbers), len(self.v0)
+        changes = {"q0": np.zeros((count, nv)), "v0": np.zeros((count, nv))}
+        for name, column in zip(self.names, numbers.T, strict=True):
+            kind, _, of = name.partition(":")
+            if kind in changes:
+                changes[kind][:, self._velocities.index(of)] = column
+        q = np.tile(self.q0, (count, 1))
+        for i in np.flatnonzero(changes["q0"].any(axis=1)).tolist():
+            q[i] = pin.integrate(self.scene.model, self.q0, changes["q0"][i])
+        return q, self.v0 + changes["v0"]
+
+    def coefficient(self, numbers: Array, kind: str) -> Array | None:
+        """Return a coefficient (n,) of the scene's only contact, or None if it does not vary."""
+        contact = self.scene.contacts[0]
+        for name in (f"{kind}:{contact.label}", kind):
+            if name in self.names:
+                return np.ascontiguousarray(numbers[:, self.names.index(name)])
+        return None
+
+
+def _points(engine: Any, first: int, count: int) -> Array:
+    if first:
+        engine.fast_forward(first)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Sobol' points whose number is no power of 2: a chunk's is not
+        points: Array = engine.random(count)
+    return points

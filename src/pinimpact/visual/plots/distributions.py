@@ -1,0 +1,56 @@
+"""Histograms of many results, one below the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .style import COMPRESSION, FLOW, RESTITUTION
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLUMNS = 3
+BARS = 40
+
+
+def distributions(columns: Mapping[str, NDArray[Any]]) -> Figure:
+    """Draw columns of numbers as histograms with median and 90 % range, those of text as bars.
+
+    Args:
+        columns: Arrays (n,) by name; entries that are not finite are left out.
+    """
+    from matplotlib import pyplot
+
+    rows = -(-len(columns) // COLUMNS)
+    figure = pyplot.figure(figsize=(3.2 * COLUMNS, 2.1 * max(rows, 1)), layout="constrained")
+    for k, (name, values) in enumerate(columns.items()):
+        ax = figure.add_subplot(rows, COLUMNS, k + 1)
+        ax.set_title(name, fontsize="small")
+        ax.tick_params(labelsize="x-small")
+        if values.dtype.kind in "fiu":
+            _histogram(ax, values)
+        else:
+            _bars(ax, values)
+    return figure
+
+
+def _histogram(ax: Axes, values: NDArray[Any]) -> None:
+    values = np.asarray(values, dtype=float)
+    values = values[np.isfinite(values)]
+    ax.set_yticks([])
+    if len(values) == 0:
+        return
+    ax.hist(values, bins=min(BARS, max(len(np.unique(values)), 1)), color=FLOW)
+    for level, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
+        ax.axvline(float(np.quantile(values, level)), color=RESTITUTION, ls=style)
+
+
+def _bars(ax: Axes, values: NDArray[Any]) -> None:
+    names, counts = np.unique(values.astype(str), return_counts=True)
+    ax.barh([str(name) or "none" for name in names], counts / len(values), color=COMPRESSION)
+    ax.set_xlim(0.0, 1.0)
