@@ -47,7 +47,7 @@ class LoadedStudy:
 
     file: StudyFile
     loaded: LoadedScene
-    over: dict[str, Any]
+    over: dict[str | tuple[str, ...], Any]
 
     def run(
         self, out: Path, workers: int | None, resume: bool, progress: Callable[[int, int], None]
@@ -59,7 +59,7 @@ class LoadedStudy:
             scene.q,
             scene.v,
             self.file.duration or file.duration,
-            over=dict[str | tuple[str, ...], Any](self.over),
+            over=self.over,
             samples=self.file.samples,
             seed=self.file.seed,
             design=self.file.design,
