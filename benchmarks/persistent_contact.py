@@ -88,6 +88,35 @@ def steps_standing() -> Callable[[], None]:
     return steps
 
 
+def branches() -> Callable[[], None]:
+    """A hundred copies of a stepper of solo12 on its feet, each of which takes 20 steps of 1 ms."""
+    model, q, contacts = quadruped()
+    stepper = Stepper(Scene(model, contacts), q, np.zeros(model.nv), rtol=1e-6, atol=1e-8)
+    pulls = [np.append(np.zeros(6), np.full(12, 0.01 * k)) for k in range(BRANCHES)]
+    stepper.step(pulls[0], 1e-3)
+
+    def run() -> None:
+        for tau in pulls:
+            branch = stepper.copy()
+            for _ in range(20):
+                branch.step(tau, 1e-3)
+
+    return run
+
+
+def steps_in_mujoco() -> Callable[[], None]:
+    """A hundred steps of 1 ms of the same in MuJoCo, its joints drawn by springs and dampers."""
+    _, q, _ = quadruped()
+    model = over_a_floor(in_mujoco("Solo12Loader", GAINS), q, q, ORIGINS, step=1e-3)
+    data = mujoco.MjData(model)
+
+    def steps() -> None:
+        for _ in range(STEPS):
+            mujoco.mj_step(model, data)
+
+    return steps
+
+
 def steps_in_flight() -> Callable[[], None]:
     """A hundred steps of 1 ms of a Panda that falls, a floor below it."""
     robot = load_robot("panda")
@@ -225,10 +254,16 @@ CASES = {
 STEPS = 100
 """Of a `Stepper` in one run."""
 
+BRANCHES = 100
+"""Copies of a `Stepper` in one run."""
+
 STEPPED = {
     "1 ms step, solo12 on four feet": (steps_standing, 3e-4),
     "1 ms step, Panda in flight": (steps_in_flight, 1e-4),
 }
+
+IN_MUJOCO = "1 ms step, solo12 on four feet, MuJoCo"
+BRANCHED = "100 branches of 20 steps of 1 ms, solo12"
 
 AGAINST = {
     "solo12 stands, 10 s": standing_in_mujoco,
@@ -240,10 +275,12 @@ def main() -> None:
     """Take the best of a few runs of each, in turns."""
     runs = {name: make() for name, (make, _) in CASES.items()}
     steps = {name: make() for name, (make, _) in STEPPED.items()}
+    steps[IN_MUJOCO], steps[BRANCHED] = steps_in_mujoco(), branches()
     others = {f"{name}, MuJoCo": make() for name, make in AGAINST.items()}
     seconds = best_of({**runs, **steps, **others}, rounds=ROUNDS)
     rows = [row(name, seconds[name], goal) for name, (_, goal) in CASES.items()]
     rows += [row(name, seconds[name] / STEPS, goal) for name, (_, goal) in STEPPED.items()]
+    rows += [row(IN_MUJOCO, seconds[IN_MUJOCO] / STEPS), row(BRANCHED, seconds[BRANCHED], 0.1)]
     rows += [row(name, seconds[name]) for name in others]
     publish("persistent_contact", rows)
 

@@ -278,7 +278,8 @@ class Integrator:
         step.closed, step.directions = state.closed, directions
         self.progress.check_friction(step, min(work.event_time, step.end))
         self.record.dense_steps.append(step)
-        time, arriving = work.event_time, self._arriving()
+        time = work.event_time
+        arriving = self._arriving() if time <= step.end else None
         meeting = None
         if self.shapes:
             meeting = self.shapes.within(step, min(time, step.end))
