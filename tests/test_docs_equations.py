@@ -117,6 +117,8 @@ NUMBERS = [
     (instant.MOST_JAMS, 10, "after ten such impacts at one instant"),
     (integrator.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
+    (instant.CROWD, 16, "more than 16 contacts of more than five islands touch"),
+    (instant.ISLANDS, 5, "of more than five islands touch"),
     (integrator.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
+from .effects import CROWD
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
-from .instant import CROWD
 from .integrator import Integrator
 from .progress import RUBBING
 from .recorder import Mark
