@@ -178,6 +178,23 @@ def test_the_covariance_is_that_of_leaving_out_groups() -> None:
     assert fit.covariance / size == pytest.approx(11 / 12 * off.T @ off / size, abs=0.05)
 
 
+def test_groups_of_unequal_weight_have_fewer_degrees_of_freedom() -> None:
+    """Satterthwaite's number for a mean over groups of sizes n_g, a_g = n_g / (n - n_g)²."""
+    W = np.tile(np.eye(3), (45, 1, 1))
+    before = np.tile([0.0, 0.0, -1.0], (45, 1))  # v⁺ = e: a mean
+    after = np.zeros((45, 3))
+    after[:, 2] = 0.5 + 0.01 * np.random.default_rng(14).normal(size=45)
+    sizes = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9])
+    options = {"free": {"restitution": (0, 1)}, "fixed": {"friction": 0.2}, "loss": "linear"}
+    fit = studies.identify((W, before, after), group=np.repeat(np.arange(9), sizes), **options)
+    weights = sizes / (45 - sizes) ** 2
+    assert fit.degrees == pytest.approx([weights.sum() ** 2 / (weights**2).sum()])
+    even = studies.identify((W, before, after), group=np.repeat(np.arange(9), 5), **options)
+    assert even.degrees == pytest.approx([8.0])
+    low, high = even.interval(0.9)[0]
+    assert high - low == pytest.approx(2.0 * 1.8595480375228421 * even.standard_errors[0])  # t of 8
+
+
 def test_a_parameter_of_one_group_has_no_interval() -> None:
     robot = load_robot("solo12")
     feet = [Contact(foot, Plane(), 0.1, 0.5, name=foot) for foot in ("FL_FOOT", "FR_FOOT")]

@@ -48,6 +48,7 @@ class Identified(OptimizeResult):
         bounds: (2, p) their bounds.
         covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
         groups: Number of groups.
+        degrees: (p,) degrees of freedom of the intervals (I5), fewer where groups have unequal weight.
         unidentified: One sentence for each parameter that the data do not determine.
         fun: (n m,) residuals, whitened; `jac` and `cost` are those of `scipy.optimize.least_squares`.
         scale: Residual from which on the loss gives less weight.
@@ -64,7 +65,7 @@ class Identified(OptimizeResult):
         level = float(finite_array("level", level, (1,))[0])
         if not 0.0 < level < 1.0:
             raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
-        half = t.ppf(0.5 + 0.5 * level, self.groups - 1) * self.standard_errors
+        half = t.ppf(0.5 + 0.5 * level, self.degrees) * self.standard_errors
         low, high = self.bounds
         return np.clip(np.column_stack([self.x - half, self.x + half]), low[:, None], high[:, None])
 
@@ -141,12 +142,13 @@ def fit(
     names = tuple(free)
     slopes, residuals = jacobian(result.x), residual(result.x)
     parts = _by_group(slopes, residuals, rho, scale if scale > 0.0 else 1.0, group)
-    covariance, null, none = _covariance(*parts, high - low)
+    covariance, degrees, null, none = _covariance(*parts, high - low)
     result = Identified(
         **dict(result.items()),
         names=names,
         bounds=np.array([low, high]),
         covariance=covariance,
+        degrees=degrees,
         groups=int(group.max()) + 1,
         scale=scale,
         **({"law": None} | known),
@@ -168,8 +170,8 @@ def _by_group(
     return hessians, gradients
 
 
-def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array, Array, Array]:
-    """Return the jackknife covariance (I4), and how far (p,) no group or only one determines a parameter.
+def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the covariance (I4), degrees of freedom, and if none or only one group determines a parameter.
 
     A combination of parameters, in parts of their ranges, is undetermined where the Hessian has an eigenvalue
     within rounding of zero, and determined by one group where it is zero without that group.
@@ -184,12 +186,17 @@ def _covariance(hessians: Array, gradients: Array, widths: Array) -> tuple[Array
     parts = np.where(alone, 0.0, parts / np.where(alone, 1.0, 1.0 - shares))
     moved = np.einsum("ij,gja,ga->gi", root, turned, parts)  # by leaving out a group
     covariance = (count - 1) / count * moved.T @ moved
+    spread = np.where(alone, 0.0, shares / np.where(alone, 1.0, 1.0 - shares) ** 2)
+    weights = np.einsum("gia,ga->gi", np.einsum("ij,gja->gia", root, turned) ** 2, spread)
+    squares = (weights**2).sum(axis=0)
+    degrees = np.full(len(widths), count - 1.0)
+    np.divide(weights.sum(axis=0) ** 2, squares, out=degrees, where=squares > 0.0)
     null = np.linalg.norm(vectors[:, ~kept], axis=1)
     lone = np.linalg.norm(np.einsum("ij,gja,ga->gai", root / widths[:, None], turned, alone), axis=(0, 1))
     none = np.maximum(null, lone) > np.sqrt(eps)
     covariance[none] = covariance[:, none] = 0.0
     covariance[none, none] = np.inf
-    return covariance, null > np.sqrt(eps), none
+    return covariance, np.minimum(degrees, count - 1.0), null > np.sqrt(eps), none
 
 
 def _unidentified(
