@@ -249,3 +249,45 @@ def test_unknown_names(keep, message, rng):
     model, data, q, v, contact, _, _ = standing(rng)
     with pytest.raises(pinimpact.UnknownNameError, match=message):
         pinimpact.impact(model, data, q, v, contact, **keep)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.HeldContactWarning")
+@pytest.mark.parametrize(("robot", "held"), [("panda", ()), ("solo12", ()), ("solo12", ("HR_FOOT",))])
+def test_joint_reactions_balance_the_momentum_of_every_link(robot, held):
+    model, data = cases.load(robot)
+    rng = np.random.default_rng(7)
+    model.armature = rng.uniform(0, 0.3, model.nv) * (np.arange(model.nv) >= model.nv - 9)
+    contact = pinimpact.Contact(cases.FRAMES[robot], GROUND, friction=0.4, restitution=0.5, radius=0.02)
+    if robot == "panda":  # a plane on another link
+        contact = pinimpact.Contact("panda_hand_tcp", pinimpact.Plane(body="panda_link3"), 0.4, 0.5)
+    anchors = [pinimpact.Contact(frame, GROUND) for frame in held]
+    q, v = cases.random_state(model, rng)
+    matrices = pinimpact.contact_matrices(model, data, q, contact, anchors)
+    rows = np.vstack([np.zeros((0, model.nv)), *(anchor.jacobian for anchor in matrices.held)])
+    v -= np.linalg.pinv(rows) @ rows @ v
+    v *= -np.sign(matrices.velocity(v)[2])
+    hit = pinimpact.impact(model, data, q, v, contact, held=anchors)
+    found = hit.joint_reactions(model, data, q, v, anchors)
+    change = hit.v - v
+    pin.forwardKinematics(model, data, q, change)
+    pin.updateFramePlacements(model, data)
+    momenta = [data.oMi[i].act(model.inertias[i] * data.v[i]).vector for i in range(model.njoints)]
+    momenta[0] = np.zeros(6)
+    wrenches = [found[0], *(data.oMi[i].act(pin.Force(found[i])).vector for i in range(1, model.njoints))]
+    balance = np.array(momenta)
+    for i in range(1, model.njoints):
+        balance[i] -= wrenches[i]
+        balance[model.parents[i]] += wrenches[i]
+    balance[0] += wrenches[0]
+    for one, push in zip([contact, *anchors], [hit.impulse_world, *hit.held_impulses], strict=True):
+        at = contact_geometry(model, data, q, one).point
+        tip = model.frames[model.getFrameId(one.frame)].parentJoint
+        balance[tip] -= [*push, *np.cross(at, push)]
+        if one.plane.body is not None:
+            base = model.frames[model.getFrameId(one.plane.body)].parentJoint
+            balance[base] += [*push, *np.cross(at, push)]
+    assert np.abs(balance).max() < 1e-12 * np.abs(wrenches).max()
+    for i in range(1, model.njoints):  # along its axes a joint only accelerates its rotor
+        own = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
+        free = np.asarray(data.joints[i].S).T @ found[i] + model.armature[own] * change[own]
+        assert np.abs(free).max() < 1e-11 * np.abs(wrenches).max()

@@ -18,6 +18,7 @@ from ..contact_space.problem import ImpactProblem, contact_inputs
 from ..contact_space.solution import Inputs, Solution
 from ..contact_space.solve import solve_impact
 from ..display import html_table, in_a_line
+from ..errors import InputError
 from ..status import Status
 from ._kernels import robot_impact as kernel
 from .contact import Contact, check_contact, check_held
@@ -27,6 +28,7 @@ from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
 from .names import model_of, singular_mass
 from .placed_robot import PlacedRobot
+from .reactions import joint_reactions
 from .shape_pair import is_pair, touching_points
 from .struck import strike
 from .touching import check_rims, touching_tips
@@ -113,6 +115,33 @@ class Hit:
             surface = self._part(kernel.SURFACE, 3)
             self._solution = Solution(numbers, inputs, surface_velocity=surface)
         return self._solution
+
+    def joint_reactions(
+        self, model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, held: Sequence[Contact] = ()
+    ) -> Array:
+        """Return the impulsive wrench through each joint, (joints, 6) force [N s] over moment [N m s].
+
+        Row i is what the link before joint i exerts on the one after it, at the joint and in its axes; row 0
+        is what the robot exerts on the world at its origin, beside contacts, in world axes. Along an axis
+        that a joint is free to move a wrench has only what accelerates a rotor.
+
+        Args:
+            model: That of the impact.
+            data: Its data.
+            q: (nq,) the configuration.
+            v: (nv,) the velocity before it.
+            held: The held contacts of the impact.
+        """
+        placed = PlacedRobot(model, data, q)
+        contacts = (self._contact, *check_held(held))
+        if len(contacts) != 1 + len(self.held_impulses):
+            raise InputError(
+                f"held: {len(contacts) - 1} given, {len(self.held_impulses)} of the impact expected",
+                field="held",
+                value=held,
+            )
+        change = self.v - finite_array("v", v, self.v.shape)
+        return joint_reactions(placed, change, contacts, np.vstack([self.impulse_world, self.held_impulses]))
 
     def _repr_html_(self) -> str:
         title = f"{self._contact.label}: impulse on the robot, world axes [N s]"

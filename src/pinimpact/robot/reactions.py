@@ -1,0 +1,49 @@
+"""The impulsive wrenches that joints transmit in an impact."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .contact import Contact
+from .forest import Forest
+from .placed_robot import PlacedRobot
+
+Array = NDArray[np.float64]
+
+
+def joint_reactions(placed: PlacedRobot, change: Array, contacts: Sequence[Contact], pushes: Array) -> Array:
+    """Return the impulsive wrenches through the joints (joints, 6), see `Hit.joint_reactions`.
+
+    By inverse dynamics without gravity of the change of velocity, with the impulses as external forces.
+
+    Args:
+        placed: The robot.
+        change: (nv,) Δq̇.
+        contacts: What has impulses.
+        pushes: (k, 3) impulses on the robot, in world axes.
+    """
+    model, data = placed.model, placed.data
+    if isinstance(data, Forest):
+        raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
+    outside = [pin.Force.Zero() for _ in range(model.njoints)]
+    for contact, push in zip(contacts, pushes, strict=True):
+        at = placed.geometry(contact).point
+        wrench = pin.Force(push, np.cross(at, push))
+        ends = placed.cache.contact(contact.frame, contact.plane.body)[:2]
+        for frame, sign in zip(ends, (1.0, -1.0), strict=True):
+            joint = model.frames[frame].parentJoint
+            outside[joint] += data.oMi[joint].actInv(sign * wrench)
+    still, nothing = np.zeros(len(change)), [pin.Force.Zero()] * model.njoints
+    wrenches = np.zeros((model.njoints, 6))
+    for sign, acceleration, forces in ((1.0, change, outside), (-1.0, still, nothing)):  # less gravity
+        pin.rnea(model, data, placed.q, still, acceleration, forces)
+        wrenches[1:] += [sign * data.f[joint].vector for joint in range(1, model.njoints)]
+    for joint in range(1, model.njoints):
+        if model.parents[joint] == 0:
+            wrenches[0] -= data.oMi[joint].act(pin.Force(wrenches[joint])).vector
+    return wrenches
