@@ -107,7 +107,8 @@ def test_the_metadata_is_complete(built: Path) -> None:
     urls = dict(line.split(", ", 1) for line in metadata.get_all("Project-URL"))
     assert {"Documentation", "Source", "Issues", "Changelog"} <= set(urls)
     assert "# pinimpact" in metadata.get_payload()
-    assert {"bench", "cluster", "crocoddyl", "data", "dev", "docs", "jax", "torch"} == set(metadata.get_all("Provides-Extra"))
+    extras = {"bench", "cluster", "crocoddyl", "data", "dev", "docs", "jax", "torch"}
+    assert extras == set(metadata.get_all("Provides-Extra"))
 
 
 def test_versions_agree() -> None:
