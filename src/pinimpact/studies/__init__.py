@@ -4,6 +4,7 @@ from .bodies import identify_body
 from .estimate import Identified
 from .found import FoundImpacts
 from .identification import identify
+from .prediction import Prediction, predict
 from .recordings import Motion, impacts
 from .rolling_out import Comparison, RollOuts, compare, rollouts
 from .sliding import identify_sliding
@@ -13,11 +14,13 @@ __all__ = [
     "FoundImpacts",
     "Identified",
     "Motion",
+    "Prediction",
     "RollOuts",
     "compare",
     "identify",
     "identify_body",
     "identify_sliding",
     "impacts",
+    "predict",
     "rollouts",
 ]

@@ -165,28 +165,8 @@ def ensemble(
         SimulationError: Worker processes died again and again; the message names the samples in question.
     """
     sampling = Sampling(scene, q0, v0, over, samples, seed, design)
-    if duration is None and len(scene.contacts) != 1:
-        raise InputError(
-            f"duration: None given for a scene with {len(scene.contacts)} contacts; one contact expected",
-            field="duration",
-        )
-    if keep and out is None:
-        raise InputError(
-            "keep: True given without out=, the folder for trajectories", field="keep", value=keep
-        )
-    function("reduce", reduce, "a function of a trajectory")
-    folder_path = None if out is None else Path(out)
-    task = _Task(sampling, duration, options, reduce, folder_path if keep else None)
-    workers = executor if isinstance(executor, int) and not isinstance(executor, bool) else None
-    if workers is not None:
-        whole_number("executor", executor, 1)
-    elif executor is not None and not isinstance(executor, Executor):
-        raise InputError(
-            f"executor: {in_short(executor)} given; None, a number of processes or a concurrent.futures."
-            "Executor expected",
-            field="executor",
-            value=executor,
-        )
+    _check(scene, duration, executor, reduce, keep, out)
+    task = _Task(sampling, duration, options, reduce, Path(out) if keep and out is not None else None)
     if executor is not None:
         _check_pickles(task)
     chunk = _chunk(task)
@@ -195,22 +175,13 @@ def ensemble(
         settings = {"duration": duration, "options": sorted(options.items()), "reduce": reduce}
         folder = StudyFolder(out, sampling, settings, chunk, resume)
         chunk = folder.chunk
-    pieces = _pieces(sampling.samples, chunk)
+    pieces = [(first, min(chunk, sampling.samples - first)) for first in range(0, sampling.samples, chunk)]
     found: dict[int, Columns] = {}
     if folder is not None:
-        for first, count in pieces:
-            columns = folder.read(first, count)
-            if columns is not None:
-                found[first] = columns
+        known = ((first, folder.read(first, count)) for first, count in pieces)
+        found = {first: columns for first, columns in known if columns is not None}
     done = sum(len(columns["sample"]) for columns in found.values())
-    todo = [piece for piece in pieces if piece[0] not in found]
-    if workers is not None:
-        finished = _by_processes(task, todo, workers)
-    elif executor is not None:
-        finished = _by_executor(task, todo, executor)  # type: ignore[arg-type]
-    else:
-        finished = ((first, task(first, count)) for first, count in todo)
-    for first, columns in finished:
+    for first, columns in _finished(task, [piece for piece in pieces if piece[0] not in found], executor):
         if folder is not None:
             folder.write(first, columns)
         found[first] = columns
@@ -218,6 +189,38 @@ def ensemble(
         if progress is not None:
             progress(done, sampling.samples)
     return Ensemble(joined([found[first] for first, _ in pieces]), sampling.names, sampling.design)
+
+
+def _check(scene: Scene, duration: Any, executor: Any, reduce: Any, keep: Any, out: Any) -> None:
+    """Refuse arguments of `ensemble`."""
+    if duration is None and len(scene.contacts) != 1:
+        raise InputError(
+            f"duration: None given for a scene with {len(scene.contacts)} contacts; one contact expected",
+            field="duration",
+        )
+    if keep and out is None:
+        raise InputError("keep: True given without out=, a folder for trajectories", field="keep", value=keep)
+    function("reduce", reduce, "a function of a trajectory")
+    if isinstance(executor, int):
+        whole_number("executor", executor, 1)
+    elif executor is not None and not isinstance(executor, Executor):
+        raise InputError(
+            f"executor: {in_short(executor)} given; None, a number of processes or a concurrent.futures."
+            "Executor expected",
+            field="executor",
+            value=executor,
+        )
+
+
+def _finished(
+    task: _Task, todo: list[tuple[int, int]], executor: Executor | int | None
+) -> Iterator[tuple[int, Columns]]:
+    """Yield first indices and columns of chunks, as they are finished."""
+    if executor is None:
+        return ((first, task(first, count)) for first, count in todo)
+    if isinstance(executor, Executor):
+        return _by_executor(task, todo, executor)
+    return _by_processes(task, todo, executor)
 
 
 def _chunk(task: _Task) -> int:
@@ -231,10 +234,6 @@ def _chunk(task: _Task) -> int:
         if taken > 0.01 * CHUNK_SECONDS or count >= LARGEST_CHUNK:
             return min(max(int(count * CHUNK_SECONDS / taken), 1), LARGEST_CHUNK)
         count *= 8
-
-
-def _pieces(samples: int, chunk: int) -> list[tuple[int, int]]:
-    return [(first, min(chunk, samples - first)) for first in range(0, samples, chunk)]
 
 
 def _check_pickles(task: _Task) -> None:

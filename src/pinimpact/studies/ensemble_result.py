@@ -81,14 +81,7 @@ class Ensemble:
 
     def frequencies(self, column: str = "status", confidence: float = 0.95) -> dict[str, Estimate]:
         """Return how often each value of a column occurs, with Wilson's intervals, most frequent first."""
-        values = self.columns[choice("column", column, self.columns, "a column")]
-        names, counts = np.unique(values.astype(str), return_counts=True)
-        found = {}
-        for k in np.argsort(-counts, kind="stable").tolist():
-            test = stats.binomtest(int(counts[k]), len(values))
-            interval = test.proportion_ci(confidence, method="wilson")
-            found[str(names[k])] = Estimate(counts[k] / len(values), interval.low, interval.high)
-        return found
+        return shares(self.columns[choice("column", column, self.columns, "a column")], confidence)
 
     def sobol_indices(self, column: str) -> Any:
         """Return Sobol' indices of a column, first order and total, as `scipy.stats.sobol_indices` does.
@@ -147,13 +140,24 @@ class Ensemble:
                     f"90 % within {low.value:.4g} to {high.value:.4g}"
                 )
             else:
-                shares = (
+                parts = (
                     f"{value or 'none'} {100 * share.value:.3g} % ({100 * share.low:.3g} to "
                     f"{100 * share.high:.3g})"
                     for value, share in self.frequencies(name).items()
                 )
-                lines.append(f"{name}: {', '.join(shares)}")
+                lines.append(f"{name}: {', '.join(parts)}")
         return "\n".join(lines)
+
+
+def shares(values: NDArray[Any], confidence: float) -> dict[str, Estimate]:
+    """Return how often each value occurs, with Wilson's intervals, most frequent first."""
+    names, counts = np.unique(values.astype(str), return_counts=True)
+    found = {}
+    for k in np.argsort(-counts, kind="stable").tolist():
+        test = stats.binomtest(int(counts[k]), len(values))
+        interval = test.proportion_ci(confidence, method="wilson")
+        found[str(names[k])] = Estimate(counts[k] / len(values), interval.low, interval.high)
+    return found
 
 
 def _finite(estimate: Estimate) -> dict[str, float | None]:
