@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, InputError, Plane, load_robot
+from pinimpact import Contact, InputError, Plane, Scene, load_robot, simulate
 
 crocoddyl = pytest.importorskip("crocoddyl", reason="Crocoddyl is not installed")
 actions = pytest.importorskip("pinimpact.integrations.crocoddyl")
@@ -101,12 +101,53 @@ def test_a_problem_with_an_impact_is_solved_in_no_more_iterations_than_with_diff
     assert ends[0][1] == pytest.approx(ends[1][1], rel=1e-4)
 
 
+@pytest.mark.parametrize("height", [0.6, 0.346])
+def test_steps_have_the_derivatives_of_differences(leg, height):
+    """In flight, and with an impact in the step."""
+    model, q, v, contact = leg
+    state = crocoddyl.StateMultibody(model)
+    costs = crocoddyl.CostModelSum(state, model.nv)
+    target = crocoddyl.ResidualModelState(state, state.zero(), model.nv)
+    costs.addCost("state", crocoddyl.CostModelResidual(state, target), 0.5)
+    effort = crocoddyl.ResidualModelControl(state, model.nv)
+    costs.addCost("effort", crocoddyl.CostModelResidual(state, effort), 0.1)
+    scene = Scene(model, [contact])
+    action = actions.ActionModelStep(scene, 0.01, costs, rtol=1e-11, atol=1e-13)
+    bent = q.copy()
+    bent[0] = height
+    x, u = np.r_[bent, v], np.array([0.3, -0.2, 0.5, 0.1])
+    data, differences = action.createData(), crocoddyl.ActionModelNumDiff(action)
+    differences.disturbance = 1e-7
+    other = differences.createData()
+    for which, of in ((action, data), (differences, other)):
+        which.calc(of, x, u)
+        which.calcDiff(of, x, u)
+    impacts = simulate(scene, bent, v, 0.01).impacts
+    assert bool(impacts) == (height < 0.5)
+    for name in ("Fx", "Fu", "Lx", "Lu"):
+        exact, found = getattr(data, name), getattr(other, name)
+        assert np.abs(exact - found).max() < 3e-6 * max(np.abs(exact).max(), 1.0), name
+
+
+def test_a_step_from_below_the_surface_is_nan(leg):
+    model, q, v, contact = leg
+    state = crocoddyl.StateMultibody(model)
+    action = actions.ActionModelStep(Scene(model, [contact]), 0.01, crocoddyl.CostModelSum(state, model.nv))
+    data = action.createData()
+    action.calc(data, np.r_[q - [9.0, 0, 0, 0], v], np.zeros(4))
+    action.calcDiff(data, np.r_[q - [9.0, 0, 0, 0], v], np.zeros(4))
+    assert np.isnan(data.xnext).all()
+    assert np.isnan(data.Fx).all()
+
+
 def test_bad_input_is_named(leg):
     model, q, v, contact = leg
     state = crocoddyl.StateMultibody(model)
     none = crocoddyl.CostModelSum(state, 0)
     with pytest.raises(InputError, match="contacts: 2 given, one Contact expected"):
         actions.ActionModelImpact(state, [contact, contact], none)
+    with pytest.raises(InputError, match="costs: nu = 0 given, 4 expected"):
+        actions.ActionModelStep(Scene(model, [contact]), 0.01, none)
     action = actions.ActionModelImpact(state, contact, none)
     data = action.createData()
     action.calcDiff(data, np.r_[q, 0.0 * v])  # grazing

@@ -1,4 +1,4 @@
-"""Impacts as actions of Crocoddyl's optimal control. (docs/derivatives.md, 8)"""
+"""Impacts and steps as actions of Crocoddyl's optimal control. (docs/derivatives.md, 8)"""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..checks import as_tuple
-from ..errors import InputError, LawError, UnstoppableApproachError
+from ..checks import above_zero, as_tuple
+from ..errors import InputError, LawError, SimulationError, UnstoppableApproachError
 from ..robot.batch import impacts
 from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
+from ..scene.scene import Scene
+from ..scene.sensitivities import check_supported
+from ..scene.stepper import Stepper
 
 try:
     import crocoddyl
@@ -95,6 +98,111 @@ class ActionDataImpact(crocoddyl.ActionDataAbstract):
         super().__init__(model)
         robot = model.state.pinocchio
         self.impact, self.pinocchio = robot.createData(), robot.createData()
+        self.collector = crocoddyl.DataCollectorMultibody(self.pinocchio)
+        self.costs = model.costs.createData(self.collector)
+        self.costs.shareMemory(self)
+
+
+class ActionModelStep(crocoddyl.ActionModelAbstract):
+    """A step of a scene under constant forces u, through all impacts and contact modes of the step.
+
+    The costs are those of the state before the step and of u. Where there is no motion, such as from below a
+    surface, or no derivative, there is NaN.
+
+    Args:
+        scene: The scene, without control.
+        dt: Length of the step [s].
+        costs: A `crocoddyl.CostModelSum` of the robot's state. Its nu is nv, or nv - 6 for a robot with a
+            free base, to which u applies no force.
+        **options: Further arguments of `Stepper`.
+
+    Raises:
+        InputError: Another nu; a scene whose steps are not differentiated; a Crocoddyl that was built for
+            another version of Pinocchio.
+    """
+
+    def __init__(self, scene: Scene, dt: float, costs: Any, **options: Any) -> None:
+        nv = scene.model.nv
+        nu, free = costs.nu, scene.model.nqs[1] == 7
+        if nu != nv and not (free and nu == nv - 6):
+            raise InputError(
+                f"costs: nu = {nu} given, {f'{nv} or {nv - 6}' if free else nv} expected",
+                field="costs",
+                value=costs,
+            )
+        check_supported(scene, options.get("scheme", "auto"))
+        _check_gravity()
+        super().__init__(costs.state, nu, costs.nr)
+        self.scene, self.dt, self.costs, self.options = scene, above_zero("dt", dt), costs, options
+
+    def createData(self) -> ActionDataStep:
+        """Return data for `calc` and `calcDiff`."""
+        return ActionDataStep(self)
+
+    def calc(self, data: ActionDataStep, x: Any, u: Any = None) -> None:
+        """Set `xnext` and `cost`; without u the cost of the state alone."""
+        model = self.state.pinocchio
+        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
+        pin.forwardKinematics(model, data.pinocchio, q, v)
+        pin.updateFramePlacements(model, data.pinocchio)
+        if u is None:
+            self.costs.calc(data.costs, x)
+            data.xnext = np.array(x)
+        else:
+            self.costs.calc(data.costs, x, u)
+            stepper = self._at(data, q, v)
+            try:
+                if stepper is None:
+                    raise SimulationError("scene: no motion starts there")
+                data.xnext = np.concatenate(stepper.step(self._forces(u), self.dt))
+            except SimulationError:
+                data.xnext = np.full(len(x), np.nan)
+        data.cost = data.costs.cost
+
+    def calcDiff(self, data: ActionDataStep, x: Any, u: Any = None) -> None:
+        """Set `Fx`, `Fu` and the derivatives of the costs."""
+        model, nv = self.state.pinocchio, self.state.nv
+        q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
+        pin.computeForwardKinematicsDerivatives(model, data.pinocchio, q, v, np.zeros(nv))
+        pin.computeJointJacobians(model, data.pinocchio, q)
+        pin.updateFramePlacements(model, data.pinocchio)
+        if u is None:
+            self.costs.calcDiff(data.costs, x)
+        else:
+            self.costs.calcDiff(data.costs, x, u)
+            stepper = self._at(data, q, v)
+            try:
+                if stepper is None:
+                    raise SimulationError("scene: no motion starts there")
+                by_x, by_tau = stepper.linearize(self._forces(u), self.dt)
+                data.Fx, data.Fu = np.array(by_x), np.array(by_tau[:, nv - self.nu :])
+            except SimulationError:
+                data.Fx, data.Fu = np.full((2 * nv, 2 * nv), np.nan), np.full((2 * nv, self.nu), np.nan)
+            data.Lu, data.Luu, data.Lxu = (np.array(getattr(data.costs, n)) for n in ("Lu", "Luu", "Lxu"))
+        data.Lx, data.Lxx = np.array(data.costs.Lx), np.array(data.costs.Lxx)
+
+    def _forces(self, u: Any) -> Any:
+        return np.concatenate((np.zeros(self.state.nv - self.nu), u))
+
+    def _at(self, data: ActionDataStep, q: Any, v: Any) -> Stepper | None:
+        """Return a stepper in a state, or None where no motion starts."""
+        try:
+            if data.stepper is None:
+                data.stepper = Stepper(self.scene, q, v, **self.options)
+            else:
+                data.stepper.reset(q, v)
+        except InputError:
+            return None
+        return data.stepper
+
+
+class ActionDataStep(crocoddyl.ActionDataAbstract):
+    """Data of `ActionModelStep`."""
+
+    def __init__(self, model: ActionModelStep) -> None:
+        super().__init__(model)
+        self.stepper: Stepper | None = None
+        self.pinocchio = model.state.pinocchio.createData()
         self.collector = crocoddyl.DataCollectorMultibody(self.pinocchio)
         self.costs = model.costs.createData(self.collector)
         self.costs.shareMemory(self)
