@@ -208,9 +208,10 @@ class Saltation:
     ) -> Array:
         record = impacts[0]
         if record.group is not None or len(impacts) > 1:
+            names = ", ".join(repr(one.source) for one in impacts)
             raise InputError(
-                f"sensitivities: {', '.join(repr(one.source) for one in impacts)} collide at the same time, "
-                f"t = {record.time:.6g} s; derivatives are available for one contact at a time",
+                f"sensitivities: {names} collide together, or with something that is in contact, at t = "
+                f"{record.time:.6g} s; derivatives are available for impacts of one contact",
                 field="sensitivities",
             )
         number = self._source[record.source]
