@@ -691,7 +691,8 @@ def test_what_friction_locks_ends_at_rest(monkeypatch, seed):
 
 
 @pytest.mark.parametrize(
-    ("seed", "friction"), [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)]
+    ("seed", "friction"),
+    [(30, 0.0), (133, 0.0), (161, 0.0), (14, 0.4), (41, 0.4), (45, 0.4), (51, 0.4)],
 )
 def test_no_restitution_is_the_limit_of_little(seed, friction):
     # bodies on corners where a force falls below half of its peak: were it held, answers would be off by 1e-2
@@ -709,6 +710,41 @@ def test_no_restitution_is_the_limit_of_little(seed, friction):
     )
     # of the largest velocity; terms in e² are left
     assert none == pytest.approx(2.0 * less - more, abs=1e-5 * np.abs(u).max())
+
+
+def test_no_restitution_is_the_limit_of_little_after_hundreds_of_events():
+    # four corners rattle 600 times and then two of them separate, where a plastic impact would stop all
+    rows = []
+    for x, y in ((0.152, 0.084), (0.152, -0.084), (-0.185, 0.084), (-0.185, -0.084)):
+        rows += [[1, 0, 0, 0, -0.047, -y], [0, 1, 0, 0.047, 0, x], [0, 0, 1, y, -x, 0]]
+    inverse = np.diag([1, 1, 1, 1 / 0.00307, 1 / 0.01021, 1 / 0.01183])
+    u = np.array([0.43, 0, -1, -1.979, -1.546, 0])
+    none, more, less = (
+        collide(np.array(rows), inverse, u, friction=0.582, restitution=e)[0].velocity
+        for e in (0.0, 2e-3, 1e-3)
+    )
+    assert none == pytest.approx(2.0 * less - more, abs=1e-3)  # terms in e² are left
+    assert none[:, 2].max() > 0.02
+
+
+@pytest.mark.parametrize("e", [0.0, 0.2])
+@pytest.mark.parametrize("tilting", [0.0, 1e-13, 1e-9, 1e-7, 1e-4, 1e-2])
+def test_a_jump_is_told_where_contacts_peak_together(e, tilting):
+    # a body on four corners, higher at one end: of the two at the lower end the first to peak separates first
+    rows = np.zeros((12, 3))
+    rows[2::3] = [(1, 0.13, -0.176), (1, -0.13, -0.176), (1, 0.13, 0.164), (1, -0.13, 0.164)]
+    inverse, flagged = np.diag([1, 1 / 0.007, 1 / 0.011]), e == 0.0 and tilting < 1e-6
+    one, near, mirrored = (
+        collide(rows, inverse, np.array([-1.0, rate, 0.0]), restitution=e)[0]
+        for rate in (tilting, tilting + 1e-7, -tilting - 1e-7)
+    )
+    assert (pinimpact.Flag.NEAR_JUMP in one.flags) == flagged
+    apart = max(np.abs(other.velocity - one.velocity).max() for other in (near, mirrored))
+    if flagged:
+        assert apart > 1e-3
+    else:  # the mirrored one is as far as its data are
+        assert np.abs(near.velocity - one.velocity).max() < 1e-6
+        assert one.velocity[[1, 0, 3, 2]] == pytest.approx(mirrored.velocity, abs=1e-6)
 
 
 def test_a_cube_lands_flat_as_its_planar_twin_does():

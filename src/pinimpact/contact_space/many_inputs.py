@@ -58,7 +58,8 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
             value=problem.delassus,
         )
     delassus = 0.5 * (delassus + delassus.T)
-    eigenvalues = np.linalg.eigvalsh(delassus) if n else np.zeros(1)
+    moves = delassus.any(axis=1)  # rows that are zero have eigenvalues that are
+    eigenvalues = np.linalg.eigvalsh(delassus[np.ix_(moves, moves)]) if moves.any() else np.zeros(1)
     least = ZERO * max(1, n) * float(np.abs(eigenvalues).max())
     if eigenvalues[0] < -least:
         raise InputError(
@@ -76,7 +77,7 @@ def many_inputs(problem: ImpactProblem) -> ManyInputs:
         _per_contact("stiffness", stiffness, n, np.nextafter(0.0, 1.0), np.inf, "a finite number > 0"),
         problem.law,
         np.broadcast_to(np.asarray(problem.surface_velocity, dtype=float), (n, 3)),
-        bool(eigenvalues[0] <= least),
+        bool(not moves.all() or eigenvalues[0] <= least),
     )
 
 

@@ -76,6 +76,7 @@ class ManyStory(NamedTuple):
         singular: Whether W is.
         bounded: Whether a bound on steps or events was reached.
         again: Returns velocities (n, 3) with stiffnesses multiplied by factors (n,).
+        jumps: Returns whether data that are hardly different have another result.
     """
 
     segments: Callable[[], Segments]
@@ -84,6 +85,7 @@ class ManyStory(NamedTuple):
     singular: bool
     bounded: bool = False
     again: Callable[[Array], Array] | None = None
+    jumps: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,10 +128,15 @@ class ManySolution:
 
     @cached_property
     def flags(self) -> Flag:
-        """Special events of the impact."""
+        """Special events of the impact.
+
+        For `Flag.NEAR_JUMP` the impact is solved again, with data that differ by 1e-12 and 1e-6.
+        """
         works = self.story.works
         flags = flags_of(self.segments, works.sum(), np.abs(works).sum(), self.story.singular)
-        return flags | Flag.BOUND_REACHED if self.story.bounded else flags
+        if self.story.bounded:
+            return flags | Flag.BOUND_REACHED
+        return flags | Flag.NEAR_JUMP if self.story.jumps is not None and self.story.jumps() else flags
 
     @property
     def compression_impulse(self) -> Array:
@@ -256,7 +263,7 @@ class PartSolution(Solution):
 
     def __init__(self, whole: ManySolution, j: int) -> None:
         status = whole.statuses[j]
-        own = (status, whole.flags, whole.iterations, *whole.velocity[j].tolist(), *whole.impulse[j].tolist())
+        own = (status, Flag.NONE, whole.iterations, *whole.velocity[j].tolist(), *whole.impulse[j].tolist())
         result = (*own, float(whole.compression_impulse[j]))
         unused = (0.0,) * 11
         super().__init__(result, (*unused, 0, 0.0, NO_FACTOR), method=whole.simultaneous)
@@ -270,6 +277,11 @@ class PartSolution(Solution):
         if whole.path is not None:
             impulse = whole.path.impulse[:, j]
             self.path = Path(impulse[:, 2].copy(), whole.path.velocity[:, j].copy(), impulse.copy())
+
+    @property
+    def flags(self) -> Flag:
+        """Special events of the whole impact."""
+        return self.part_of.flags
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from ..errors import (
     BoundReachedWarning,
     UnknownNameError,
 )
-from ._kernels.tolerances import DRIFT
+from ._kernels.tolerances import DRIFT, MISSED
 from .at_once import MOST_IMPACTS, kernels_at_once, reflect, together
 from .inputs import NO_FACTOR, Array, Inputs
 from .laws import find_law
@@ -87,13 +87,41 @@ def solve_many(problem: ImpactProblem, simultaneous: str, record: bool, **option
     if found.story.bounded:
         warnings.warn(" ".join(found.notes), BoundReachedWarning, stacklevel=3)
     again = partial(_resolved, simultaneous, inputs, options)
-    return replace(found, story=found.story._replace(again=again))
+    jumps = partial(_jumps, simultaneous, inputs, options, found.velocity)
+    return replace(found, story=found.story._replace(again=again, jumps=jumps))
 
 
 def _resolved(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], factors: Array) -> Array:
     """Return velocities (n, 3) after the impact with stiffnesses multiplied by factors (n,)."""
     scaled = inputs._replace(stiffness=factors * inputs.stiffness)
     return find_policy(simultaneous).run(scaled, False, **options).velocity
+
+
+NEARBY = (1e-12, 1e-6, -1e-6)
+"""Parts by which data are changed to look for jumps: more than rounding, and less than can be measured."""
+
+SMOOTH = 1e3
+"""How many times as much, at most, velocities after an impact change where they follow the data."""
+
+
+def _jumps(simultaneous: str, inputs: ManyInputs, options: Mapping[str, Any], velocity: Array) -> bool:
+    """Return whether velocities (n, 3) after an impact change beyond measure with the axes of contacts.
+
+    Each is scaled a little, in the velocities as in W: that leaves redundancy, and zeros, as they are.
+    """
+    run = find_policy(simultaneous).run
+    direction = np.random.default_rng(0).uniform(-1.0, 1.0, inputs.velocity.shape)
+    size = float(np.abs(inputs.velocity).max(initial=0.0))
+    for change in NEARBY:
+        scales = 1.0 + change * direction
+        rows = scales.ravel()
+        nearby = inputs._replace(
+            delassus=rows[:, None] * inputs.delassus * rows, velocity=scales * inputs.velocity
+        )
+        moved = float(np.abs(run(nearby, False, **options).velocity - velocity).max())
+        if moved > max(MISSED, SMOOTH * abs(change)) * size:
+            return True
+    return False
 
 
 LAST = 5

@@ -17,7 +17,7 @@ from .many_inputs import ManyInputs, notes_on_law, refuse, solution_of
 from .many_solution import ManyPath, ManySolution, segments_of
 from .problem import ZERO
 
-MOST_STEPS = 5000
+MOST_STEPS = 10_000
 """Steps from event to event, at most."""
 
 
@@ -89,8 +89,8 @@ MOST_SHORT_STEPS = 20_000
 """Steps that a pass may take."""
 
 
-MOST_RESTITUTIONS = 3
-"""Coefficients of restitution from which steps extrapolate to e = 0, at most."""
+MOST_RESTITUTIONS = 8
+"""Coefficients of restitution, halved each time, from two of which steps extrapolate to e = 0, at most."""
 
 
 def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> ManySolution | None:
@@ -98,21 +98,23 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
     missed, steps, accuracy = np.inf, 0, STEP_ACCURACY
-    row: list[Array] = []
+    numbers: Array | None = None
+    last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
-        least = inputs._replace(restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution))
-        found = _passes(least, exponent)
+        little = inputs._replace(
+            restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution)
+        )
+        found = _passes(little, exponent)
         if found is None:
             break
-        last, row, steps, accuracy = row, [found[0]], steps + found[2], found[3]
-        for m, before in enumerate(last):  # without the term of order m + 1 in e
-            row.append(row[m] + (row[m] - before) / (2.0 ** (m + 1) - 1.0))
-        missed = max(found[1], _differ(inputs, row[-1], last[-1]) if last else 0.0)
-        if last and missed <= AGREE:
+        before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
+        last, missed, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
+        if before is not None:
+            missed = max(missed, _differ(inputs, numbers, before))
+        if k > 1 and missed <= AGREE:
             break
-    if not row or not missed <= USEFUL:
+    if numbers is None or not missed <= USEFUL:
         return None
-    numbers = row[-1]
     impulse = numbers[: 3 * n].reshape(n, 3)
     impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
     tangential = np.hypot(impulse[:, 0], impulse[:, 1])

@@ -115,23 +115,27 @@ def come_to_rest(system, state, works):
 
 
 @inlined
-def end_plastically(system, state, works):
-    """Bring an impact to its end by a plastic one; return whether that stops all approaches.
+def plastic_impulses_now(system, state, impulse):
+    """Fill the impulses (3n,) of a plastic impact from here on.
 
     Where no impulses by Coulomb's law are found it loses as much energy as it can. (14.6)
     """
-    w, v = system.w, state.v
     n = len(system.friction)
-    impulse, zero, ones = np.empty(3 * n), np.zeros(n), np.ones(n)
-    impulses_together(w, v, system.friction, zero, ones, impulse)
+    impulses_together(system.w, state.v, system.friction, np.zeros(n), np.ones(n), impulse)
+
+
+@inlined
+def end_plastically(system, state, impulse, works):
+    """Add the impulses (3n,) of a plastic impact; return whether they stop all approaches."""
+    w, v = system.w, state.v
     stopped = True
-    for i in range(3 * n):
+    for i in range(len(v)):
         change = 0.0
-        for k in range(3 * n):
+        for k in range(len(v)):
             change += w[i, k] * impulse[k]
         works[i // 3, 0 if i % 3 == 2 else 2] += (v[i] + 0.5 * change) * impulse[i]
-    for i in range(3 * n):
-        for k in range(3 * n):
+    for i in range(len(v)):
+        for k in range(len(v)):
             v[i] += w[i, k] * impulse[k]
         state.impulse[i] += impulse[i]
         stopped = stopped and (i % 3 != 2 or v[i] > -MISSED)

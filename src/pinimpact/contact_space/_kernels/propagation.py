@@ -19,13 +19,13 @@ from .codes import (
     SLIPPING,
 )
 from .first_fall import NEVER
-from .plastic import come_to_rest, end_plastically
+from .plastic import come_to_rest, end_plastically, plastic_impulses_now
 from .propagation_advance import NO_ROW, advance, record, record_step, time_power
 from .propagation_events import apply_events, find_events
 from .propagation_friction import settle
 from .propagation_series import ORDER, SHORT, expand, natural_pace, new_series, unknown_after
 from .propagation_state import TIED, State, System, begins, close, loads, open_contact
-from .tolerances import DRIFT, NEGLIGIBLE, NOWHERE, ROUNDED, SEEN, SLIP_SPEED, SLOW
+from .tolerances import AGREE, DRIFT, NEGLIGIBLE, NOWHERE, ROUNDED, SEEN, SLIP_SPEED, SLOW
 
 FIRST = np.int64(1)
 """Order of the series that tells the pace of slips."""
@@ -36,8 +36,9 @@ LONGEST = 1e3
 MOST_EVENTS = 200
 """Events per contact, at most."""
 
-FEWEST, PLASTIC_EVENTS = 20, 4
-"""Events, and those per contact, after which an impact without restitution is ended by a plastic one."""
+FEWEST, PLASTIC_EVENTS = 500, 4
+"""Events, and those per contact, after which it is first asked, where no contact restores anything, how an
+impact would end plastically. It does where it would have so at half as many events."""
 
 
 @declared(
@@ -175,7 +176,13 @@ def _follow(
         if restitution[j] > 0.0:
             plastic = False
             unloading[j] = 1.0 / (restitution[j] * restitution[j])
-    system = System(w, friction, unloading, stiffness, exponent)
+    filled, count = np.empty((3 * n, 3 * n), dtype=np.int64), np.zeros(3 * n, dtype=np.int64)
+    for i in range(3 * n):
+        for k in range(3 * n):
+            if w[i, k] != 0.0:
+                filled[i, count[i]] = k
+                count[i] += 1
+    system = System(w, filled, count, friction, unloading, stiffness, exponent)
     state = State(
         *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
         *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
@@ -193,6 +200,12 @@ def _follow(
                 continue
             close(system, state, j)
     clock, at_once = 0.0, 0
+    left, ends, apart, check = (
+        np.zeros(3 * n),
+        np.zeros(3 * n),
+        math.inf,
+        NONE_YET + FEWEST + PLASTIC_EVENTS * n,
+    )
     events = rows_used = points = steps = NONE_YET
     points = record(path, points, clock, state)
     while True:
@@ -205,12 +218,21 @@ def _follow(
             come_to_rest(system, state, works)
             points = record(path, points, clock, state)
             break
-        if plastic and events >= FEWEST + PLASTIC_EVENTS * n:
-            counts[4] = 1
-            if not end_plastically(system, state, works):
-                return False
-            points = record(path, points, clock, state)
-            break
+        if plastic and events >= check:
+            plastic_impulses_now(system, state, left)
+            for i in range(3 * n):
+                end = v[i]
+                for k in range(3 * n):
+                    end += w[i, k] * left[k]
+                apart = max(apart, abs(end - ends[i]))
+                ends[i] = end
+            if apart <= AGREE:
+                counts[4] = 1
+                if not end_plastically(system, state, left, works):
+                    return False
+                points = record(path, points, clock, state)
+                break
+            apart, check = 0.0, 2 * events
         if steps >= most_steps or events >= MOST_EVENTS * n:
             counts[4] = 2
             break
@@ -244,7 +266,9 @@ def _follow(
                 _loaded_ends(state)
                 first = NEVER
                 break
-            first, degree = find_events(system, state, series, h, at_once > 2 * n, roots, guard, work)
+            first, degree = find_events(
+                system, state, series, h, NEGLIGIBLE / pace, at_once > 2 * n, roots, guard, work
+            )
             h = first if degree == SHORT else min(h, first)
             if h > 0.0:
                 at_once = 0 if h * pace > NEGLIGIBLE else at_once

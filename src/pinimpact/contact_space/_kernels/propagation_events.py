@@ -23,7 +23,7 @@ def _fall(c, h, zero, crowded, work):
 
 
 @inlined
-def find_events(system, state, series, h, crowded, roots, guard, work):
+def find_events(system, state, series, h, tie, crowded, roots, guard, work):
     """Fill the times (n, 3) at which the modes of contacts end; return the first, and the degree to go by."""
     n = len(system.friction)
     first, degree = NEVER, ORDER
@@ -32,6 +32,7 @@ def find_events(system, state, series, h, crowded, roots, guard, work):
         for k in range(2):
             strongest = max(strongest, abs(series.force[k, 3 * j + 2]))
     for j in range(n):
+        reach = min(h, first + tie)  # beyond it nothing matters
         mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
         for k in range(3):
             roots[j, k] = NEVER
@@ -44,12 +45,12 @@ def find_events(system, state, series, h, crowded, roots, guard, work):
                 guard[k] = series.v[k, z]
             else:
                 guard[k] = -series.v[k, z]
-        roots[j, 0] = _fall(guard, h, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+        roots[j, 0] = _fall(guard, reach, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
         if mode == HELD and state.ringing[j] > 0.0 and series.force[1, z] > 0.0:
             for k in range(ORDER):
                 guard[k] = (k + 1.0) * series.force[k + 1, z]
             guard[ORDER] = 0.0
-            top = _fall(guard, h, ROUNDED * strongest, crowded, work)
+            top = _fall(guard, reach, ROUNDED * strongest, crowded, work)
             cap = system.stiffness[j] * state.deepest[j] ** system.exponent
             highest = value_at(series.force, z, ORDER, top) if top < roots[j, 0] else 0.0
             if highest + state.ringing[j] * system.exponent > cap * (1.0 + NEGLIGIBLE):
@@ -64,7 +65,7 @@ def find_events(system, state, series, h, crowded, roots, guard, work):
                 guard[0] += state.deepest[j]
             elif mode == HELD:
                 guard[0] += system.stiffness[j] * state.deepest[j] ** system.exponent
-            roots[j, 1] = _fall(guard, h, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
+            roots[j, 1] = _fall(guard, reach, ROUNDED * strongest if mode == HELD else ROUNDED, crowded, work)
         if state.tangent[j] == STUCK:
             square = system.friction[j] * system.friction[j]
             for k in range(ORDER + 1):
@@ -74,7 +75,7 @@ def find_events(system, state, series, h, crowded, roots, guard, work):
                     total -= series.force[i, x] * series.force[k - i, x]
                     total -= series.force[i, y] * series.force[k - i, y]
                 guard[k] = total
-            roots[j, 2] = _fall(guard, h, 1e-2 * NEGLIGIBLE * strongest * strongest, crowded, work)
+            roots[j, 2] = _fall(guard, reach, 1e-2 * NEGLIGIBLE * strongest * strongest, crowded, work)
         elif state.tangent[j] == SLIPPING:
             ux, uy = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
             speed = series.speed[0, j]
@@ -84,7 +85,7 @@ def find_events(system, state, series, h, crowded, roots, guard, work):
                 guard[0] = 0.0
             if state.fresh[j] == TIED:
                 guard[1] = 0.0
-            time = _fall(guard, h, 0.0, False, work)
+            time = _fall(guard, reach, 0.0, False, work)
             if time < NEVER:
                 across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
                 if abs(across) <= 10.0 * ROUNDED:

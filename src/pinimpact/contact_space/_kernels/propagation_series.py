@@ -330,7 +330,13 @@ def _integrate(system, state, series, k, pace, root):
     if source >= 0:
         for a in range(3 * n):  # W is symmetric, and many are open
             push = force[source, a]
-            if push != 0.0:
+            if push == 0.0:
+                continue
+            if 4 * system.filled_count[a] < 3 * n:  # as in a row of balls
+                for place in range(system.filled_count[a]):
+                    i = system.filled[a, place]
+                    v[k + 1, i] += w[a, i] * push
+            else:
                 for i in range(3 * n):
                     v[k + 1, i] += w[a, i] * push
     for i in range(3 * n):

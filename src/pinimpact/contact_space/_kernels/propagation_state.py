@@ -25,6 +25,8 @@ class System(NamedTuple):
 
     Attributes:
         w: (3n, 3n) W.
+        filled: (3n, 3n) where its rows are not zero, the first
+        filled_count: (3n,) of them.
         friction: (n,) μ.
         unloading: (n,) ρ = 1/e², and 0 for a contact that restores nothing.
         stiffness: (n,) κ.
@@ -32,6 +34,8 @@ class System(NamedTuple):
     """
 
     w: Array
+    filled: Codes
+    filled_count: Codes
     friction: Array
     unloading: Array
     stiffness: Array

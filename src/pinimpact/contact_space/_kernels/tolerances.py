@@ -104,7 +104,7 @@ STEP_ACCURACY, FINEST = 1e-10, 1e-13
 AGREE, USEFUL = 1e-7, 1e-3
 """Part of the largest velocity to which two passes agree at the end; beyond it they say nothing."""
 
-FIRST_RESTITUTION = 4e-3
+FIRST_RESTITUTION = 1e-3
 """The first of those that are halved to extrapolate to e = 0 in steps."""
 
 # ---- flags of solutions and checks of inputs
