@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from pinimpact import Contact, InputError, Plane, Scene, SimulationError, UnknownNameError
-from pinimpact.studies.ensemble import ensemble
+from pinimpact.studies.ensembles import ensemble
 
 pytest.importorskip("pyarrow")
 
@@ -56,7 +56,7 @@ def test_rows_are_those_of_single_runs():
 @pytest.mark.parametrize("design", ["random", "sobol", "halton"])
 def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeypatch):
     whole = _run(design=design)
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
     _same(whole, _run(design=design))
     with ThreadPoolExecutor(2) as pool:
         _same(whole, _run(design=design, executor=pool))
@@ -64,7 +64,7 @@ def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeyp
 
 
 def test_processes_give_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
     _same(_run(), _run(executor=2, out=tmp_path / "study"))
     assert sorted(p.name for p in (tmp_path / "study").iterdir()) == [
         "samples-000000000.parquet",
@@ -75,7 +75,7 @@ def test_processes_give_the_same_bits(tmp_path, monkeypatch):
 
 
 def test_a_study_is_resumed_after_a_check(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
     whole = _run(out=tmp_path)
     (tmp_path / "samples-000000005.parquet").unlink()
     kept = (tmp_path / "samples-000000000.parquet").stat().st_mtime_ns
@@ -125,7 +125,7 @@ class _Killing:
 
 
 def test_a_worker_that_dies_is_replaced_and_changes_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 4)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
     killing = _Killing(os.getpid(), str(tmp_path / "died"))
     killed = _run(executor=1, reduce=killing)
     assert (tmp_path / "died").exists()
@@ -133,7 +133,7 @@ def test_a_worker_that_dies_is_replaced_and_changes_nothing(tmp_path, monkeypatc
 
 
 def test_workers_that_die_again_and_again_are_an_error(monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 4)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
     with pytest.raises(SimulationError, match="died 3 times, the last time in samples 0 to 11"):
         _run(executor=1, reduce=_Killing(os.getpid()))
 
@@ -246,7 +246,7 @@ def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
 
 def test_a_dask_cluster_gives_the_same_bits_when_a_worker_is_killed(monkeypatch):
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-    monkeypatch.setattr("pinimpact.studies.ensemble._chunk", lambda task: 4)
+    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,

@@ -139,6 +139,17 @@ def test_two_robots_share_an_impulse(tmp_path, monkeypatch, capsys) -> None:
     assert "Panda 0.000 N m s" not in free
 
 
+def test_a_bouncing_motion_is_as_stable_as_in_closed_form(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("bouncing_stability", tmp_path, monkeypatch, capsys)
+    first, stable, _ = out.splitlines()
+    assert float(first.split(": ")[1]) < 1e-9
+    module = example("bouncing_stability")
+    grid = np.linspace(0.0, 300.0, 61)
+    expected = [k for k in grid if abs(module.closed_form(k)) < 2.0]
+    assert stable == f"stable at {len(expected)} of 61 stiffnesses, from {expected[0]:.0f} N/m on"
+    assert (tmp_path / "bouncing_stability.png").is_file()
+
+
 def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
     kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])

@@ -373,3 +373,19 @@ def test_a_joint_that_stops_releases_another():
     model, q, v, contact = panda(6)
     model.friction = np.random.default_rng(6).uniform(0, 8, 9)
     agrees(Scene(model, [replace(contact, friction=0.2, restitution=0.0)], **FREE), q, v, 0.15, 6)
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-11])
+def test_changes_of_a_motion_that_stands_still_keep_to_the_tolerance(rtol):
+    # a mass on a spring at rest: the motion needs two steps, its changes swing through several turns
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    k, duration = 900.0, 0.6
+    scene = Scene(model, control=JointPD(k, 0.0, [0.0]))
+    run = simulate(scene, [0.0], [0.0], duration, rtol=rtol, sensitivities="state")
+    w = np.sqrt(k)
+    c, s = np.cos(w * duration), np.sin(w * duration)
+    found, exact = run.sensitivity(duration).state, np.array([[c, s / w], [-w * s, c]])
+    scale = np.array([[1.0, 1.0 / w], [w, 1.0]])
+    assert np.abs((found - exact) / scale).max() < 30 * rtol  # some thirty intervals

@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from .scene.stepper import Stepper
     from .scene.trajectory import Trajectory
     from .status import EFFECTS, Flag, Status
-    from .studies.ensemble import ensemble
     from .studies.ensemble_result import Ensemble
+    from .studies.ensembles import ensemble
     from .visual.html_replay import replay
 
 __version__ = "0.1.0"
@@ -169,7 +169,7 @@ _HOMES = {
     "contact_space.solve": ("solve_impact",),
     "scene.stepper": ("Stepper",),
     "scene.trajectory": ("Trajectory",),
-    "studies.ensemble": ("ensemble",),
+    "studies.ensembles": ("ensemble",),
     "studies.ensemble_result": ("Ensemble",),
     "visual.html_replay": ("replay",),
 }

@@ -12,8 +12,8 @@ from scipy import stats
 
 from ..checks import near_matches
 from ..errors import InputError, UnknownNameError
-from ..studies.ensemble import ensemble
 from ..studies.ensemble_result import Ensemble
+from ..studies.ensembles import ensemble
 from .scene_file import Table, Time, bundled_scenes, read_toml, validated
 from .scene_loader import LoadedScene, load_scene
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.polynomial import Legendre
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from ..checks import in_short
@@ -46,6 +47,11 @@ def _radau(stages: int) -> tuple[Array, Array]:
 
 NODES, WEIGHTS = _radau(STAGES)
 TWICE = WEIGHTS @ WEIGHTS
+MODES = np.linalg.inv(legvander(2.0 * NODES - 1.0, STAGES - 1))
+"""Coefficients in Legendre polynomials of degree 0 to 3, by the values at the nodes."""
+
+DECAY = 1.0 / 385.0
+"""c₆/c₂ of e^{zt} by (c₂/c₀)², for z → 0: its coefficients are (2n + 1) (zh/2)ⁿ/(2n + 1)!!. (D24)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +136,7 @@ class MotionSlopes:
         model: Its model, without what it switches off.
         parameters: Names of coefficients, see `parse`.
         tau: (nv,) a constant generalized force, by which the motion is differentiated too, or None.
+        rtol: Relative tolerance of each interval.
     """
 
     def __init__(
@@ -139,7 +146,9 @@ class MotionSlopes:
         model: pin.Model,
         parameters: Sequence[str],
         tau: Array | None,
+        rtol: float,
     ) -> None:
+        self._rtol = rtol
         labels = [contact.label for contact in dynamics.contacts]
         split = [name.partition(":") for name in parameters]
         found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
@@ -161,10 +170,18 @@ class MotionSlopes:
     def along(self, x: Array, step: DenseStep, until: float) -> Array:
         """Return how changes at the start of a step are at a time within it."""
         for start, end in self._intervals(step, until):
-            h = end - start
-            nodes = [self.saltation.slopes.at(step, start + c * h) for c in NODES]
-            x = self._collocate(nodes, h, x)
+            x = self._across(x, step, start, end)
         return x
+
+    def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
+        """Return changes at the end of an interval, which is halved down to the tolerance."""
+        h = end - start
+        nodes = [self.saltation.slopes.at(step, start + c * h) for c in NODES]
+        found, error = self._collocate(nodes, h, x)
+        if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
+            return found
+        middle = start + 0.5 * h
+        return self._across(self._across(x, step, start, middle), step, middle, end)
 
     def _intervals(self, step: DenseStep, until: float) -> list[tuple[float, float]]:
         """Return parts of a step in each of which no slip slows down, or speeds up, by much."""
@@ -193,8 +210,8 @@ class MotionSlopes:
         split(step.start, speeds(step.start), until, speeds(until))
         return found
 
-    def _collocate(self, nodes: Sequence[ModeSlopes], h: float, x: Array) -> Array:
-        """Return changes after a time h, by the values of the slopes at the nodes. (D23, D24)"""
+    def _collocate(self, nodes: Sequence[ModeSlopes], h: float, x: Array) -> tuple[Array, float]:
+        """Return changes after a time h, by the slopes at the nodes, and their relative error. (D23, D24)"""
         nv, n, m = self._nv, len(x), len(nodes[0].rows_q)
         by_q, by_v = np.empty((2, STAGES, nv + m, nv))
         for i, node in enumerate(nodes):
@@ -226,7 +243,28 @@ class MotionSlopes:
         end = np.concatenate([start[-1] + flown, x[nv:] + gained])
         if turned.any():
             end[:nv][turned] = start[-1, turned] + np.tensordot(moved[-1], rates[:, turned], 2)
-        return end
+        free = h * max(float(np.abs(node.inverse).max()) for node in nodes)
+        return end, _relative_error(rates, h, end, (n, n + self._given), free)
+
+
+def _relative_error(rates: Array, h: float, end: Array, ends: tuple[int, int], free: float) -> float:
+    """Return an estimate of the error of changes by what their rates (stages, nv, n) leave out. (D24)
+
+    The coefficients of the rates in Legendre polynomials are taken to decay as those of an exponential.
+    Errors by the state and by forces, the columns up to the two ends, are relative to the largest change, or
+    to the `free` one by a force: of what is held or has stopped only rounding is left.
+    """
+    nv = rates.shape[1]
+    sizes = np.abs(np.tensordot(MODES, rates, 1)).max(axis=1)
+    first, last = sizes[:2].max(axis=0), sizes[2:].max(axis=0)
+    size = np.abs(end[nv:]).max(axis=0) + np.abs(end[:nv]).max(axis=0) / h
+    states, forces = ends
+    size[:states] = size[:states].max()
+    size[states:forces] = max(free, size[states:forces].max(initial=0.0))
+    sure = last > 0.0  # not NaN either, which no shorter interval mends
+    first, last, size = first[sure], last[sure], size[sure]
+    error = h * DECAY * last * (last / np.maximum(first, np.finfo(float).tiny)) ** 2
+    return float((error / np.maximum(size, np.finfo(float).tiny)).max(initial=0.0))
 
 
 def _in_turning_axes(turning: Array, h: float, start: Array) -> tuple[Array, Array]:

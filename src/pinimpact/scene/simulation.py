@@ -80,9 +80,8 @@ def simulate(
     trajectory = _run(integrator_of(scheme, scene, q0, v0, options), float(duration), progress)
     if names:
         own = Integrator(scene, q0, v0, options)
-        slopes = MotionSlopes(
-            scene, own.dynamics, own.model, [name for name in names if name != "state"], None
-        )
+        parameters = [name for name in names if name != "state"]
+        slopes = MotionSlopes(scene, own.dynamics, own.model, parameters, None, rtol)
         trajectory.sensitivities = Sensitivities(
             slopes, names, trajectory._segments, trajectory.impacts, trajectory.stepped
         )

@@ -164,7 +164,9 @@ class Stepper:
         if found is None:
             check_supported(self._scene, self._scheme)
             own = self.copy()._integrator
-            slopes = MotionSlopes(self._scene, own.dynamics, own.model, (), np.zeros(own.model.nv))
+            slopes = MotionSlopes(
+                self._scene, own.dynamics, own.model, (), np.zeros(own.model.nv), self._options.rtol
+            )
             found = _SLOPES[self] = slopes
         return found
 

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from ..checks import as_tuple, at_least_zero, coefficient, finite_array
 from ..errors import InputError, UnknownNameError
 from ..scene.scene import Scene
-from .ensemble import ensemble
 from .ensemble_result import Ensemble, Estimate, shares
+from .ensembles import ensemble
 from .estimate import Identified
 
 Array = NDArray[np.float64]
