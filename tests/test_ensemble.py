@@ -1,8 +1,12 @@
 """Ensembles: draws, independence of chunks and workers, survival, statistics against closed forms, errors."""
 
+import functools
 import json
 import os
 import pathlib
+import re
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
@@ -12,6 +16,8 @@ from scipy import stats
 
 from pinimpact import Contact, InputError, Plane, Scene, SimulationError, UnknownNameError
 from pinimpact.studies.ensembles import ensemble
+
+from . import interrupted_study
 
 pytest.importorskip("pyarrow")
 
@@ -56,7 +62,7 @@ def test_rows_are_those_of_single_runs():
 @pytest.mark.parametrize("design", ["random", "sobol", "halton"])
 def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeypatch):
     whole = _run(design=design)
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     _same(whole, _run(design=design))
     with ThreadPoolExecutor(2) as pool:
         _same(whole, _run(design=design, executor=pool))
@@ -64,35 +70,150 @@ def test_draws_depend_neither_on_chunks_nor_on_workers(design, tmp_path, monkeyp
 
 
 def test_processes_give_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     _same(_run(), _run(executor=2, out=tmp_path / "study"))
-    assert sorted(p.name for p in (tmp_path / "study").iterdir()) == [
-        "samples-000000000.parquet",
-        "samples-000000005.parquet",
-        "samples-000000010.parquet",
-        "study.json",
-    ]
+    names = sorted(p.name for p in (tmp_path / "study").iterdir())
+    assert names[0] == "samples-000000000.parquet"
+    assert names[-1] == "study.json"
+    assert 4 <= len(names) <= 13
+
+
+def _resume(out, **change):
+    return ensemble(
+        change.pop("scene", _scene()),
+        [0.1],
+        [0.0],
+        change.pop("duration", 0.2),
+        over=OVER,
+        out=out,
+        resume=True,
+        **{"samples": 12, "seed": 5, **change},
+    )
 
 
 def test_a_study_is_resumed_after_a_check(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 5)
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
     whole = _run(out=tmp_path)
-    (tmp_path / "samples-000000005.parquet").unlink()
-    kept = (tmp_path / "samples-000000000.parquet").stat().st_mtime_ns
+    files = sorted(tmp_path.glob("*.parquet"))  # of 1, 5, 5 and 1 samples
+    files[1].unlink()
+    kept = files[2].stat().st_mtime_ns
     with pytest.raises(InputError, match="has this study already"):
         _run(out=tmp_path)
-    _same(whole, _run(out=tmp_path, resume=True))
-    assert (tmp_path / "samples-000000000.parquet").stat().st_mtime_ns == kept
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 3)
+    _same(whole, _resume(tmp_path))
+    assert files[2].stat().st_mtime_ns == kept
+    _same(whole, _resume(tmp_path))  # nothing is missing
     with pytest.raises(InputError, match=r"another study \(samples 12 there, 13 here\)"):
-        _run(samples=13, out=tmp_path, resume=True)
+        _resume(tmp_path, samples=13)
     with pytest.raises(InputError, match="of another scene or settings"):
-        ensemble(_scene(), [0.1], [0.0], 0.3, over=OVER, samples=12, seed=5, out=tmp_path, resume=True)
-    (tmp_path / "samples-000000010.parquet").write_bytes(b"none")
-    with pytest.raises(InputError, match="is not a chunk of 2 samples"):
-        _run(out=tmp_path, resume=True)
-    (tmp_path / "study.json").write_text("{}", encoding="utf-8")
+        _resume(tmp_path, duration=0.3)
+
+
+def test_chunks_that_overlap_count_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 5)
+    whole = _run(out=tmp_path / "a")
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 3)
+    _run(out=tmp_path / "b")
+    for file in (tmp_path / "b").glob("*.parquet"):
+        if not (tmp_path / "a" / file.name).exists():
+            file.rename(tmp_path / "a" / file.name)
+    _same(whole, _resume(tmp_path / "a"))
+
+
+def _changed(folder, change):
+    """Change the record of a study."""
+    record = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    change(record)
+    (folder / "study.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def test_what_is_no_chunk_of_a_study_is_refused(tmp_path):
+    _run(out=tmp_path / "study")
+    _run(out=tmp_path / "other", rtol=1e-6)
+    file, other = (tmp_path / name / "samples-000000000.parquet" for name in ("study", "other"))
+    chunk = file.read_bytes()
+    file.write_bytes(other.read_bytes())
+    with pytest.raises(InputError, match=r"samples-000000000.parquet is a chunk of another study; remove"):
+        _resume(tmp_path / "study")
+    for damaged in (b"none", chunk[:-10], b""):
+        file.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"samples-000000000.parquet is damaged; remove it"):
+            _resume(tmp_path / "study")
+    file.rename(file.with_name("samples-000000001.parquet"))
+    with pytest.raises(InputError, match="is damaged"):
+        _resume(tmp_path / "study")
+    file.with_name("samples-000000001.parquet").unlink()
+    _changed(tmp_path / "study", lambda record: record["versions"].update(scipy="1.0"))
+    with pytest.raises(InputError, match=r"was begun with scipy 1\.0, here is"):
+        _resume(tmp_path / "study")
+    (tmp_path / "study" / "study.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="is not the record of a study"):
-        _run(out=tmp_path, resume=True)
+        _resume(tmp_path / "study")
+
+
+def _control(gain, function=np.sin):
+    """Return a control with its gain in a closure."""
+
+    def control(t, q, v):
+        def force(x):
+            return gain * function(x)
+
+        return np.array([force(t)])
+
+    return control
+
+
+def _by_sine(t, q, v):
+    return 0.0 * np.sin(v)
+
+
+def _by_cosine(t, q, v):
+    return 0.0 * np.cos(v)
+
+
+class _Gain:
+    def __init__(self, gain):
+        self.gain = gain
+
+    def force(self, t, q, v):
+        return self.gain * v
+
+
+@pytest.mark.parametrize(
+    ("one", "same", "other"),
+    [
+        (_control(1.0), _control(1.0), _control(2.0)),
+        (_by_sine, _by_sine, _by_cosine),
+        (_Gain(1.0).force, _Gain(1.0).force, _Gain(2.0).force),
+    ],
+)
+def test_a_study_with_another_function_is_another_study(tmp_path, one, same, other):
+    _resume(tmp_path, scene=_scene(control=one))
+    _resume(tmp_path, scene=_scene(control=same))
+    with pytest.raises(InputError, match="of another scene or settings"):
+        _resume(tmp_path, scene=_scene(control=other))
+
+
+def test_a_digest_is_the_same_in_each_process():
+    code = (
+        "from tests.test_ensemble import _scene, _control, OVER;"
+        "from pinimpact.studies.sampling import Sampling;"
+        "from pinimpact.studies.study_folder import digest;"
+        "s = Sampling(_scene(control=_control(1.0)), [0.1], [0.0], OVER, 9, 1, 'random');"
+        "print(digest(s, {'duration': 1.0}))"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=pathlib.Path(__file__).parents[1],
+            env=dict(os.environ, PYTHONHASHSEED=seed),
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in "12"
+    }
+    assert len(found) == 1
 
 
 def test_files_name_their_study(tmp_path):
@@ -125,16 +246,24 @@ class _Killing:
 
 
 def test_a_worker_that_dies_is_replaced_and_changes_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
     killing = _Killing(os.getpid(), str(tmp_path / "died"))
     killed = _run(executor=1, reduce=killing)
     assert (tmp_path / "died").exists()
     _same(_run(reduce=killing), killed)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="there is no /proc to see processes")
+def test_a_study_survives_kills_of_workers_and_of_its_main_process(tmp_path):
+    columns, done = interrupted_study.kill_and_finish(tmp_path, kills=4)
+    assert done == {"worker": 2, "main": 2}
+    assert interrupted_study.differences(columns, interrupted_study.undisturbed(tmp_path)) == []
+
+
 def test_workers_that_die_again_and_again_are_an_error(monkeypatch):
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
-    with pytest.raises(SimulationError, match="died 3 times, the last time in samples 0 to 11"):
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
+    with pytest.raises(SimulationError, match=r"died 3 times .* in samples 0 to 3"):
         _run(executor=1, reduce=_Killing(os.getpid()))
 
 
@@ -185,6 +314,60 @@ def test_sobol_indices_of_a_product_are_those_of_its_variances():
         _run().sobol_indices("v.rail")
 
 
+def _tables(page):
+    """Return the rows of all tables of a page, cells without markup."""
+    rows = re.findall(r"<tr>(.*?)</tr>", page)
+    return [tuple(re.sub("<.*?>", "", cell) for cell in re.findall(r"<t[dh]>(.*?)</t[dh]>", r)) for r in rows]
+
+
+def test_the_page_has_quantiles_frequencies_indices_and_loads_nothing(tmp_path):
+    over = {"v0:rail": stats.uniform(-2.0, 1.0), "restitution": stats.uniform(0.2, 0.6)}
+    given = {"over": over, "samples": 400, "design": "saltelli"}
+    found = ensemble(_scene(), [0.0], [0.0], None, **given)
+    page = found.save_summary(tmp_path / "summary.html").read_text(encoding="utf-8")
+    rows = _tables(page)
+    low, middle, high = found.quantiles("v.rail")
+    written = next(row for row in rows if row[0] == "v.rail" and len(row) == 4 and row[1] not in over)
+    for cell, estimate in zip(written[1:], (low, middle, high), strict=True):
+        numbers = [float(x) for x in re.findall(r"[-+.e\d]+", cell)]
+        np.testing.assert_allclose(numbers, estimate, rtol=1e-3)
+    assert any(row[:2] == ("status", "SEPARATED") and row[2].startswith("100 (") for row in rows)
+    indices = found.sobol_indices("v.rail")
+    for k, name in enumerate(found.parameters):
+        first, total = next(row[2:] for row in rows if row[:2] == ("v.rail", name))
+        value, lowest, highest = (float(x) for x in re.findall(r"[-+.e\d]+", first))
+        assert value == pytest.approx(indices.first_order[k], rel=1e-3)
+        assert lowest < value < highest
+        assert float(total.split()[0]) == pytest.approx(indices.total_order[k], rel=1e-3)
+    assert page.count("data:image/png;base64,") == 1
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+def test_the_command_writes_a_page_and_continues(tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    from pinimpact.app.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("study.toml").write_text(
+        'scene = "falling_rod"\nsamples = 3\nduration = 0.01\n[over.friction]\n'
+        'distribution = "uniform"\nloc = 0.2\nscale = 0.4\n',
+        encoding="utf-8",
+    )
+    first = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study"])
+    assert first.exit_code == 0, first.output
+    assert "status: OK 100 %" in first.output
+    assert f"Summary: {pathlib.Path('study/summary.html')}" in first.output
+    assert "<h2>Quantiles" in pathlib.Path("study/summary.html").read_text(encoding="utf-8")
+    again = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study"])
+    assert again.exit_code == 1
+    assert "--resume" in again.output
+    pathlib.Path("study/samples-000000001.parquet").unlink()
+    third = CliRunner().invoke(main, ["ensemble", "study.toml", "-o", "study", "--resume"])
+    assert third.exit_code == 0
+    assert third.output == first.output
+
+
 def test_a_tangent_of_the_start_is_added_on_the_manifold():
     robot = pin.Model()
     joint = robot.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
@@ -219,7 +402,7 @@ def test_trajectories_are_kept_on_request(tmp_path):
         (InputError, "is given twice", {"over": {"v0": stats.norm(), "v0:rail": stats.norm()}}),
         (
             InputError,
-            r"draws of shape \(2,\) given, 1 numbers expected",
+            r"draws of shape \(2,\) given, 1 number expected",
             {"over": {"v0": stats.multivariate_normal([0, 0])}},
         ),
         (UnknownNameError, "is not a design", {"design": "grid"}),
@@ -227,12 +410,21 @@ def test_trajectories_are_kept_on_request(tmp_path):
         (InputError, "executor: 0 given", {"executor": 0}),
         (InputError, "keep: True given without out", {"keep": True}),
         (InputError, "reduce: 3 is not a function", {"reduce": 3}),
+        (InputError, "nothing can be drawn from .*scale", {"over": {"friction": stats.norm(0.1, -1.0)}}),
+        (InputError, "reduce: given with duration=None", {"duration": None, "reduce": dict}),
+        (InputError, "keep: given with duration=None", {"duration": None, "keep": True, "out": "x"}),
+        (InputError, "rtol: given with duration=None", {"duration": None, "rtol": 1e-6}),
+        (
+            InputError,
+            "does not change a single impact",
+            {"duration": None, "over": {"stiffness": stats.uniform()}},
+        ),
     ],
 )
 def test_bad_input_is_named(error, match, change):
     given = {"over": OVER, "samples": 2} | change
     with pytest.raises(error, match=match):
-        ensemble(_scene(), [0.1], [0.0], 0.1, **given)
+        ensemble(_scene(), [0.1], [0.0], given.pop("duration", 0.1), **given)
 
 
 def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
@@ -244,9 +436,98 @@ def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
         ensemble(scene, [0.1], [0.0], 0.1, over=OVER, samples=2, executor=pool)
 
 
+def _rows(trajectory, what):
+    return {
+        "array": {"v": trajectory.v[-1]},
+        "list": [1.0],
+        "taken": {"status": 1.0},
+        "good": {"v": trajectory.v[-1, 0], "what": "good"},
+    }[what]
+
+
+@pytest.mark.parametrize(
+    ("what", "status", "match"),
+    [
+        ("array", "InputError", "reduce: 'v' is .*; a number or a text expected"),
+        ("list", "InputError", r"reduce: \[1.0\] returned, a row by name expected"),
+        ("taken", "InputError", "reduce: a column 'status' returned"),
+        ("good", "OK", "^$"),
+    ],
+)
+def test_rows_of_reduce_are_numbers_and_texts(what, status, match):
+    found = _run(2, reduce=functools.partial(_rows, what=what))
+    assert set(found.columns["status"]) == {status}
+    assert all(re.search(match, text) for text in found.columns["message"])
+
+
+class _Counting:
+    """A sampled control with a state: its force grows with each call."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, t, q, v):
+        self.calls += 1
+        return np.array([float(self.calls)])
+
+
+def test_a_control_with_a_state_begins_anew_in_each_sample():
+    scene = _scene(control=_Counting(), period=0.05)
+    given = {"over": {"v0:rail": stats.uniform(0.0, 0.0)}, "samples": 3}
+    found = ensemble(scene, [1.0], [0.0], 0.2, **given)
+    assert np.ptp(found.columns["v.rail"]) == 0.0
+    assert scene.control.calls == 0
+
+
+def test_a_sample_is_simulated_again_on_request():
+    found = _run(3)
+    trajectory = found.trajectory(2)
+    assert trajectory.v[-1, 0] == found.columns["v.rail"][2]
+    with pytest.raises(InputError, match="sample: 3 given; 3 samples exist"):
+        found.trajectory(3)
+    hits = ensemble(_scene(), [0.0], [-1.0], None, over=OVER, samples=2)
+    with pytest.raises(InputError, match="single impacts have no trajectories"):
+        hits.trajectory(0)
+
+
+def test_impacts_with_invalid_numbers_are_rows_with_messages():
+    found = ensemble(
+        _scene(), [0.0], [-1.0], None, over={"restitution": stats.uniform(-0.5, 1.0)}, samples=20
+    )
+    bad = found.columns["restitution"] < 0.0
+    assert 0 < bad.sum() < 20
+    assert set(found.columns["status"][bad]) == {"INVALID_NUMBERS"}
+    assert all("restitution" in text for text in found.columns["message"][bad])
+    assert set(found.columns["message"][~bad]) == {""}
+
+
+class _Failing(ThreadPoolExecutor):
+    """An executor whose third task fails."""
+
+    count = 0
+
+    def submit(self, *args):
+        self.count += 1
+        return super().submit(_fail) if self.count == 3 else super().submit(*args)
+
+
+def _fail():
+    raise OSError("no route to host")
+
+
+def test_an_executor_that_fails_is_an_error_and_nothing_is_lost(tmp_path):
+    with (
+        _Failing(1) as pool,
+        pytest.raises(SimulationError, match=r"failed \(OSError: no route to host\) in samples"),
+    ):
+        _run(executor=pool, out=tmp_path)
+    assert len(list(tmp_path.glob("*.parquet"))) == 2
+    _same(_run(), _resume(tmp_path))
+
+
 def test_a_dask_cluster_gives_the_same_bits_when_a_worker_is_killed(monkeypatch):
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-    monkeypatch.setattr("pinimpact.studies.ensembles._chunk", lambda task: 4)
+    monkeypatch.setattr("pinimpact.studies.ensembles.LARGEST_CHUNK", 4)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,

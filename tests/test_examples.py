@@ -7,6 +7,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ import pinocchio as pin
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy import stats
 
+import pinimpact
 from pinimpact import load_robot
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -280,3 +283,35 @@ def test_kicked_feet_push_and_held_ones_pull(tmp_path, monkeypatch, capsys) -> N
     for v, trunk, feet in ((free.v, free.impulses_world[0], push), (held.v, held.impulse_world, glued)):
         momentum = pin.computeCentroidalMomentum(model, data, q, v).linear
         assert momentum == pytest.approx(trunk + feet.sum(axis=0), abs=1e-9)
+
+
+def test_a_velocity_after_an_impact_is_as_sure_as_its_coefficients(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    sure = example("how_sure")
+    sure.main(64)
+    assert "v.panda_joint4: median" in capsys.readouterr().out
+    assert (tmp_path / "how_sure.png").is_file()
+    scene, found = sure.strike(20, "random")
+    for i in (0, 19):  # each sample is an impact with its own coefficients
+        contact = replace(scene.contacts[0], **{n: float(found.columns[n][i]) for n in sure.OVER})
+        data = scene.model.createData()
+        hit = pinimpact.impact(scene.model, data, load_robot("panda").q0, np.array(sure.VELOCITY), contact)
+        after = [found.columns[f"v.panda_joint{k}"][i] for k in range(1, 8)]
+        np.testing.assert_allclose(after, hit.v[:7], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_fair_die_has_no_favourite_and_a_loaded_one_does(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    dice = example("die")
+    dice.main(12)
+    assert capsys.readouterr().out.count("100% of the tosses ended") == 2
+    assert (tmp_path / "die.png").is_file()
+    fair = dice.toss(dice.die(), 150, seed=1)
+    counts = np.array([(fair.columns["top"] == face).sum() for face in dice.FACES])
+    assert counts.sum() == 150
+    assert stats.chisquare(counts).pvalue > 1e-3
+    assert all(share.low < 1 / 6 < share.high for share in fair.frequencies("top", 0.9999).values())
+    np.testing.assert_allclose(fair.columns["height"], dice.HALF, rtol=1e-6)
+    loaded = dice.toss(dice.die((0.0, 0.0, -0.5 * dice.HALF)), 60, seed=1)
+    assert loaded.frequencies("top")["+z"].low > 1 / 6

@@ -1,15 +1,26 @@
 """Predictions: draws of the posterior, poses as such, faces of a body, errors."""
 
+from dataclasses import replace
+
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from PIL import Image
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from pinimpact import Contact, InputError, Plane, Scene, UnknownNameError
 from pinimpact.studies import Identified, predict
+from pinimpact.visual.browser import open_page
+
+from .test_replay import BROWSER, in_a_browser, looked_at, motion_of, numbers
 
 NEVER = 1e-9
+
+
+def _set(scene, name, value):
+    return replace(scene, contacts=[replace(contact, **{name: value}) for contact in scene.contacts])
 
 
 def _body(contacts=()):
@@ -30,6 +41,8 @@ def _fitted(**change):
         "unidentified": [],
         "fun": np.zeros(4),
         "groups": 4,
+        "law": "newton",
+        "setters": {"friction": _set, "restitution": _set},
     }
     return Identified(given | change)
 
@@ -79,6 +92,129 @@ def test_faces_on_top():
     assert all(share.low < 0.5 < share.high or abs(share.value - 0.5) < 0.1 for share in faces.values())
 
 
+G = 9.81
+
+
+def _inside(share, level, count):
+    """Return whether a part of a distribution is a level, within four standard deviations of its estimate."""
+    return abs(share - level) < 4.0 * np.sqrt(level * (1.0 - level) / count)
+
+
+def test_a_ball_that_bounces_once_ends_where_its_distributions_say():
+    # z = r + e v τ − g τ²/2 at a time τ after a bounce at v; with x = ẋ T both are normal, of the same width
+    height, time, radius = 0.5, 0.55, 0.1
+    scene = _body([Contact("tip", Plane(), radius=radius)])
+    fall = np.sqrt(2.0 * height / G)
+    speed, after = G * fall, time - fall
+    width = np.hypot(0.02, 0.03) * speed * after
+    spread = {"v0": np.diag([(width / time) ** 2, 0, 0, 0, 0, 0])}
+    fitted = _fitted(x=np.array([0.0, 0.5]), covariance=np.diag([1e-18, 0.02**2]))
+    q0 = np.array([0, 0, radius + height, 0, 0, 0, 1])
+    given = {"scatter": {"restitution": 0.03}, "start": spread, "samples": 800, "seed": 4, "rtol": 1e-8}
+    found = predict(scene, fitted, q0, np.zeros(6), time, **given)
+    ends = 0.5 * speed * after - 0.5 * G * after**2 + radius
+    for name, middle in (("x", 0.0), ("z", ends)):
+        truth = stats.norm(middle, width).ppf([0.05, 0.25, 0.5, 0.75, 0.95])
+        for estimate, value in zip(
+            found.ensemble.quantiles(f"q.base.{name}", [0.05, 0.25, 0.5, 0.75, 0.95], 0.9999),
+            truth,
+            strict=True,
+        ):
+            assert estimate.low < value < estimate.high
+    for level in (0.5, 0.9):
+        middle, away = found.position(level)
+        assert np.abs(middle - [0, 0, ends]).max() < 5 * 1.2533 * width / np.sqrt(800)
+        assert _inside(stats.chi(2).cdf(away / width), level, 800)
+
+
+def test_a_block_that_slides_to_rest_ends_where_its_friction_says():
+    # after v²/(2 μ g), which falls with μ
+    speed, half = 1.0, 0.05
+    corners = [
+        Contact("tip", Plane(), 0.3, offset=(x, y, -half), name=f"{x} {y}")
+        for x in (-half, half)
+        for y in (-half, half)
+    ]
+    fitted = _fitted(
+        x=np.array([0.3]),
+        names=("friction",),
+        covariance=np.array([[0.03**2]]),
+        bounds=np.array([[0.0], [2.0]]),
+    )
+    q0, v0 = np.array([0, 0, half, 0, 0, 0, 1]), np.array([speed, 0, 0, 0, 0, 0])
+    found = predict(_body(corners), fitted, q0, v0, 0.8, samples=400, seed=2)
+    friction = stats.norm(0.3, 0.03)
+    assert np.abs(found.ensemble.columns["v.base.vx"]).max() < 1e-6
+    levels = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
+    truth = speed**2 / (2 * G * friction.ppf(1 - levels))
+    estimates = found.ensemble.quantiles("q.base.x", levels, 0.9999)
+    assert all(e.low < value < e.high for e, value in zip(estimates, truth, strict=True))
+    for level in (0.5, 0.9):
+        middle, away = found.position(level)
+        low, high = (speed**2 / (2 * G * (middle[0] + sign * away)) for sign in (1, -1))
+        assert _inside(friction.cdf(high) - friction.cdf(low), level, 400)
+
+
+def _gravity(scene, name, value):
+    model = scene.model.copy()
+    model.gravity.linear = np.array([value, 0.0, -G])
+    return replace(scene, model=model)
+
+
+def test_all_that_was_fitted_is_drawn_and_the_law_is_that_of_the_fit():
+    fitted = _fitted(
+        x=np.array([0.5, 0.1]),
+        names=("restitution", "gravity:t1"),
+        law="energetic",
+        setters={"restitution": _set, "gravity": _gravity},
+    )
+    ends = predict(_body(), fitted, START, np.zeros(6), 0.1, samples=5, rtol=1e-9).ensemble
+    tilts = ends.columns["gravity:t1"]
+    assert len(set(tilts)) == 5
+    np.testing.assert_allclose(ends.columns["q.base.x"], tilts * 0.1**2 / 2, rtol=1e-7)
+    assert ends.trajectory(0).contacts[0].law == "energetic"
+    assert ends.trajectory(0).contacts[0].restitution == ends.columns["restitution"][0]
+
+
+def test_a_cloud_is_replayed_about_the_sample_nearest_to_the_median(tmp_path):
+    spread = {"v0": np.diag([0.04, 0.04, 0.01, 1.0, 1.0, 1.0])}
+    found = predict(_body(), _fitted(), START, np.zeros(6), 0.2, start=spread, samples=20)
+    shown = found.replay(_body().model, tmp_path / "cloud.html", samples=6)
+    motion = motion_of(shown)
+    columns = found.ensemble.columns
+    ends = np.array([columns[f"q.base.{name}"] for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]).T
+    main = numbers(motion["joints"]["1"]).reshape(-1, 7)[-1]
+    others = [numbers(robot["1"]).reshape(-1, 7) for robot in motion["cloud"]["robots"]]
+    assert len(others) == 6
+    for end in (main, *(poses[-1] for poses in others)):
+        near = np.abs(ends[:, :3] - end[:3]).max(axis=1).argmin()
+        np.testing.assert_allclose(ends[near, :3], end[:3], atol=1e-6)
+        assert abs(ends[near, 3:] @ end[3:]) == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose([poses[0, :3] for poses in others], np.tile(START[:3], (6, 1)), atol=1e-6)
+    middle = found.position(0.5)[0]
+    away = np.linalg.norm(ends[:, :3] - middle, axis=1)
+    assert np.linalg.norm(main[:3] - middle) <= np.median(away)
+    assert not any(np.allclose(poses[-1], main, atol=1e-6) for poses in others)
+
+
+@in_a_browser
+def test_a_browser_shows_the_cloud(tmp_path):
+    spread = {"v0": np.diag([0.04, 0.04, 0.01, 1.0, 1.0, 1.0])}
+    found = predict(_body(), _fitted(), START, np.zeros(6), 0.2, start=spread, samples=9)
+    ball = pin.GeometryModel()
+    ball.addGeometryObject(pin.GeometryObject("ball", 1, pin.SE3.Identity(), coal.Sphere(0.02)))
+    robot = pin.RobotWrapper(_body().model, ball, ball)
+    pictures = []
+    for samples in (1, 8):
+        shown = found.replay(robot, tmp_path / f"{samples}.html", samples=samples)
+        looked_at(shown, "t=0.2")
+        picture = tmp_path / f"{samples}.png"
+        open_page(BROWSER, shown.path, "t=0.2", size=(480, 360), screenshot=picture)
+        pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)[:, 200:]
+        pictures.append(((pixels[..., 2] - pixels[..., 1]) > 25).sum())  # violet
+    assert pictures[1] > 2 * pictures[0] > 0
+
+
 @pytest.mark.parametrize(
     ("error", "match", "change"),
     [
@@ -89,6 +225,7 @@ def test_faces_on_top():
         (UnknownNameError, "scatter: 'stiffness' was not fitted", {"scatter": {"stiffness": 0.1}}),
         (UnknownNameError, "start: 'x' given", {"start": {"x": np.eye(6)}}),
         (InputError, r"shape \(3, 3\) given, \(6, 6\) expected", {"start": {"q0": np.eye(3)}}),
+        (InputError, "reduce: given", {"reduce": dict}),
         (InputError, "no draws about", {"fitted": _fitted(x=np.array([50.0, 0.5]))}),
     ],
 )  # fmt: skip

@@ -40,7 +40,7 @@ VECTOR = (float, float, float)
 DEMO_FILES = ("hodograph.png", "replay.html")
 RUN_FILES = ("trajectory.npz", "energy.png", "forces.png", "impact.png", "replay.html")
 COST_FILES = ("cost.png", "cost.json")
-ENSEMBLE_FILES = ("study.json", "summary.txt", "distributions.png")
+ENSEMBLE_FILES = ("study.json", "summary.html")
 
 
 def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -398,18 +398,18 @@ def run_ensemble(
     """Simulate a scene many times, with parameters drawn from distributions.
 
     STUDY is the path of a study file. Prints medians, quantiles and frequencies, and writes the samples as
-    Parquet files, chunk by chunk, and a plot. After Ctrl-C or a crash, --resume continues.
+    Parquet files, chunk by chunk, and a page with the summary and plots. After Ctrl-C or a crash, --resume
+    continues.
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    from ..visual.plots import save_figure
     from .study_file import load_study
 
     if resume and out is None:
         raise click.UsageError("--resume needs -o, the folder of the study.")
     loaded = load_study(study)
-    folder = make_folder(out, ENSEMBLE_FILES, force=resume)
+    folder = make_folder(out, ENSEMBLE_FILES, force=out is not None)  # a study that is there is not changed
     with Progress(transient=True, console=Console(stderr=True, quiet=quiet)) as bar:
         task = bar.add_task("simulating", total=loaded.file.samples)
         with compiling_shown(bar.console, lambda text: bar.update(task, description=text)):
@@ -419,11 +419,10 @@ def run_ensemble(
                 resume,
                 lambda done, total: bar.update(task, description="simulating", completed=done, total=total),
             )
-    (folder / "summary.txt").write_text(found.summary() + "\n", encoding="utf-8")
-    picture = save_figure(found.plot(), folder / "distributions.png")
+    page = found.save_summary(folder / "summary.html")
     _print(found.facts, found.summary, as_json, quiet)
     if not (as_json or quiet):
-        click.echo(f"Samples: {folder}\nPlot: {picture}")
+        click.echo(f"Samples: {folder}\nSummary: {page}")
 
 
 @main.command()

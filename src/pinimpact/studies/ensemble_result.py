@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from ..checks import choice, counted, real_numbers
+from ..checks import choice, counted, output_file, real_numbers, whole_number
 from ..errors import InputError
+from ..scene.trajectory import Trajectory
 from ..tables import data_frame
 
 Array = NDArray[np.float64]
+
+RESAMPLES = 200
+"""Number of resamples for the intervals of Sobol' indices, which is enough for two digits of their width."""
 
 
 class Estimate(NamedTuple):
@@ -39,12 +45,27 @@ class Ensemble:
     columns: Mapping[str, NDArray[Any]]
     parameters: tuple[str, ...]
     design: str
+    _run: Callable[[NDArray[np.float64]], Trajectory] | None = None
 
     def __len__(self) -> int:
         return len(self.columns["sample"])
 
     def __repr__(self) -> str:
         return f"Ensemble({counted(len(self), 'sample')} over {', '.join(self.parameters)})"
+
+    def trajectory(self, sample: int) -> Trajectory:
+        """Return the trajectory of a sample, which is simulated again.
+
+        Raises:
+            InputError: A sample that does not exist, or an ensemble of single impacts; errors of the sample.
+        """
+        row = whole_number("sample", sample, 0)
+        if self._run is None or row >= len(self):
+            what = (
+                "single impacts have no trajectories" if self._run is None else f"{len(self)} samples exist"
+            )
+            raise InputError(f"sample: {sample} given; {what}", field="sample", value=sample)
+        return self._run(np.array([self.columns[name][row] for name in self.parameters], dtype=float))
 
     def to_dataframe(self) -> Any:
         """Return the columns as a pandas DataFrame; raise `InputError` if pandas is not installed."""
@@ -119,15 +140,49 @@ class Ensemble:
         return distributions({n: self.columns[choice("columns", n, self.columns, "a column")] for n in names})
 
     def facts(self) -> dict[str, Any]:
-        """Return quantiles and frequencies of all results as plain data."""
-        found: dict[str, Any] = {"samples": len(self), "parameters": list(self.parameters)}
+        """Return quantiles and frequencies of results as plain data, and Sobol' indices by their design."""
+        results: dict[str, Any] = {}
         for name in self.results():
             if self.columns[name].dtype.kind in "fiu":
                 estimates = zip(("5 %", "50 %", "95 %"), self.quantiles(name), strict=True)
-                found[name] = {level: _finite(e) for level, e in estimates}
+                results[name] = {level: _finite(e) for level, e in estimates}
             else:
-                found[name] = {value: _finite(e) for value, e in self.frequencies(name).items()}
-        return found
+                results[name] = {value: _finite(e) for value, e in self.frequencies(name).items()}
+        facts = {"samples": len(self), "parameters": list(self.parameters), "results": results}
+        if self.design == "saltelli":
+            numbers = {name: self.columns[name] for name, row in results.items() if "50 %" in row}
+            varied = [n for n, x in numbers.items() if np.isfinite(x).all() and np.ptp(x) > 0.0]
+            facts["sobol_indices"] = {name: self._indices(name) for name in varied}
+        return facts
+
+    def _indices(self, column: str) -> dict[str, Any]:
+        """Return the Sobol' indices of a column by parameter, with intervals by bootstrap."""
+        indices = self.sobol_indices(column)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an index that is the same in all resamples has no interval
+            errors = indices.bootstrap(n_resamples=RESAMPLES)
+        parts = {"first order": "first_order", "total": "total_order"}
+        return {
+            parameter: {
+                name: _finite(
+                    Estimate(
+                        getattr(indices, part)[k],
+                        getattr(errors, part).confidence_interval.low[k],
+                        getattr(errors, part).confidence_interval.high[k],
+                    )
+                )
+                for name, part in parts.items()
+            }
+            for k, parameter in enumerate(self.parameters)
+        }
+
+    def save_summary(self, path: str | Path) -> Path:
+        """Write quantiles, frequencies, Sobol' indices and plots as one HTML page, and return its path."""
+        from ..visual.ensemble_page import ensemble_page
+
+        path = output_file("path", path)
+        path.write_text(ensemble_page(self.facts(), self.plot()), encoding="utf-8")
+        return path
 
     def summary(self, columns: Sequence[str] | None = None) -> str:
         """Return quantiles of columns with numbers and frequencies of those with text, as lines."""

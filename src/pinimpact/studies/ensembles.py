@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
+import os
 import pickle
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from multiprocessing import get_context
-from os import cpu_count
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import function, in_short, whole_number
-from ..errors import InputError, SimulationError
-from ..robot.batch import impacts
+from ..checks import counted, function, in_short, whole_number
+from ..errors import InputError, PinimpactError, SimulationError
+from ..robot.batch import Hits, impacts
 from ..scene.scene import Scene
 from ..scene.simulation import simulate
 from ..scene.trajectory import Trajectory
@@ -33,11 +36,14 @@ CHUNK_SECONDS = 2.0
 
 LARGEST_CHUNK = 100_000
 
+GROWTH = 8
+"""Factor by which a chunk may be larger than the last one that was timed."""
+
 IN_FLIGHT = 4
-"""Chunks per processor that are submitted at a time, which bounds the memory of their results."""
+"""Chunks per processor that are submitted at first, which bounds the memory of their results."""
 
 REMAKES = 2
-"""How often a pool of processes that broke is replaced."""
+"""How often a pool of processes that broke is replaced while no chunk is finished."""
 
 Reduce = Callable[[Trajectory], Mapping[str, Any]]
 
@@ -52,28 +58,36 @@ class _Task:
     reduce: Reduce
     keep: Path | None
 
-    def __call__(self, first: int, count: int) -> Columns:
-        """Return the rows of samples, in order."""
+    def __call__(self, first: int, count: int) -> tuple[Columns, float]:
+        """Return the rows of samples, in order, and the processor time that they took [s]."""
+        began = time.thread_time()
         drawn = self.sampling.draw(first, count)
         if self.duration is None:
             found = self._impacts(drawn)
         else:
-            found = _columns([self._run(first + i, numbers) for i, numbers in enumerate(drawn)])
+            found = _columns([self._row(first + i, numbers) for i, numbers in enumerate(drawn)])
         index = {"sample": np.arange(first, first + count)}
-        return index | dict(zip(self.sampling.names, drawn.T.copy(), strict=True)) | found
+        columns = index | dict(zip(self.sampling.names, drawn.T.copy(), strict=True)) | found
+        return columns, time.thread_time() - began
 
-    def _run(self, index: int, numbers: NDArray[np.float64]) -> dict[str, Any]:
+    def trajectory(self, numbers: NDArray[np.float64]) -> Trajectory:
+        """Return the run of a sample; errors as in `simulate`."""
+        scene, q, v = self.sampling.apply(numbers)
+        if scene.period is not None:  # such a control may have a state
+            scene = replace(scene, control=deepcopy(scene.control))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # one of each sample would be thousands
+            return simulate(scene, q, v, self.duration or 0.0, **self.options)
+
+    def _row(self, index: int, numbers: NDArray[np.float64]) -> dict[str, Any]:
         """Return the row of a sample; one that raises an error has its name and message."""
         try:
-            scene, q, v = self.sampling.apply(numbers)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # one of each sample would be thousands
-                trajectory = simulate(scene, q, v, self.duration or 0.0, **self.options)
+            trajectory = self.trajectory(numbers)
             if not trajectory.complete:
                 raise KeyboardInterrupt
             if self.keep is not None:
                 trajectory.save(self.keep / f"trajectory-{index:09d}.npz")
-            row = dict(self.reduce(trajectory))
+            row = _checked_row(self.reduce(trajectory), ("sample", "status", "message", *self.sampling.names))
         except Exception as error:
             return {"status": type(error).__name__, "message": str(error)}
         return {"status": "OK", "message": "", **row}
@@ -88,8 +102,40 @@ class _Task:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             hits = impacts(model, model.createData(), q, v, contact, mu, e, scene.held, scene.locked)
-        columns = hits.columns()
-        return {"status": columns.pop("status"), "message": np.full(len(v), "", dtype=object), **columns}
+            columns = hits.columns()
+            unsolved = np.flatnonzero(~np.isfinite(hits.v).all(axis=1)).tolist()
+            messages = {row: _message(hits, row) for row in unsolved}
+        message = np.array([messages.get(row, "") for row in range(len(v))], dtype=object)
+        return {"status": columns.pop("status"), "message": message, **columns}
+
+
+def _message(hits: Hits, row: int) -> str:
+    """Return the message of the error of an impact without a solution."""
+    try:
+        hits[row]
+    except PinimpactError as error:
+        return str(error)
+    return ""
+
+
+def _checked_row(row: Any, taken: tuple[str, ...]) -> dict[str, Any]:
+    """Return a row of numbers and texts by names that are not taken, or raise `InputError`."""
+    if not isinstance(row, Mapping):
+        raise InputError(f"reduce: {in_short(row)} returned, a row by name expected", field="reduce")
+    for name, value in row.items():
+        if not isinstance(name, str) or name in taken:
+            raise InputError(
+                f"reduce: a column {name!r} returned; other names than {', '.join(taken)} expected",
+                field="reduce",
+                value=name,
+            )
+        if not isinstance(value, str) and (np.ndim(value) > 0 or not np.isrealobj(value) or value is None):
+            raise InputError(
+                f"reduce: {name!r} is {in_short(value)}; a number or a text expected",
+                field="reduce",
+                value=value,
+            )
+    return dict(row)
 
 
 def final_state(trajectory: Trajectory) -> dict[str, Any]:
@@ -148,13 +194,14 @@ def ensemble(
         design: "random"; "sobol" or "halton", low-discrepancy sequences of `scipy.stats.qmc`; "saltelli", for
             `Ensemble.sobol_indices`. All but the first need distributions of one number, with ``ppf``.
         executor: None: this process; a number of worker processes, replaced where they die; or any
-            `concurrent.futures.Executor`, such as that of a Dask client.
+            `concurrent.futures.Executor`, such as that of a Dask client. A script that starts processes has
+            its calls below ``if __name__ == "__main__":``.
         out: Folder for study.json and Parquet files, written chunk by chunk.
         resume: Whether to continue the study in `out`, after a check that it is the same.
-        reduce: Function of a `Trajectory` that returns a row, numbers and text by name.
-        keep: Whether workers save trajectories in `out`.
+        reduce: Function of a `Trajectory` that returns a row, numbers and text by name; of runs only.
+        keep: Whether workers save trajectories in `out`, a folder that they can all reach; of runs only.
         progress: Called with the number of finished samples and of all.
-        **options: Further arguments of `simulate`: rtol, scheme, dt and others.
+        **options: Further arguments of `simulate`: rtol, scheme, dt and others; of runs only.
 
     Returns:
         An `Ensemble`, with columns for the parameters and the rows of `reduce`.
@@ -162,42 +209,44 @@ def ensemble(
     Raises:
         InputError: Invalid numbers or distributions; a scene that cannot be pickled; another study in `out`.
         UnknownNameError: A parameter that does not exist.
-        SimulationError: Worker processes died again and again; the message names the samples in question.
+        SimulationError: Worker processes died again and again, or the executor failed; the message names the
+            samples in question.
     """
     sampling = Sampling(scene, q0, v0, over, samples, seed, design)
-    _check(scene, duration, executor, reduce, keep, out)
-    task = _Task(sampling, duration, options, reduce, Path(out) if keep and out is not None else None)
+    _check(sampling, duration, executor, reduce, keep, out, options)
+    task = _Task(
+        sampling, duration, options, reduce, Path(out).absolute() if keep and out is not None else None
+    )
     if executor is not None:
         _check_pickles(task)
-    chunk = _chunk(task)
-    folder = None
+    folder, found = None, {}
     if out is not None:
-        settings = {"duration": duration, "options": sorted(options.items()), "reduce": reduce}
-        folder = StudyFolder(out, sampling, settings, chunk, resume)
-        chunk = folder.chunk
-    pieces = [(first, min(chunk, sampling.samples - first)) for first in range(0, sampling.samples, chunk)]
-    found: dict[int, Columns] = {}
-    if folder is not None:
-        known = ((first, folder.read(first, count)) for first, count in pieces)
-        found = {first: columns for first, columns in known if columns is not None}
-    done = sum(len(columns["sample"]) for columns in found.values())
-    for first, columns in _finished(task, [piece for piece in pieces if piece[0] not in found], executor):
+        settings = {"duration": duration, "options": options, "reduce": reduce}
+        folder = StudyFolder(out, sampling, settings, resume)
+        found = folder.read()
+    pieces = _Pieces({first: len(columns["sample"]) for first, columns in found.items()}, sampling.samples)
+    for first, columns in _finished(task, pieces, executor):
         if folder is not None:
             folder.write(first, columns)
         found[first] = columns
-        done += len(columns["sample"])
         if progress is not None:
-            progress(done, sampling.samples)
-    return Ensemble(joined([found[first] for first, _ in pieces]), sampling.names, sampling.design)
+            progress(sum(len(chunk["sample"]) for chunk in found.values()), sampling.samples)
+    rows = joined([columns for _, columns in sorted(found.items(), key=lambda item: item[0])])
+    return Ensemble(rows, sampling.names, sampling.design, None if duration is None else task.trajectory)
 
 
-def _check(scene: Scene, duration: Any, executor: Any, reduce: Any, keep: Any, out: Any) -> None:
+def _check(
+    sampling: Sampling,
+    duration: Any,
+    executor: Any,
+    reduce: Any,
+    keep: Any,
+    out: Any,
+    options: Mapping[str, Any],
+) -> None:
     """Refuse arguments of `ensemble`."""
-    if duration is None and len(scene.contacts) != 1:
-        raise InputError(
-            f"duration: None given for a scene with {len(scene.contacts)} contacts; one contact expected",
-            field="duration",
-        )
+    if duration is None:
+        _check_impact(sampling, reduce, keep, options)
     if keep and out is None:
         raise InputError("keep: True given without out=, a folder for trajectories", field="keep", value=keep)
     function("reduce", reduce, "a function of a trajectory")
@@ -212,28 +261,90 @@ def _check(scene: Scene, duration: Any, executor: Any, reduce: Any, keep: Any, o
         )
 
 
-def _finished(
-    task: _Task, todo: list[tuple[int, int]], executor: Executor | int | None
-) -> Iterator[tuple[int, Columns]]:
+def _check_impact(sampling: Sampling, reduce: Any, keep: Any, options: Mapping[str, Any]) -> None:
+    """Refuse what a single impact does not use."""
+    scene = sampling.scene
+    if len(scene.contacts) != 1:
+        raise InputError(
+            f"duration: None given for a scene with {counted(len(scene.contacts), 'contact')}; one expected",
+            field="duration",
+        )
+    unused = [name for name, on in (("reduce", reduce is not final_state), ("keep", keep)) if on]
+    unused += [*options, *(["scene.without"] if scene.without else [])]
+    if unused:
+        raise InputError(f"{unused[0]}: given with duration=None; an impact does not use it", field=unused[0])
+    for name in sampling.names:
+        if name.partition(":")[0] in ("sliding_friction", "stiffness"):
+            raise InputError(
+                f"over: {name!r} given with duration=None; it does not change a single impact",
+                field="over",
+                value=name,
+            )
+
+
+class _Pieces:
+    """Divides the samples that are missing into chunks of about `CHUNK_SECONDS`, by the time of the last.
+
+    Args:
+        known: Number of samples of each chunk that is finished, by its first sample.
+        samples: Number of all samples.
+    """
+
+    def __init__(self, known: Mapping[int, int], samples: int) -> None:
+        ends = [0, *(first + known[first] for first in sorted(known))]
+        self.gaps = [(a, b - a) for a, b in zip(ends, [*sorted(known), samples], strict=True) if b > a]
+        self.gaps.reverse()
+        self.size = 1
+        self.lost: list[tuple[int, int]] = []
+
+    def take(self) -> tuple[int, int] | None:
+        """Return the first sample and the number of samples of the next chunk, or None."""
+        if not self.gaps:
+            return None
+        first, count = self.gaps.pop()
+        size = min(count, self.size)
+        if size < count:
+            self.gaps.append((first + size, count - size))
+        return first, size
+
+    def give_back(self, chunks: list[tuple[int, int]]) -> None:
+        """Take back chunks that were not finished; they are divided anew, in small chunks at first."""
+        self.gaps = sorted([*self.gaps, *chunks], reverse=True)
+        self.size, self.lost = 1, chunks
+
+    def timed(self, count: int, seconds: float) -> None:
+        """Take note of the processor time of a chunk."""
+        wanted = LARGEST_CHUNK if seconds <= 0.0 else int(count * min(CHUNK_SECONDS / seconds, GROWTH))
+        self.size = min(max(wanted, 1), LARGEST_CHUNK)
+
+
+def _finished(task: _Task, pieces: _Pieces, executor: Executor | int | None) -> Iterator[tuple[int, Columns]]:
     """Yield first indices and columns of chunks, as they are finished."""
     if executor is None:
-        return ((first, task(first, count)) for first, count in todo)
-    if isinstance(executor, Executor):
-        return _by_executor(task, todo, executor)
-    return _by_processes(task, todo, executor)
+        while (piece := pieces.take()) is not None:
+            columns, seconds = task(*piece)
+            pieces.timed(piece[1], seconds)
+            yield piece[0], columns
+    elif isinstance(executor, Executor):
+        try:
+            yield from _by_executor(task, pieces, executor, os.cpu_count() or 1)
+        except PinimpactError:
+            raise
+        except Exception as error:
+            raise _failed(f"failed ({type(error).__name__}: {error})", pieces, executor) from error
+    else:
+        yield from _by_processes(task, pieces, executor)
 
 
-def _chunk(task: _Task) -> int:
-    """Return the number of samples that take about `CHUNK_SECONDS`; kernels are compiled meanwhile."""
-    task(0, 1)
-    count = 1
-    while True:
-        began = time.process_time()
-        task(0, count)
-        taken = time.process_time() - began
-        if taken > 0.01 * CHUNK_SECONDS or count >= LARGEST_CHUNK:
-            return min(max(int(count * CHUNK_SECONDS / taken), 1), LARGEST_CHUNK)
-        count *= 8
+def _failed(what: str, pieces: _Pieces, executor: Executor | int) -> SimulationError:
+    """Return an error that names the samples in flight."""
+    first, last = min(a for a, _ in pieces.lost), max(a + count for a, count in pieces.lost) - 1
+    return SimulationError(
+        f"executor: {what} in samples {first} to {last}. What is finished is kept with out=; continue by "
+        "resume=True",
+        field="executor",
+        value=executor,
+    )
 
 
 def _check_pickles(task: _Task) -> None:
@@ -249,49 +360,63 @@ def _check_pickles(task: _Task) -> None:
 
 
 def _by_executor(
-    task: _Task, todo: list[tuple[int, int]], executor: Executor
+    task: _Task, pieces: _Pieces, executor: Executor, workers: int
 ) -> Iterator[tuple[int, Columns]]:
-    """Yield first indices and columns of chunks as they finish; few are in flight at a time."""
-    flying: dict[Future[Columns], tuple[int, int]] = {}
-    waiting = iter(todo)
-    most = IN_FLIGHT * max(cpu_count() or 1, getattr(executor, "_max_workers", 0) or 0)
+    """Yield first indices and columns of chunks as they finish; few are in flight at a time.
+
+    There are more workers than expected if a chunk finishes without having waited; then more are submitted.
+    """
+    flying: dict[Future[tuple[Columns, float]], tuple[tuple[int, int], float]] = {}
+    most = IN_FLIGHT * workers
     try:
         while True:
-            while len(flying) < most and (piece := next(waiting, None)) is not None:
-                flying[executor.submit(task, *piece)] = piece
+            while len(flying) < most and (piece := pieces.take()) is not None:
+                flying[executor.submit(task, *piece)] = piece, time.monotonic()
             if not flying:
                 return
             for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                yield flying[future][0], future.result()
-                del flying[future]
+                columns, seconds = future.result()
+                (first, count), submitted = flying.pop(future)
+                pieces.timed(count, seconds)
+                most += time.monotonic() - submitted < 2.0 * seconds
+                yield first, columns
     finally:
         for future in flying:
             future.cancel()
+        pieces.give_back([piece for piece, _ in flying.values()])
 
 
-def _by_processes(task: _Task, todo: list[tuple[int, int]], workers: int) -> Iterator[tuple[int, Columns]]:
-    """Yield chunks computed by processes; where one dies the pool is replaced, at most `REMAKES` times."""
-    left = dict(todo)
-    for remade in range(REMAKES + 1):
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+def _by_processes(task: _Task, pieces: _Pieces, workers: int) -> Iterator[tuple[int, Columns]]:
+    """Yield chunks computed by processes; where one dies the pool is replaced.
+
+    After `REMAKES` times without a finished chunk, an error names the samples.
+    """
+    died = 0
+    while True:
+        with ProcessPoolExecutor(workers, get_context("spawn"), _begin_worker) as pool:
             try:
-                for first, columns in _by_executor(task, list(left.items()), pool):
-                    del left[first]
+                for first, columns in _by_executor(task, pieces, pool, workers):
+                    died = 0
                     yield first, columns
                 return
             except BrokenProcessPool as error:
-                if remade < REMAKES:
-                    continue
-                first = min(left)
-                most = sorted(left)[: IN_FLIGHT * max(workers, cpu_count() or 1)]
-                last = max(i + left[i] for i in most) - 1
-                raise SimulationError(
-                    f"executor: worker processes died {REMAKES + 1} times, the last time in samples {first} "
-                    f"to {last}; the system may lack memory. What is finished is kept with out=; continue by "
-                    "resume=True",
-                    field="executor",
-                    value=workers,
-                ) from error
+                died += 1
+                if died > REMAKES:
+                    what = f"worker processes died {died} times (lack of memory, or of a function),"
+                    raise _failed(what, pieces, workers) from error
+
+
+def _begin_worker() -> None:
+    """Let a worker process end with its parent, even one that is killed, and leave Ctrl-C to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def _columns(rows: list[dict[str, Any]]) -> Columns:

@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from ..checks import as_tuple, at_least_zero, coefficient, finite_array
+from ..checks import as_tuple, at_least_zero, coefficient, finite_array, whole_number
 from ..errors import InputError, UnknownNameError
 from ..scene.scene import Scene
 from .ensemble_result import Ensemble, Estimate, shares
 from .ensembles import ensemble
 from .estimate import Identified
+from .posterior import Normal, covariance_root, posterior
+
+if TYPE_CHECKING:
+    from ..visual.html_replay import Replay
 
 Array = NDArray[np.float64]
 
@@ -28,30 +33,6 @@ AXES = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
-
-DRAWS = 10_000
-"""Draws outside the bounds of parameters after which a distribution has none inside."""
-
-
-@dataclass(frozen=True)
-class _Posterior:
-    """A normal distribution of parameters between their bounds, as one of `scipy.stats`."""
-
-    mean: Array
-    root: Array
-    bounds: Array
-
-    def rvs(self, random_state: np.random.Generator) -> Array:
-        """Return one draw."""
-        for _ in range(DRAWS):
-            drawn: Array = self.mean + self.root @ random_state.standard_normal(len(self.mean))
-            if (drawn >= self.bounds[0]).all() and (drawn <= self.bounds[1]).all():
-                return drawn
-        raise InputError(
-            f"fitted: no draws about {self.mean.tolist()} are within the bounds; fit it with wider ones",
-            field="fitted",
-            value=self.mean,
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,24 +47,26 @@ class Prediction:
     ensemble: Ensemble
     base: str
 
-    def _columns(self, names: Sequence[str]) -> Array:
+    def _poses(self) -> tuple[Array, Rotation]:
+        """Return the positions and rotations at the end of all samples that have one."""
         columns = self.ensemble.columns
-        values = np.array([columns[f"q.{self.base}.{name}"] for name in names], dtype=float).T
-        found: Array = values[np.isfinite(values).all(axis=1)]
-        if not len(found):
+        ended = columns["status"] == "OK"
+        if not ended.any():
             raise InputError("samples: none has an end; see ensemble.frequencies()", field="samples")
-        return found
+        names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+        values = np.array([columns[f"q.{self.base}.{name}"][ended] for name in names], dtype=float).T
+        return values[:, :3], Rotation.from_quat(values[:, 3:])
 
     def position(self, level: float = 0.9) -> tuple[Array, float]:
         """Return the median (3,) of the end positions and the radius [m] that holds a part of them."""
-        points = self._columns(("x", "y", "z"))
+        points, _ = self._poses()
         middle = np.median(points, axis=0)
         away = np.linalg.norm(points - middle, axis=1)
         return middle, float(np.quantile(away, coefficient("level", level)))
 
     def rotation(self, level: float = 0.9) -> tuple[Rotation, float]:
         """Return the mean of the end orientations and the angle [rad] from it that holds a part of them."""
-        turns = Rotation.from_quat(self._columns(("qx", "qy", "qz", "qw")))
+        _, turns = self._poses()
         middle = turns.mean()
         away = (middle.inv() * turns).magnitude()
         return middle, float(np.quantile(away, coefficient("level", level)))
@@ -100,10 +83,36 @@ class Prediction:
         sizes = np.linalg.norm(normals, axis=1)
         if len(names) == 0 or (sizes == 0.0).any():
             raise InputError("faces: outward normals of any length but zero expected", field="faces")
-        turns = Rotation.from_quat(self._columns(("qx", "qy", "qz", "qw")))
+        _, turns = self._poses()
         up = turns.inv().apply([0.0, 0.0, 1.0])
         top = (up @ (normals / sizes[:, None]).T).argmax(axis=1)
         return shares(np.array(names, dtype=object)[top], confidence)
+
+    def replay(self, robot: Any, path: str | Path | None = "replay.html", samples: int = 30) -> Replay:
+        """Write the motion of the sample nearest to the median among others, translucent, to an HTML file.
+
+        Args:
+            robot: The robot with its visual geometry, as of `pinimpact.replay`.
+            path: The file to write, in a folder that exists; None for none.
+            samples: Number of other samples; they are simulated again.
+        """
+        from ..visual.html_replay import cloud_replay
+
+        count = whole_number("samples", samples, 1)
+        middle = self._nearest()
+        ended = np.flatnonzero(self.ensemble.columns["status"] == "OK")
+        others = [i for i in ended.tolist() if i != middle][:count]
+        run = self.ensemble.trajectory
+        return cloud_replay(robot, run(middle), [run(i) for i in others], path)
+
+    def _nearest(self) -> int:
+        """Return the sample whose end pose is nearest to the median, in parts of the 50 % regions."""
+        (place, radius), (turn, angle) = self.position(0.5), self.rotation(0.5)
+        points, turns = self._poses()
+        away = np.linalg.norm(points - place, axis=1) / (radius or 1.0)
+        turned = (turn.inv() * turns).magnitude() / (angle or 1.0)
+        ended = np.flatnonzero(self.ensemble.columns["status"] == "OK")
+        return int(ended[np.argmin(away**2 + turned**2)])
 
     def __repr__(self) -> str:
         middle, radius = self.position()
@@ -126,11 +135,12 @@ def predict(
 ) -> Prediction:
     """Predict where a free body ends up, from parameters that were identified. (studies.md)
 
-    Samples draw the parameters from normal distributions with the covariance of the fit, within its bounds.
+    Samples draw the parameters from normal distributions with the covariance of the fit, within its bounds,
+    and have the restitution law of the fit.
 
     Args:
         scene: The scene, with one free body or a robot with a free base.
-        fitted: Results of `identify` and `identify_sliding` for coefficients of contacts.
+        fitted: Results of `identify`, `identify_body` and `identify_sliding`.
         q0: (nq,) configuration.
         v0: (nv,) velocity.
         duration: Time to simulate [s].
@@ -150,38 +160,23 @@ def predict(
     free = [name for name, joint in zip(model.names, model.joints, strict=True) if joint.nq == 7]
     if not free:
         raise InputError("scene: no body has a free joint, whose pose could be predicted", field="scene")
+    if "reduce" in options:
+        raise InputError("reduce: given, but predict needs the pose at the end", field="reduce")
     over: dict[str | tuple[str, ...], Any] = {}
     scatter = dict(scatter or {})
     for one in as_tuple("fitted", fitted, Identified, "a result of identify"):
         if one.unidentified:
             raise InputError(f"fitted: {one.unidentified[0]}", field="fitted", value=one)
         spread = np.array([at_least_zero(f"scatter[{n!r}]", scatter.pop(n, 0.0)) for n in one.names])
-        root = _root("fitted", one.covariance + np.diag(spread**2), len(spread))
-        over[tuple(one.names)] = _Posterior(np.asarray(one.x), root, np.asarray(one.bounds))
+        over[tuple(one.names)] = posterior(one, spread)
     if scatter:
         name = next(iter(scatter))
         raise UnknownNameError(f"scatter: {name!r} was not fitted", field="scatter", value=name)
     for name, covariance in (start or {}).items():
         if name not in ("q0", "v0"):
             raise UnknownNameError(f'start: {name!r} given, "q0" or "v0" expected', field="start", value=name)
-        unbounded = np.array([[-np.inf], [np.inf]]) * np.ones(model.nv)
-        root = _root(f"start[{name!r}]", covariance, model.nv)
-        over[name] = _Posterior(np.zeros(model.nv), root, unbounded)
+        over[name] = Normal(np.zeros(model.nv), covariance_root(f"start[{name!r}]", covariance, model.nv))
     found = ensemble(
         scene, q0, v0, duration, over=over, samples=samples, seed=seed, executor=executor, **options
     )
     return Prediction(found, free[0])
-
-
-def _root(field: str, covariance: ArrayLike, size: int) -> Array:
-    """Return L with L Lᵀ = the covariance, which may be singular."""
-    matrix = finite_array(field, covariance, (size, size))
-    values, vectors = np.linalg.eigh(matrix)
-    if not np.allclose(matrix, matrix.T) or values.min() < -1e-12 * max(values.max(), 0.0):
-        raise InputError(
-            f"{field}: not a covariance; a symmetric matrix without negative eigenvalues expected",
-            field=field,
-            value=covariance,
-        )
-    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-    return root

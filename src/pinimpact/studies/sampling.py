@@ -13,10 +13,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
-from ..checks import choice, finite_array, in_short, near_matches, whole_number
-from ..errors import InputError, UnknownNameError
+from ..checks import choice, counted, finite_array, in_short, near_matches, whole_number
+from ..errors import InputError, PinimpactError, UnknownNameError
 from ..robot.names import coordinate_names
 from ..scene.scene import Scene
+from .posterior import Posterior
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,9 @@ class Sampling:
         self._velocities = coordinate_names(model)[1]
         self._parts: list[tuple[tuple[str, ...], Any]] = []
         for key, distribution in over.items():
-            self._parts.append((self._expanded(key), self._checked(key, distribution)))
+            fitted = isinstance(distribution, Posterior)
+            names = tuple(distribution.fitted.names) if fitted else self._expanded(key)
+            self._parts.append((names, self._checked(key, distribution, len(names))))
         self.names = tuple(name for names, _ in self._parts for name in names)
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
         if twice:
@@ -103,7 +106,7 @@ class Sampling:
                 )
         return tuple(names)
 
-    def _checked(self, key: Any, distribution: Any) -> Any:
+    def _checked(self, key: Any, distribution: Any, length: int) -> Any:
         """Return a distribution that gives numbers of the length of its key, or raise `InputError`."""
         needs = "rvs" if self.design == "random" else "ppf"
         if not callable(getattr(distribution, needs, None)):
@@ -113,14 +116,23 @@ class Sampling:
                 field="over",
                 value=distribution,
             )
-        length = len(self._expanded(key))
-        if needs == "rvs":
-            drawn = np.shape(np.squeeze(distribution.rvs(random_state=np.random.default_rng(0))))
-        else:
-            drawn = np.shape(distribution.ppf(0.5))
+        try:
+            if needs == "rvs":
+                drawn = np.shape(np.squeeze(distribution.rvs(random_state=np.random.default_rng(0))))
+            else:
+                drawn = np.shape(distribution.ppf(0.5))
+        except PinimpactError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"over[{key!r}]: nothing can be drawn from {in_short(distribution)} ({error}); one "
+                "frozen with valid parameters expected",
+                field="over",
+                value=distribution,
+            ) from error
         if drawn not in ((), (length,)) or (drawn == () and length > 1):
             raise InputError(
-                f"over[{key!r}]: draws of shape {drawn} given, {length} numbers expected",
+                f"over[{key!r}]: draws of shape {drawn} given, {counted(length, 'number')} expected",
                 field="over",
                 value=distribution,
             )
@@ -161,11 +173,16 @@ class Sampling:
     def apply(self, numbers: Array) -> tuple[Scene, Array, Array]:
         """Return the scene, q0 and v0 of a sample."""
         changes: dict[str, dict[str, float]] = {}
-        for name, number in zip(self.names, numbers.tolist(), strict=True):
-            kind, _, of = name.partition(":")
-            if kind in COEFFICIENTS:
-                changes.setdefault(of, {})[kind] = number
-        scene = self.scene
+        scene, rest = self.scene, numbers
+        for names, distribution in self._parts:
+            drawn, rest = rest[: len(names)], rest[len(names) :]
+            if isinstance(distribution, Posterior):
+                scene = distribution.apply(scene, drawn)
+                continue
+            for name, number in zip(names, drawn.tolist(), strict=True):
+                kind, _, of = name.partition(":")
+                if kind in COEFFICIENTS:
+                    changes.setdefault(of, {})[kind] = number
         if changes:
             everywhere = changes.get("", {})
             contacts = [

@@ -7,20 +7,21 @@ import json
 import os
 import pickle
 import platform
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from types import CodeType, MethodType
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from .. import __version__
 from ..checks import file_path
 from ..errors import InputError
-from ..scene.events import as_events
 from ..tables import write_table
 from .sampling import Sampling
 
@@ -30,55 +31,71 @@ STUDY = "study.json"
 
 
 def digest(sampling: Sampling, settings: Mapping[str, Any]) -> str:
-    """Return a digest of what the rows of a study depend on: scene, start, distributions, seed, settings.
-
-    Functions count by name and code, so that they need not be pickled.
-    """
-    scene = sampling.scene
-    functions = [scene.control, *(event.guard for event in as_events(scene.events)), settings.get("reduce")]
-    functions += [event.callback for event in as_events(scene.events)]
-    coefficients = [contact.restitution for contact in scene.contacts]
-    functions += [e for e in coefficients if callable(e)]
-    plain = replace(
-        scene,
-        control=None,
-        period=None,
-        delay=0.0,
-        events=(),
-        contacts=[
-            replace(contact, restitution=0.0) if callable(contact.restitution) else contact
-            for contact in scene.contacts
-        ],
-    )
-    parts = [
-        scene.model.saveToString(),
-        [repr(vars(contact)) for contact in (*plain.contacts, *plain.held)],
-        [str(getattr(plain, name)) for name in ("locked", "limit_restitution", "resting_speed", "without")],
-        [scene.simultaneous, scene.period, scene.delay],
-        sampling.q0.tolist(),
-        sampling.v0.tolist(),
-        [sampling.names, sampling.samples, sampling.seed, sampling.design],
-        [_drawn(sampling)],
-        {name: value for name, value in settings.items() if name != "reduce"},
-        [_code(function) for function in functions if function is not None],
+    """Return a digest of what the rows of a study depend on: scene, start, distributions, seed, settings."""
+    drawn = sampling.draw(0, min(sampling.samples, 16))  # the first samples stand for the distributions
+    about = [
+        sampling.names,
+        sampling.samples,
+        sampling.seed,
+        sampling.design,
+        sampling.q0,
+        sampling.v0,
+        drawn,
     ]
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
+    parts = _content([about, sampling.scene, settings], {})
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def _drawn(sampling: Sampling) -> list[list[float]]:
-    """Return the first samples, which stand for the distributions."""
-    drawn: list[list[float]] = sampling.draw(0, min(sampling.samples, 16)).tolist()
-    return drawn
+def _content(value: Any, seen: dict[int, Any]) -> Iterator[str]:
+    """Yield the content of a value as texts that are the same in each process.
+
+    Functions count by their code, defaults and closures, so that they need not be picklable.
+    """
+    kind = type(value)
+    yield kind.__qualname__
+    if value is None or isinstance(value, (bool, int, float, complex, str, bytes, type)):
+        yield repr(value)
+    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        yield f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+    elif isinstance(value, pin.Model):
+        yield value.saveToString()
+    elif isinstance(value, (pin.Data, pin.GeometryData)):
+        pass  # computed from the model
+    elif id(value) in seen:
+        pass  # it refers to itself, or was met before
+    else:
+        seen[id(value)] = value  # kept, or another object could have its id later
+        for part in _parts(value):
+            yield from _content(part, seen)
 
 
-def _code(function: Any) -> str:
-    code = getattr(function, "__code__", None)
+def _parts(value: Any) -> Iterable[Any]:
+    """Return what a value consists of."""
+    if isinstance(value, Mapping):
+        return sorted(value.items(), key=lambda item: repr(item[0]))
+    if isinstance(value, (set, frozenset)):
+        return sorted(value, key=repr)
+    if isinstance(value, Sequence):
+        return value
+    if isinstance(value, MethodType):
+        return value.__func__, value.__self__
+    if isinstance(value, CodeType):
+        return value.co_code, value.co_names, value.co_consts
+    code = getattr(getattr(value, "py_func", value), "__code__", None)
     if code is not None:
-        return f"{function.__module__}.{function.__qualname__}:{code.co_code.hex()}:{code.co_consts!r}"
-    try:
-        return hashlib.sha256(pickle.dumps(function)).hexdigest()
-    except (pickle.PicklingError, TypeError, AttributeError):
-        return type(function).__qualname__
+        value = getattr(value, "py_func", value)
+        cells = [cell.cell_contents for cell in value.__closure__ or ()]
+        return value.__module__, value.__qualname__, code, value.__defaults__, value.__kwdefaults__, cells
+    if isinstance(value, partial):
+        return value.func, value.args, value.keywords
+    if isinstance(value, pin.GeometryModel):
+        return [(g.name, g.parentJoint, g.placement.homogeneous, g.geometry) for g in value.geometryObjects]
+    if hasattr(value, "vertices"):
+        return (np.array(value.vertices()),)
+    if type(value).__module__.startswith(("pinocchio", "coal")) or not hasattr(value, "__dict__"):
+        return (pickle.dumps(value),)
+    # without what a class does not keep, such as what it computes on demand
+    return (value.__getstate__() if "__getstate__" in dir(type(value)) else vars(value),)
 
 
 class StudyFolder:
@@ -88,30 +105,26 @@ class StudyFolder:
         path: The folder, created if necessary.
         sampling: What is sampled.
         settings: What else the rows depend on.
-        chunk: Number of samples of a file; that of the folder is kept if it has a study already.
         resume: Whether to continue a study that is there.
 
     Raises:
         InputError: A folder with another study, or one that is there without `resume`; no pyarrow.
     """
 
-    def __init__(
-        self, path: Any, sampling: Sampling, settings: Mapping[str, Any], chunk: int, resume: bool
-    ) -> None:
+    def __init__(self, path: Any, sampling: Sampling, settings: Mapping[str, Any], resume: bool) -> None:
         if find_spec("pyarrow") is None:
             raise InputError(
                 "out: pyarrow is not installed; pip install 'pinimpact[data]' installs it", field="out"
             )
         self.path = file_path("out", path)
         self.path.mkdir(parents=True, exist_ok=True)
-        self.samples, self.chunk = sampling.samples, chunk
-        self.about = {
+        self.samples = sampling.samples
+        self.about: dict[str, Any] = {
             "digest": digest(sampling, settings),
             "samples": sampling.samples,
             "seed": sampling.seed,
             "design": sampling.design,
             "parameters": list(sampling.names),
-            "chunk": chunk,
             "versions": {
                 "python": platform.python_version(),
                 "pinimpact": __version__,
@@ -135,7 +148,7 @@ class StudyFolder:
             return
         try:
             known = json.loads(file.read_text(encoding="utf-8"))
-            same, self.chunk = known["digest"] == self.about["digest"], int(known["chunk"])
+            same, versions = known["digest"] == self.about["digest"], dict(known["versions"])
         except (ValueError, KeyError, TypeError):
             raise InputError(
                 f"out: {file} is not the record of a study", field="out", value=str(file)
@@ -152,10 +165,18 @@ class StudyFolder:
                 field="out",
                 value=str(self.path),
             )
+        other = {name: v for name, v in self.about["versions"].items() if versions.get(name) != v}
+        for name, version in other.items():
+            raise InputError(
+                f"out: the study in {self.path} was begun with {name} {versions.get(name)}, here is "
+                f"{version}; continue it with the same versions, or give another folder",
+                field="out",
+                value=str(self.path),
+            )
         if not resume:
             raise InputError(
-                f"out: {self.path} has this study already; continue it by resume=True, or give another "
-                "folder",
+                f"out: {self.path} has this study already; continue it by resume=True (--resume), or "
+                "give another folder",
                 field="out",
                 value=str(self.path),
             )
@@ -164,22 +185,37 @@ class StudyFolder:
         """Return the file of a chunk."""
         return self.path / f"samples-{first:09d}.parquet"
 
-    def read(self, first: int, count: int) -> Columns | None:
-        """Return the columns of a chunk, or None if it is not there."""
-        file = self.file(first)
-        if not file.exists():
-            return None
+    def read(self) -> dict[int, Columns]:
+        """Return the columns of the chunks that are there, by their first sample.
+
+        Raises:
+            InputError: A file that is damaged, or a chunk of another study.
+        """
+        found: dict[int, Columns] = {}
+        end = 0
+        for file in sorted(self.path.glob("samples-*.parquet")):
+            columns = self._read(file)
+            new = columns["sample"] >= end  # two runs at once may have divided the samples differently
+            if new.any():
+                found[int(columns["sample"][new][0])] = {name: x[new] for name, x in columns.items()}
+                end = int(columns["sample"][-1]) + 1
+        return found
+
+    def _read(self, file: Path) -> Columns:
         from pyarrow import ArrowInvalid, parquet
 
         try:
             table = parquet.read_table(file)
-        except (ArrowInvalid, OSError):
-            table = None
-        if table is None or table.num_rows != count:
-            raise InputError(
-                f"out: {file} is not a chunk of {count} samples; remove it", field="out", value=str(file)
-            )
-        return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+            of = json.loads(table.schema.metadata[b"pinimpact"])["digest"]
+            columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+            first = int(columns["sample"][0])
+            whole = np.array_equal(columns["sample"], np.arange(first, first + table.num_rows))
+        except (ArrowInvalid, OSError, ValueError, KeyError, IndexError, TypeError):
+            of, whole = None, False
+        if of != self.about["digest"] or not whole or file != self.file(first):
+            what = "a chunk of another study" if of is not None and whole else "damaged"
+            raise InputError(f"out: {file} is {what}; remove it", field="out", value=str(file))
+        return columns
 
     def write(self, first: int, columns: Columns) -> None:
         """Write the columns of a chunk."""

@@ -31,6 +31,7 @@ from ..robot.solids import Shape
 from ..scene.joint_charts import joint_table
 from ..scene.records import ImpactRecord
 from ..scene.trajectory import Trajectory
+from .cloud import cloud_as_data
 from .film import frame_times, slowed, width_of_slowness
 from .impact_marks import ImpactMark, group_mark, impact_mark, many_mark
 from .page_file import Recorder, packed, page
@@ -180,8 +181,32 @@ def replay(
     return shown
 
 
+def cloud_replay(
+    robot: Any, trajectory: Trajectory, others: Sequence[Trajectory], path: str | Path | None
+) -> Replay:
+    """Return the replay of a motion among others of the same robot, which are translucent.
+
+    Args:
+        robot: As of `replay`.
+        trajectory: The motion in the middle, with its impacts.
+        others: The other motions.
+        path: As of `replay`.
+    """
+    if path is not None:
+        output_file("path", path)
+    shown = Replay(_motion_page(robot, trajectory, None, 1.0, 20.0, others), None)
+    if path is not None:
+        shown.save(path)
+    return shown
+
+
 def _motion_page(
-    robot: Any, trajectory: Trajectory, given: Sequence[Contact] | None, speed: float, slowdown: float
+    robot: Any,
+    trajectory: Trajectory,
+    given: Sequence[Contact] | None,
+    speed: float,
+    slowdown: float,
+    others: Sequence[Trajectory] = (),
 ) -> str:
     model = model_of(robot)
     _check_robot(model, trajectory)
@@ -227,7 +252,10 @@ def _motion_page(
     lit = lit_shapes(robot, trajectory, [*contacts, *paired])
     solids = dict.fromkeys(contact.pair.plane for contact in paired if contact.pair is not None)
     shown = [solid for solid in solids if not isinstance(solid, Shape)]  # the robot has those itself
-    return _page(robot, model, times, configurations, contacts, forces, marks, settings, modes, lit, shown)
+    cloud = cloud_as_data(model, others, start, end)
+    return _page(
+        robot, model, times, configurations, contacts, forces, marks, settings, modes, lit, shown, cloud
+    )
 
 
 def _impact_page(robot: Any, impact: Hit | ImpactRecord, given: Sequence[Contact] | None, q: Any) -> str:
@@ -295,13 +323,14 @@ def _page(
     modes: Sequence[Sequence[Any]],
     lit: Sequence[dict[str, Any]] = (),
     solids: Sequence[Surface] = (),
+    cloud: dict[str, Any] | None = None,
 ) -> str:
     """Return the page of a motion at times (m,), in configurations of the same number."""
     poses = joint_poses(model, configurations)
     ways = np.array([_way(model, configurations, contact) for contact in contacts])
     ways = ways.reshape(len(contacts), len(times), 3)
     shapes = getattr(robot, "visual_model", None)
-    points = outline(model, shapes, configurations)
+    points = outline(model, shapes, [*configurations, *([] if cloud is None else cloud.pop("ends"))])
     points = np.vstack(
         [points, ways.reshape(-1, 3), *(part.point for mark in marks for part in mark.contacts)]
     )
@@ -357,6 +386,7 @@ def _page(
             for contact, way, force in zip(contacts, ways, forces, strict=True)
         ],
         "modes": modes,
+        "cloud": cloud,
         "impacts": [mark.as_data() for mark in marks],
         "scales": _scales(marks, forces, size),
         "view": {"points": packed(points), "size": size, "thickness": 0.006 * size, "grid": grid},

@@ -4,7 +4,7 @@
 // Okabe and Ito's palette, which colour-blind readers tell apart
 const COLORS = {
   impulse: "#d55e00", before: "#56b4e9", after: "#0072b2", force: "#009e73", cone: "#e69f00", path: "#cc79a7",
-  surface: "#b08d57", link: "#8a8f98", lit: "#f0e442", grid: "#888888",
+  surface: "#b08d57", link: "#8a8f98", lit: "#f0e442", grid: "#888888", cloud: "#7a5195",
   compression: "#d55e00", restitution: "#0072b2",
 };
 
@@ -178,6 +178,18 @@ const Drawing = (() => {
     return mesh;
   }
 
+  // a translucent copy of what is drawn at a joint
+  function ghost(object, opacity) {
+    const copy = object.clone(true);
+    copy.traverse(part => {
+      if (!part.isMesh) return;
+      part.material = new THREE.MeshLambertMaterial({
+        color: COLORS.cloud, transparent: true, opacity, depthWrite: false, side: THREE.DoubleSide,
+      });
+    });
+    return copy;
+  }
+
   // --- flat pictures of one contact's impact -------------------------------------------------------------
 
   // where path[share] lies, linearly between its points
@@ -306,5 +318,5 @@ const Drawing = (() => {
     label(g, `velocity, ${low.toPrecision(2)} to ${high.toPrecision(2)} m/s`, x0, y0 - 5);
   }
 
-  return { arrow, cone, bar, trail, surface, moves, lit, along, hodograph, history, TITLES };
+  return { arrow, cone, bar, trail, surface, moves, lit, ghost, along, hodograph, history, TITLES };
 })();

@@ -100,6 +100,15 @@
     spot.set(new THREE.Vector3(), new THREE.Vector3(...end));
     joint(number).add(spot);
   }
+  // other motions: translucent copies of the robot, and the paths of their first joint
+  const cloud = !data.cloud ? [] : data.cloud.robots.map(tracks => Object.entries(tracks).map(([number, poses], i) => {
+    const object = Drawing.ghost(joint(number), Math.min(0.3, 1.5 / data.cloud.robots.length)), points = numbers(poses, Float32Array);
+    joint(number).parent.add(object);
+    const places = new Float32Array(points.length / 7 * 3).map((_, k) => points[7 * Math.floor(k / 3) + k % 3]);
+    const trail = i ? null : put(Drawing.trail(COLORS.cloud, places, 0.2 * radius));
+    return { object, poses: points, trail };
+  })).flat();
+  const cloudTimes = data.cloud && numbers(data.cloud.times, Float64Array);
   const surfaces = data.surfaces.map(what => {
     const drawn = Drawing.surface(what);
     joint(what.joint).add(drawn);
@@ -252,7 +261,20 @@
     axes[0] * v[0] + axes[3] * v[1] + axes[6] * v[2],
     axes[1] * v[0] + axes[4] * v[1] + axes[7] * v[2],
     axes[2] * v[0] + axes[5] * v[1] + axes[8] * v[2]);
+  const pose = (object, poses, from, to, part) => {
+    object.position.copy(a.fromArray(poses, 7 * from)).lerp(b.fromArray(poses, 7 * to), part);
+    object.quaternion.copy(p.fromArray(poses, 7 * from + 3)).slerp(q.fromArray(poses, 7 * to + 3), part);
+  };
   let film = 0, playing = false;
+
+  function moveCloud(t) {
+    const last = cloudTimes.length - 1, at = last * (t - cloudTimes[0]) / (cloudTimes[last] - cloudTimes[0]);
+    const frame = Math.min(Math.max(Math.floor(at), 0), last - 1), part = Math.min(Math.max(at - frame, 0), 1);
+    for (const { object, poses, trail } of cloud) {
+      pose(object, poses, frame, frame + 1, part);
+      if (trail) trail.show(frame + (part > 0 ? 1 : 0));
+    }
+  }
 
   function show(time) {
     film = Math.min(Math.max(time, 0), duration);
@@ -260,10 +282,8 @@
     const share = piece.length > 0 ? Math.min(1, (film - piece.film) / piece.length) : 1;
     const part = piece.impact ? 0 : share;
     const t = (1 - part) * times[piece.frame] + part * times[next];
-    for (const { object, poses } of moving) {
-      object.position.copy(a.fromArray(poses, 7 * piece.frame)).lerp(b.fromArray(poses, 7 * next), part);
-      object.quaternion.copy(p.fromArray(poses, 7 * piece.frame + 3)).slerp(q.fromArray(poses, 7 * next + 3), part);
-    }
+    for (const { object, poses } of moving) pose(object, poses, piece.frame, next, part);
+    if (cloud.length) moveCloud(t);
     for (const drawn of surfaces) if (drawn.move) drawn.move(t);
     for (const [from, to, bar] of links) bar.set(from.position, to.position);
     contacts.forEach((contact, i) => {
@@ -406,6 +426,7 @@
     if (contacts.some(contact => contact.forces))
       rows.push(["force", `contact force (max. ${digits(longest.force)}\u00a0N)`]);
     if (contacts.length && !data.within) rows.push(["path", "path of the contact point"]);
+    if (cloud.length) rows.push(["cloud", `${data.cloud.robots.length} other samples`]);
     if (data.surfaces.length)
       rows.push(["surface", data.surfaces.some(Drawing.moves) ? "surface; the checks move with it" : "surface"]);
     if (lit.length) rows.push(["lit", "shape in contact"]);

@@ -1,0 +1,86 @@
+"""Normal distributions of what was fitted or measured, as `ensemble` draws from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array
+from ..errors import InputError
+from ..scene.scene import Scene
+from .estimate import Identified
+
+Array = NDArray[np.float64]
+
+DRAWS = 10_000
+"""Draws outside the bounds of parameters after which a distribution has none inside."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A normal distribution, in the form of those of `scipy.stats`.
+
+    Attributes:
+        mean: (n,) its mean.
+        root: (n, n) L with L Lᵀ its covariance.
+    """
+
+    mean: Array
+    root: Array
+
+    def rvs(self, random_state: np.random.Generator) -> Array:
+        """Return one draw (n,)."""
+        drawn: Array = self.mean + self.root @ random_state.standard_normal(len(self.mean))
+        return drawn
+
+
+@dataclass(frozen=True)
+class Posterior(Normal):
+    """The distribution of fitted parameters, between their bounds.
+
+    Attributes:
+        fitted: Names, bounds, law and setters of the fit.
+    """
+
+    fitted: Identified
+
+    def rvs(self, random_state: np.random.Generator) -> Array:
+        """Return one draw (n,) within the bounds."""
+        low, high = self.fitted.bounds
+        for _ in range(DRAWS):
+            drawn = super().rvs(random_state)
+            if (drawn >= low).all() and (drawn <= high).all():
+                return drawn
+        raise InputError(
+            f"fitted: no draws about {self.mean.tolist()} are within the bounds; fit it with wider ones",
+            field="fitted",
+            value=self.mean,
+        )
+
+    def apply(self, scene: Scene, numbers: Array) -> Scene:
+        """Return the scene with drawn parameters."""
+        changed: Scene = Identified(self.fitted | {"x": numbers}).apply(scene)
+        return changed
+
+
+def posterior(fitted: Identified, spread: Array) -> Posterior:
+    """Return the distribution of fitted parameters, with standard deviations (n,) added to the fit's."""
+    root = covariance_root("fitted", fitted.covariance + np.diag(spread**2), len(spread))
+    kept = Identified({name: fitted[name] for name in ("names", "bounds", "law", "setters")})
+    return Posterior(np.asarray(fitted.x), root, kept)
+
+
+def covariance_root(field: str, covariance: ArrayLike, size: int) -> Array:
+    """Return L with L Lᵀ = the covariance, which may be singular, or raise `InputError`."""
+    matrix = finite_array(field, covariance, (size, size))
+    values, vectors = np.linalg.eigh(matrix)
+    if not np.allclose(matrix, matrix.T) or values.min() < -1e-12 * max(values.max(), 0.0):
+        raise InputError(
+            f"{field}: not a covariance; a symmetric matrix without negative eigenvalues expected",
+            field=field,
+            value=covariance,
+        )
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
