@@ -308,7 +308,7 @@ class _Pieces:
         return first, size
 
     def give_back(self, chunks: list[tuple[int, int]]) -> None:
-        """Take back chunks that were not finished; they are divided anew, in small chunks at first."""
+        """Take back chunks that were not finished; they are divided again, into small chunks at first."""
         self.gaps = sorted([*self.gaps, *chunks], reverse=True)
         self.size, self.lost = 1, chunks
 
