@@ -521,7 +521,7 @@ def test_an_executor_that_fails_is_an_error_and_nothing_is_lost(tmp_path):
         pytest.raises(SimulationError, match=r"failed \(OSError: no route to host\) in samples"),
     ):
         _run(executor=pool, out=tmp_path)
-    assert len(list(tmp_path.glob("*.parquet"))) == 2
+    assert len(list(tmp_path.glob("*.parquet"))) >= 2
     _same(_run(), _resume(tmp_path))
 
 

@@ -297,12 +297,16 @@ class _Pieces:
         self.size = 1
         self.lost: list[tuple[int, int]] = []
 
-    def take(self) -> tuple[int, int] | None:
-        """Return the first sample and the number of samples of the next chunk, or None."""
+    def take(self, parts: int = 1) -> tuple[int, int] | None:
+        """Return the first sample and the number of samples of the next chunk, or None.
+
+        It is at most one part of what is left, so that many workers finish together.
+        """
         if not self.gaps:
             return None
+        left = sum(count for _, count in self.gaps)
         first, count = self.gaps.pop()
-        size = min(count, self.size)
+        size = min(count, self.size, -(-left // parts))
         if size < count:
             self.gaps.append((first + size, count - size))
         return first, size
@@ -370,11 +374,12 @@ def _by_executor(
     most = IN_FLIGHT * workers
     try:
         while True:
-            while len(flying) < most and (piece := pieces.take()) is not None:
+            while len(flying) < most and (piece := pieces.take(2 * most // IN_FLIGHT)) is not None:
                 flying[executor.submit(task, *piece)] = piece, time.monotonic()
             if not flying:
                 return
-            for future in wait(flying, return_when=FIRST_COMPLETED).done:
+            done = wait(flying, return_when=FIRST_COMPLETED).done
+            for future in sorted(done, key=lambda one: one.cancelled() or one.exception() is not None):
                 columns, seconds = future.result()
                 (first, count), submitted = flying.pop(future)
                 pieces.timed(count, seconds)
