@@ -3,7 +3,7 @@
 python examples/die.py
 
 Each toss starts from a random orientation, with random velocities. The faces of the fair die have equal
-frequencies within their intervals. The plot is die.png.
+frequencies within their intervals, of 99 % each. The plot is die.png.
 """
 
 import itertools
@@ -72,12 +72,12 @@ def main(samples=600):
     """Print and plot how often each face is on top."""
     _, axes = plt.subplots(figsize=(7, 4), layout="constrained")
     for shift, (label, z) in enumerate({"fair": 0.0, "heavy at -z": -0.25 * HALF}.items()):
-        found = toss(die((0.0, 0.0, z)), samples)
-        shares = found.frequencies("top")
+        found = toss(die((0.0, 0.0, z)), samples, seed=1)
+        shares = found.frequencies("top", 0.99)
         print(f"{label}: {found.frequencies()['OK'].value:.0%} of the tosses ended")
         for k, face in enumerate(FACES):
             value, low, high = shares.get(face, (0.0, 0.0, 0.0))
-            print(f"  {face} on top: {value:.3f}, 95 % from {low:.3f} to {high:.3f}")
+            print(f"  {face} on top: {value:.3f}, 99 % from {low:.3f} to {high:.3f}")
             place, error = k + 0.4 * shift - 0.2, [[value - low], [high - value]]
             axes.bar(place, value, 0.38, yerr=error, color=f"C{shift}", label=label if k == 0 else None)
     axes.axhline(1 / 6, color="black", lw=0.8, ls="--", label="1/6")

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 from scipy import stats
 
-from pinimpact import Contact, InputError, Plane, Scene, SimulationError, UnknownNameError
+from pinimpact import Contact, Event, InputError, Plane, Scene, SimulationError, UnknownNameError
 from pinimpact.studies.ensembles import ensemble
 
 from . import interrupted_study
@@ -399,6 +399,13 @@ def test_trajectories_are_kept_on_request(tmp_path):
         (UnknownNameError, "did you mean 'friction'", {"over": {"fricton": stats.norm()}}),
         (UnknownNameError, "'friction:foot' names nothing", {"over": {"friction:foot": stats.norm()}}),
         (InputError, "0.3 given, a frozen distribution", {"over": {"friction": 0.3}}),
+        (InputError, "a frozen distribution", {"over": {"friction": stats.norm}}),
+        (InputError, "nothing can be drawn .*a draw is nan", {"over": {"friction": stats.norm(np.nan)}}),
+        (InputError, "out: .*test_ensemble.py cannot be a folder", {"out": __file__}),
+        (InputError, "duration: -1.0 given", {"duration": -1.0}),
+        (InputError, "rtol: -1.0 given", {"rtol": -1.0}),
+        (UnknownNameError, "is not a scheme", {"scheme": "fast"}),
+        (TypeError, "unexpected keyword argument 'nonsense'", {"nonsense": 3}),
         (InputError, "is given twice", {"over": {"v0": stats.norm(), "v0:rail": stats.norm()}}),
         (
             InputError,
@@ -477,6 +484,18 @@ def test_a_control_with_a_state_begins_anew_in_each_sample():
     found = ensemble(scene, [1.0], [0.0], 0.2, **given)
     assert np.ptp(found.columns["v.rail"]) == 0.0
     assert scene.control.calls == 0
+
+
+def test_a_run_that_an_event_ends_is_a_row():
+    # a mass that falls from 0.1 m passes 0.05 m at √(2 · 0.05 / g)
+    scene = _scene(events=[Event(_half_way, terminal=True)])
+    found = ensemble(scene, [0.1], [0.0], 0.2, over={"restitution": stats.uniform()}, samples=2)
+    assert set(found.columns["status"]) == {"OK"}
+    np.testing.assert_allclose(found.columns["q.rail"], 0.05, rtol=1e-9)
+
+
+def _half_way(t, q, v):
+    return q[0] - 0.05
 
 
 def test_a_sample_is_simulated_again_on_request():

@@ -19,6 +19,9 @@ from .trajectory import Trajectory
 
 SCHEMES = "event-driven", "time-stepping", "auto"
 
+INTERRUPTED = "Interrupted from the keyboard."
+"""How a run ends by Ctrl-C."""
+
 
 def simulate(
     scene: Scene,
@@ -104,7 +107,7 @@ def _run(integrator: Integrator, duration: float, report: Report | None) -> Traj
         integrator.begin()
         integrator.advance(duration, report)
     except KeyboardInterrupt:
-        return integrator.trajectory("Interrupted from the keyboard.", False)
+        return integrator.trajectory(INTERRUPTED, False)
     except PinimpactError as error:
         stop(integrator, error)
     ended_by = integrator.state.ended_by

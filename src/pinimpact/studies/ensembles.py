@@ -14,6 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from concurrent.futures.process import BrokenProcessPool
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from inspect import signature
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import counted, function, in_short, whole_number
+from ..checks import choice, counted, function, in_short, whole_number
 from ..errors import InputError, PinimpactError, SimulationError
 from ..robot.batch import Hits, impacts
+from ..scene.options import Options, check_numbers
 from ..scene.scene import Scene
-from ..scene.simulation import simulate
+from ..scene.simulation import INTERRUPTED, SCHEMES, simulate
 from ..scene.trajectory import Trajectory
 from .ensemble_result import Ensemble
 from .sampling import Sampling
@@ -83,7 +85,7 @@ class _Task:
         """Return the row of a sample; one that raises an error has its name and message."""
         try:
             trajectory = self.trajectory(numbers)
-            if not trajectory.complete:
+            if trajectory.termination == INTERRUPTED:
                 raise KeyboardInterrupt
             if self.keep is not None:
                 trajectory.save(self.keep / f"trajectory-{index:09d}.npz")
@@ -247,6 +249,13 @@ def _check(
     """Refuse arguments of `ensemble`."""
     if duration is None:
         _check_impact(sampling, reduce, keep, options)
+    else:
+        given = signature(simulate).bind(sampling.scene, None, None, duration, **options)
+        given.apply_defaults()
+        numbers = {name: given.arguments[name] for name in Options._fields}
+        check_numbers(duration=duration)
+        choice("scheme", given.arguments["scheme"], SCHEMES, "a scheme")
+        Options(**numbers).checked()
     if keep and out is None:
         raise InputError("keep: True given without out=, a folder for trajectories", field="keep", value=keep)
     function("reduce", reduce, "a function of a trajectory")

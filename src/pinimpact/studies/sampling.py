@@ -109,7 +109,8 @@ class Sampling:
     def _checked(self, key: Any, distribution: Any, length: int) -> Any:
         """Return a distribution that gives numbers of the length of its key, or raise `InputError`."""
         needs = "rvs" if self.design == "random" else "ppf"
-        if not callable(getattr(distribution, needs, None)):
+        # those of SciPy that are not frozen are called with their parameters
+        if callable(distribution) or not callable(getattr(distribution, needs, None)):
             raise InputError(
                 f"over[{key!r}]: {in_short(distribution)} given, a frozen distribution of scipy.stats with "
                 f"{needs} expected" + ("" if needs == "rvs" else f" by the design {self.design!r}"),
@@ -118,9 +119,12 @@ class Sampling:
             )
         try:
             if needs == "rvs":
-                drawn = np.shape(np.squeeze(distribution.rvs(random_state=np.random.default_rng(0))))
+                draw = np.squeeze(distribution.rvs(random_state=np.random.default_rng(0)))
             else:
-                drawn = np.shape(distribution.ppf(0.5))
+                draw = np.asarray(distribution.ppf(0.5))
+            drawn = np.shape(draw)
+            if not np.isfinite(draw).all():
+                raise ValueError(f"a draw is {draw}")
         except PinimpactError:
             raise
         except Exception as error:

@@ -117,7 +117,11 @@ class StudyFolder:
                 "out: pyarrow is not installed; pip install 'pinimpact[data]' installs it", field="out"
             )
         self.path = file_path("out", path)
-        self.path.mkdir(parents=True, exist_ok=True)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise InputError(f"out: {self.path} cannot be a folder: {reason}", field="out") from error
         self.samples = sampling.samples
         self.about: dict[str, Any] = {
             "digest": digest(sampling, settings),
