@@ -25,7 +25,7 @@ from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
 from .held import HeldContactWarning, moves, pull
 from .matrices import contact_matrices
-from .names import coordinate_names, free_velocities, joint_keys, model_of, singular_mass
+from .names import Stiffening, coordinate_names, joint_keys, mobilities, model_of, singular_mass
 from .placed_robot import PlacedRobot
 from .robot_impact import LOCKED, Hit, impact, impact_by_pinocchio, restitution_of_approach
 from .struck import strike
@@ -36,7 +36,7 @@ _INVALID = int(Status.INVALID_NUMBERS)
 
 
 class _Rows(NamedTuple):
-    """The input: (N, nq) q, (N, nv) v, (N,) μ and e, usable rows, held contacts and locked joints."""
+    """The input: (N, nq) q, (N, nv) v, (N,) μ and e, usable rows, held contacts, constrained joints."""
 
     model: pin.Model
     q: Array
@@ -47,6 +47,7 @@ class _Rows(NamedTuple):
     usable: NDArray[np.bool_]
     held: tuple[Contact, ...]
     locked: Sequence[str | int]
+    stiffening: Stiffening
     threads: int
 
 
@@ -85,7 +86,8 @@ class Hits:
         if contact.friction != asked.mu[i] or contact.restitution != asked.e[i]:
             contact = replace(contact, friction=asked.mu[i], restitution=asked.e[i])
         state = asked.q[i], asked.v[i]
-        return impact(asked.model, self._data, *state, contact, held=asked.held, locked=asked.locked)
+        also: Any = {"held": asked.held, "locked": asked.locked, "stiffening": asked.stiffening}
+        return impact(asked.model, self._data, *state, contact, **also)
 
     @cached_property
     def impulse(self) -> Array:
@@ -149,6 +151,7 @@ def impacts(
     locked: Sequence[str | int] = (),
     threads: int = 1,
     law: Literal["newton", "poisson", "energetic"] | None = None,
+    stiffening: Stiffening = 0.0,
 ) -> Hits:
     """Compute the impact of one contact for many states and coefficients.
 
@@ -162,16 +165,17 @@ def impacts(
         restitution: Number or (N,); None: that of the contact.
         held: Bilateral contacts, as in `impact`. A row in which one moves has the status INVALID_NUMBERS.
         locked: Joints, by name or id, whose velocity the impact does not change.
-        threads: Number of threads; held contacts, locked joints, and joints that only Pinocchio can evaluate,
-            such as mimic joints, use one. The results do not depend on it.
+        threads: Number of threads; held contacts, locked or stiffened joints, and joints that only Pinocchio
+            can evaluate, such as mimic joints, use one. The results do not depend on it.
         law: Restitution law; None: that of the contact.
+        stiffening: Of joints by control, from 0 (free) to 1 (locked), as in `impact`.
 
     Returns:
         The results row by row. A row with invalid numbers has its status and NaN, and does not affect other
         rows. If held contacts pull on their surfaces, a `HeldContactWarning` has the number of rows.
 
     Raises:
-        InputError: Wrong shapes, or an unknown law.
+        InputError: Wrong shapes, an unknown law, or an invalid stiffening.
         UnknownNameError: A frame or joint that the model does not have.
         ModelError: The mass matrix is not positive definite.
 
@@ -196,7 +200,7 @@ def impacts(
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
     locked = joint_keys(locked)
-    in_steps = bool(held or locked)
+    in_steps = bool(held or locked) or type(stiffening) is not float or stiffening != 0.0
     usable = np.ones(count, dtype=np.bool_)  # without other information the kernel checks q
     if cache.tree is None or e is None or in_steps or contact.rim > 0.0:
         usable[:] = [_is_usable(model, data, row, contact) for row in q]
@@ -209,8 +213,8 @@ def impacts(
         beyond = np.flatnonzero((below | above).any(axis=1) & usable)
         if len(beyond):
             cache.warn_of_limits(q[beyond[0]], f" (row {beyond[0]}; {counted(len(beyond), 'row')} in all)")
-    free_velocities(model, locked)
-    rows = _Rows(model, q, v, contact, mu, e, usable, held, locked, thread_count(threads))
+    mobilities(model, locked, stiffening)
+    rows = _Rows(model, q, v, contact, mu, e, usable, held, locked, stiffening, thread_count(threads))
     if in_steps:
         return _in_steps(data, rows)
     codes, after, impulses, _ = _solve_by_kernel(cache, data, rows, 0)
@@ -292,9 +296,10 @@ def _in_steps(data: pin.Data, rows: _Rows) -> Hits:
     found: Any = None
     last = -1
     finite = np.isfinite(rows.v).all(axis=1)
+    also = rows.held, rows.locked, rows.stiffening
     for row in np.flatnonzero(rows.usable & finite).tolist():
         if last < 0 or not np.array_equal(rows.q[row], rows.q[last]):
-            found, last = contact_matrices(model, data, rows.q[row], contact, rows.held, rows.locked), row
+            found, last = contact_matrices(model, data, rows.q[row], contact, *also), row
         v = rows.v[row]
         if any(moves(anchor, v) for anchor in found.held):
             continue

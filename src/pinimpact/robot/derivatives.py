@@ -139,7 +139,7 @@ def _respond(
     """Solve M x = f + rowsᵀλ, rows x = −slip, for columns (nv, n), with x = 0 where it is not free."""
     if not len(rows):
         lower, columns = np.empty_like(mass), np.ascontiguousarray(forces.T)
-        half_solve(mass, parents, free, lower, columns)
+        half_solve(mass, parents, free.astype(np.float64), lower, columns)
         solve(lower, parents, columns)
         return columns.T
     found = np.zeros_like(forces)

@@ -22,6 +22,7 @@ from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
 from .held import check_at_rest, warn_of_pulls
 from .matrices import ManyMatrices, many_matrices
+from .names import Stiffening
 from .placed_robot import PlacedRobot
 from .touching import check_rims
 
@@ -75,6 +76,7 @@ def impact_at_many(
     locked: Sequence[str | int],
     simultaneous: str,
     record: bool,
+    stiffening: Stiffening,
     options: dict[str, Any],
 ) -> ManyHit:
     """Compute the impact of a robot at n contacts; see `impact`."""
@@ -86,7 +88,7 @@ def impact_at_many(
     placed = PlacedRobot(model, data, q)
     check_rims(placed, contacts)
     compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
-    matrices = many_matrices(model, data, q, contacts, held, locked)
+    matrices = many_matrices(model, data, q, contacts, held, locked, stiffening)
     v = finite_array("v", v, (matrices.jacobian.shape[1],))
     placed.cache.check_limits(placed.q, stacklevel=6)
     check_at_rest(matrices.held, held, v)

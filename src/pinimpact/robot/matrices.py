@@ -16,7 +16,7 @@ from ._kernels import contact_kinematics
 from ._kernels.delassus_factor import delassus_factor
 from ._kernels.responses import half_solve, respond
 from .contact import Contact, check_contact, check_held
-from .names import free_velocities, model_of, singular_mass
+from .names import Stiffening, mobilities, model_of, singular_mass
 from .placed_robot import ContactGeometry, PlacedRobot
 
 Array = NDArray[np.float64]
@@ -28,9 +28,9 @@ class ContactMatrices(ContactGeometry):
     """The matrices of a robot at one contact; M Δq̇ = [K h] P for an impulse P in contact axes.
 
     Attributes, in addition to those of `ContactGeometry`:
-        mass: (nv, nv) M, with rotor inertia.
-        delassus: (3, 3) W, with held contacts and locked joints [1/kg].
-        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with held contacts and locked joints.
+        mass: (nv, nv) M, with rotor inertia, of free joints.
+        delassus: (3, 3) W, with held contacts, and locked and stiffened joints [1/kg].
+        response: (nv, 3) Δq̇ per unit impulse in contact axes: M⁻¹Jᵀ, with the same.
         held: Geometry of each held contact.
         held_response: (k, 3, 3) impulse on each held contact (world axes) per impulse in contact axes.
         factor: (3, 3) lower triangular C with W = CCᵀ, see `ImpactProblem`; None with held contacts.
@@ -62,6 +62,7 @@ def contact_matrices(
     contact: Contact,
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
+    stiffening: Stiffening = 0.0,
 ) -> ContactMatrices:
     """Return the matrices of a contact at a configuration.
 
@@ -77,25 +78,26 @@ def contact_matrices(
             three that are not in line make a grasp. Rows may be redundant: the impulses of least norm are
             returned.
         locked: Joints, by name or id, whose velocity cannot change.
+        stiffening: Of joints by control, from 0 (free) to 1 (locked), see `impact`.
 
     Raises:
-        InputError: A q of the wrong length, not finite, or not normalised.
+        InputError: A q of the wrong length, not finite, or not normalised; an invalid stiffening.
         UnknownNameError: A frame or joint that the model does not have.
         ModelError: The mass matrix is not positive definite.
     """
     check_contact("contact", contact)
-    placed, anchors, free = _placed(model, data, q, held, locked)
+    placed, anchors, mobility = _placed(model, data, q, held, locked, stiffening)
     mass = placed.mass_matrix()
     geometry = placed.geometry(contact)
     columns, signs = placed.columns(contact)
     rows = np.empty((3, len(signs)))
     contact_kinematics.jacobian_by_axes(columns, signs, geometry.point, geometry.axes.ravel(), rows)
-    delassus, response, held_response, lower, y = _responses(placed, mass, rows, anchors, free)
+    delassus, response, held_response, lower, y = _responses(placed, mass, rows, anchors, mobility)
     factor = scale = None
     if not anchors:
         numbers = np.empty(FACTOR)
         x1, x2, x3 = geometry.point.tolist()
-        delassus_factor(lower, placed.cache.parents, columns, signs * free, x1, x2, x3, y, numbers)
+        delassus_factor(lower, placed.cache.parents, columns * mobility, signs, x1, x2, x3, y, numbers)
         factor, scale = triangle_of(numbers), float(numbers[-1])
     return ContactMatrices(
         geometry.point,
@@ -122,7 +124,7 @@ class ManyMatrices(NamedTuple):
             the k contacts.
         jacobian: (3n, nv) J.
         surface_velocity: (n, 3) of the surfaces, see `ContactGeometry`.
-        delassus: (3n, 3n) W, with held contacts and locked joints [1/kg].
+        delassus: (3n, 3n) W, with held contacts, and locked and stiffened joints [1/kg].
         response: (nv, 3n) Δq̇ per unit impulse.
         held: Geometry of each held contact.
         held_response: (h, 3, 3n) impulse on each held contact (world axes) per impulse.
@@ -148,6 +150,7 @@ def many_matrices(
     contacts: Sequence[Contact],
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
+    stiffening: Stiffening = 0.0,
 ) -> ManyMatrices:
     """Return the matrices of n contacts at a configuration.
 
@@ -158,26 +161,32 @@ def many_matrices(
         contacts: The contacts.
         held: Held contacts, see `contact_matrices`.
         locked: Joints whose velocity cannot change.
+        stiffening: Of joints, see `impact`.
     """
-    placed, anchors, free = _placed(model, data, q, held, locked)
-    return checked_matrices(placed, contacts, anchors, free, np.zeros((0, len(free))))
+    placed, anchors, mobility = _placed(model, data, q, held, locked, stiffening)
+    return checked_matrices(placed, contacts, anchors, mobility, np.zeros((0, len(mobility))))
 
 
 def _placed(
-    model: pin.Model, data: pin.Data, q: ArrayLike, held: Sequence[Contact], locked: Sequence[str | int]
-) -> tuple[PlacedRobot, tuple[ContactGeometry, ...], NDArray[np.bool_]]:
-    """Return the robot, the geometry of what is held, and which velocities (nv,) are free."""
-    free = free_velocities(model_of(model), locked)
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    stiffening: Stiffening,
+) -> tuple[PlacedRobot, tuple[ContactGeometry, ...], Array]:
+    """Return the robot, the geometry of what is held, and the mobilities (nv,) of the velocities."""
+    mobility = mobilities(model_of(model), locked, stiffening)
     held = check_held(held)
     placed = PlacedRobot(model, data, q)
-    return placed, tuple(placed.geometry(anchor) for anchor in held), free
+    return placed, tuple(placed.geometry(anchor) for anchor in held), mobility
 
 
 def checked_matrices(
     placed: PlacedRobot,
     contacts: Sequence[Contact],
     anchors: tuple[ContactGeometry, ...],
-    free: NDArray[np.bool_],
+    mobility: Array,
     stops: Array,
 ) -> ManyMatrices:
     """Return the matrices of n contacts and of joint stops, for checked arguments.
@@ -186,16 +195,16 @@ def checked_matrices(
         placed: The robot at its configuration.
         contacts: The contacts.
         anchors: Geometry of each held contact.
-        free: (nv,) False for locked velocities.
+        mobility: (nv,) of the velocities, see `mobilities`.
         stops: (m, nv) rows of joint stops, which are like contacts without tangential directions.
     """
     mass = placed.mass_matrix()
     k, n = len(contacts), len(contacts) + len(stops)
-    jacobian, geometry = np.zeros((3 * n, len(free))), np.zeros((n, 12))
+    jacobian, geometry = np.zeros((3 * n, len(mobility))), np.zeros((n, 12))
     for i, contact in enumerate(contacts):
         geometry[i] = placed.fill_jacobian(contact, jacobian[3 * i : 3 * i + 3])
     jacobian[3 * k + 2 :: 3] = stops
-    delassus, response, held_response, _, _ = _responses(placed, mass, jacobian, anchors, free)
+    delassus, response, held_response, _, _ = _responses(placed, mass, jacobian, anchors, mobility)
     axes = geometry[:k, :9].reshape(k, 3, 3)
     return ManyMatrices(axes, jacobian, geometry[:, 9:], delassus, response, anchors, held_response)
 
@@ -205,7 +214,7 @@ def _responses(
     mass: Array,
     jacobian: Array,
     anchors: Sequence[ContactGeometry],
-    free: NDArray[np.bool_],
+    mobility: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return W, the response of q̇ to impulses, and that of held contacts, for rows (m, nv) of a Jacobian.
 
@@ -217,14 +226,14 @@ def _responses(
     held_response = np.zeros((0, 3, m))
     if anchors:
         y = np.vstack([jacobian, *(anchor.axes.T @ anchor.jacobian for anchor in anchors)])
-    stopped = half_solve(mass, parents, free, lower, y)
+    stopped = half_solve(mass, parents, mobility, lower, y)
     if stopped >= 0:
         raise singular_mass(placed.model, stopped)
     if anchors:
         y, impulses = _project_out(y[m:], y[:m])
         held_response = impulses.reshape(-1, 3, m)
     delassus, response = np.empty((m, m)), np.empty((m, nv))
-    respond(lower, parents, y, delassus, response)
+    respond(lower, parents, mobility, y, delassus, response)
     return delassus, response.T, held_response, lower, y
 
 

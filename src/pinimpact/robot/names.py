@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
-from ..checks import as_tuple, near_matches, whole_number
+from ..checks import as_tuple, coefficient, counted, near_matches, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
+
+Stiffening: TypeAlias = float | Mapping[str, float]
+"""Stiffening of all joints with one velocity, or by joint."""
 
 
 def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
@@ -89,23 +92,64 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     """
     free = np.ones(model.nv, dtype=np.bool_)
     for key in joint_keys(locked):
-        joint = key
-        if isinstance(key, str):
-            joint = model.getJointId(key)
-            if joint == model.njoints:
-                raise UnknownNameError(
-                    f"locked: no joint is called {key!r}; {near_matches(key, list(model.names)[1:])}",
-                    field="locked",
-                    value=key,
-                )
-        elif not 0 < whole_number("locked", key, 0) < model.njoints:
-            raise UnknownNameError(
-                f"locked: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}",
-                field="locked",
-                value=key,
-            )
+        joint = _joint_id(model, key, "locked")
         free[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = False
     return free
+
+
+def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffening = 0.0) -> np.ndarray:
+    """Return (nv,) √(1 − s) for the stiffening s of each velocity: 1 where it is free, 0 where locked. (1.7)
+
+    Raises:
+        InputError: A stiffening that is not between 0 and 1, or of a joint that has not one velocity.
+        UnknownNameError: A name that no joint has, or a number out of range.
+    """
+    stiff = np.zeros(model.nv)
+    if isinstance(stiffening, Mapping):
+        for key, value in stiffening.items():
+            joint = _joint_id(model, key, "stiffening")
+            if model.nvs[joint] != 1:
+                raise _not_stiffened(f"joint {key!r} has {counted(model.nvs[joint], 'velocity')}", key)
+            stiff[model.idx_vs[joint]] = coefficient(f"stiffening[{key!r}]", value)
+    elif (same := coefficient("stiffening", stiffening)) > 0.0:
+        joints = single_joints(model)
+        if not joints:
+            raise _not_stiffened("the model has no such joint", stiffening)
+        stiff[list(joints.values())] = same
+    return np.where(free_velocities(model, locked), np.sqrt(1.0 - stiff), 0.0)
+
+
+def single_joints(model: pin.Model) -> dict[str, int]:
+    """Return the index of the velocity of each joint that has one, by name."""
+    joints = zip(model.names, model.idx_vs, model.nvs, strict=True)
+    return {name: v for name, v, count in joints if count == 1}
+
+
+def _not_stiffened(what: str, value: Any) -> InputError:
+    """Return the error for what has no joint to stiffen."""
+    return InputError(
+        f"stiffening: {what}; it is for joints with one velocity, others can only be locked",
+        field="stiffening",
+        value=value,
+    )
+
+
+def _joint_id(model: pin.Model, key: Any, field: str) -> int:
+    """Return the id of a joint given by name or id."""
+    joint = model.getJointId(key) if isinstance(key, str) else whole_number(field, key, 0)
+    if isinstance(key, str) and joint == model.njoints:
+        raise UnknownNameError(
+            f"{field}: no joint is called {key!r}; {near_matches(key, list(model.names)[1:])}",
+            field=field,
+            value=key,
+        )
+    if not 0 < joint < model.njoints:
+        raise UnknownNameError(
+            f"{field}: there is no joint {key}; this model's joints are 1 to {model.njoints - 1}",
+            field=field,
+            value=key,
+        )
+    return int(joint)
 
 
 def joint_keys(locked: Any) -> tuple[str | int, ...]:

@@ -26,7 +26,7 @@ from .data_cache import DataCache, _caches, data_cache, not_normalized
 from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
-from .names import model_of, singular_mass
+from .names import Stiffening, model_of, singular_mass
 from .placed_robot import PlacedRobot
 from .reactions import joint_reactions
 from .shape_pair import is_pair, touching_points
@@ -196,6 +196,7 @@ def impact(
     method: str = "exact",
     record: bool = False,
     simultaneous: str = "propagate",
+    stiffening: Stiffening = 0.0,
     **options: Any,
 ) -> Hit | ManyHit:
     """Compute the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
@@ -218,6 +219,8 @@ def impact(
         method: Method of `solve_impact`, for one contact.
         record: Whether to record ``hit.solution.path``.
         simultaneous: Policy of `solve_impact`, for a list of contacts.
+        stiffening: How much control stiffens joints during the impact, from 0 (free) to 1 (locked): a number
+            for all joints with one velocity, or one for each joint by name. (1.6)
         **options: Options of the method or policy.
 
     Returns:
@@ -225,7 +228,7 @@ def impact(
 
     Raises:
         InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves; a
-            rim that lies flat.
+            rim that lies flat; an invalid stiffening.
         UnknownNameError: A frame or joint that the model does not have; an unknown method.
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
@@ -241,12 +244,14 @@ def impact(
     if cache is None or cache.model() is not model:
         cache = data_cache(model, data)
     if type(contact) is not Contact or contact.geometry is not None:
-        rest: Any = held, locked, method, record, simultaneous
+        rest: Any = held, locked, method, record, simultaneous, stiffening
         return _impact_of_many(robot, data, q, v, contact, *rest, **options)
     if contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact,))
-    if held or locked or record or options or method != "exact":
-        return _impact_in_steps(model, data, q, v, contact, held, locked, method, record, options)
+    stiffened = type(stiffening) is not float or stiffening
+    if held or locked or stiffened or record or options or method != "exact":
+        rest = held, locked, method, record, stiffening, options
+        return _impact_in_steps(model, data, q, v, contact, *rest)
     # the common case of what `float_array` returns, in a tenth of its time
     usual = type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape and q.flags.carray
     q_now: Array = q if usual else float_array("q", q, cache.q_shape)  # type: ignore[assignment]
@@ -295,19 +300,22 @@ def _impact_of_many(
     method: str,
     record: bool,
     simultaneous: str,
+    stiffening: Stiffening,
     **options: Any,
 ) -> Hit | ManyHit:
     """Compute the impact at several contacts, or at what a collision shape touches."""
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         model = model_of(robot)
-        return impact_at_many(*(model, data, q, v, contact, held, locked, simultaneous, record, options))
+        many: Any = contact, held, locked, simultaneous, record, stiffening, options
+        return impact_at_many(model, data, q, v, *many)
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)
     data_cache(model_of(robot), data).check_limits(real_numbers("q", q), stacklevel=5)
     one_or_many: Any = tips[0] if len(tips) == 1 else tips
-    return impact(robot, data, q, v, one_or_many, held, locked, method, record, simultaneous, **options)
+    rest = held, locked, method, record, simultaneous, stiffening
+    return impact(robot, data, q, v, one_or_many, *rest, **options)
 
 
 def impact_by_pinocchio(
@@ -341,11 +349,12 @@ def _impact_in_steps(
     locked: Sequence[str | int],
     method: str,
     record: bool,
+    stiffening: Stiffening,
     options: dict[str, Any],
 ) -> Hit:
     """Compute the impact by `contact_matrices` and `solve_impact`, where the kernel does not apply."""
     held = check_held(held)
-    matrices = contact_matrices(model, data, q, contact, held, locked)
+    matrices = contact_matrices(model, data, q, contact, held, locked, stiffening)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
     data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)

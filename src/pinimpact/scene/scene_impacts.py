@@ -86,6 +86,7 @@ class SceneImpacts:
         self._sustained = "sustained contact" not in without
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
+        self._mobility = self._yielding.astype(np.float64)
         self._roots = np.arange(model.njoints)  # of the tree of each joint
         for joint, parent in enumerate(model.parents):
             if parent > 0:
@@ -335,7 +336,7 @@ class SceneImpacts:
             row[limit.index_v] = limit.sign
         placed = PlacedRobot(self._model, self._data, q)
         anchors = tuple(placed.geometry(anchor) for anchor in self._held)
-        return every, checked_matrices(placed, contacts, anchors, self._yielding, stops)
+        return every, checked_matrices(placed, contacts, anchors, self._mobility, stops)
 
     def _solve(
         self,

@@ -251,7 +251,10 @@ def group_numbers(group: Any, count: int) -> NDArray[np.int64]:
 
 
 def checked_bounds(
-    free: Any, known: Mapping[str, tuple[float, float]], labels: Sequence[str] = ()
+    free: Any,
+    known: Mapping[str, tuple[float, float]],
+    labels: Sequence[str] = (),
+    joints: Iterable[str] = (),
 ) -> dict[str, tuple[float, float]]:
     """Return the bounds of free parameters, checked against the widest possible ones.
 
@@ -259,10 +262,11 @@ def checked_bounds(
         free: Bounds by name, "friction" for that of all contacts, "friction:foot" for that of one.
         known: The widest bounds of each kind of parameter.
         labels: Names of contacts that a parameter may be of.
+        joints: Names of joints that a stiffening may be of.
 
     Raises:
         InputError: No parameters, or bounds that are not two rising numbers in the possible range.
-        UnknownNameError: An unknown parameter or contact.
+        UnknownNameError: An unknown parameter, contact or joint.
     """
     if not isinstance(free, Mapping) or not free:
         raise InputError(
@@ -276,7 +280,8 @@ def checked_bounds(
         kind, colon, label = name.partition(":") if isinstance(name, str) else (name, "", "")
         choice("free", kind, known, "a parameter")
         if colon:
-            choice("free", label, labels, "a contact of the scene")
+            of_joint = joints, "a joint with one velocity"
+            choice("free", label, *(of_joint if kind == "stiffening" else (labels, "a contact of the scene")))
         pair = real_numbers(f"free[{name!r}]", bounds).ravel()
         low, high = known[kind]
         if pair.shape != (2,) or not low <= pair[0] < pair[1] <= high or not np.isfinite(pair).all():

@@ -14,14 +14,17 @@ from ..checks import choice, coefficient, finite_array
 from ..contact_space.batch import BatchSolution, solve_impacts
 from ..contact_space.laws import LAWS
 from ..errors import InputError
+from ..robot.names import single_joints
 from ..scene.scene import Scene
 from ..status import Flag, Status
 from .estimate import Identified, checked_bounds, fit, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
+from .stiff_joints import StiffJoints, stiff_joints
 
 Array = NDArray[np.float64]
 
 RANGES = {"friction": (0.0, np.inf), "restitution": (0.0, 1.0)}
+STIFFENING = {"stiffening": (0.0, 1.0)}
 FREE = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0)}
 
 
@@ -37,6 +40,7 @@ class _Rows(NamedTuple):
         contact: (N,) names, empty for arrays in contact space.
         coefficients: (2, N) μ and e where they are not free.
         law: The restitution law.
+        stiff: Joints whose stiffening is fitted, of which W and the map then depend.
     """
 
     delassus: Array
@@ -47,6 +51,14 @@ class _Rows(NamedTuple):
     contact: NDArray[Any]
     coefficients: Array
     law: str
+    stiff: StiffJoints | None = None
+
+    def at(self, x: Array) -> tuple[_Rows, Array, Array]:
+        """Return these for stiffenings x (p,), and slopes (p, …) of W and of the map."""
+        if self.stiff is None:
+            return self, np.zeros((0, *self.delassus.shape)), np.zeros((0, *self.map.shape))
+        delassus, to_residuals, *slopes = self.stiff.matrices(x)
+        return self._replace(delassus=delassus, map=to_residuals), slopes[0], slopes[1]
 
 
 def identify(
@@ -61,17 +73,18 @@ def identify(
     contact: Any = None,
     fixed: Mapping[str, float] | None = None,
 ) -> Identified:
-    """Fit friction and restitution to measured impacts.
+    """Fit friction and restitution, and the stiffening of joints, to measured impacts.
 
     The residuals are the differences of predicted and measured velocities after the impact, as kinetic energy
-    weighs them, or as a covariance does (I1).
+    weighs them, or as a covariance does (I1); with stiffening, those of all joints (I11).
 
     Args:
         found: Result of `impacts`; or the arrays (W, v⁻, v⁺) of contact space, (N, 3, 3), (N, 3) and (N, 3),
             without a scene; or (q, v⁻, v⁺) of the robot of a scene, (N, nq), (N, nv) and (N, nv).
         scene: The robot and its contacts; their coefficients are those that are not free.
         free: Bounds of each parameter: "friction" and "restitution" for all contacts, "friction:foot" for the
-            contact "foot". None: both, from 0 to 2 and from 0 to 1.
+            contact "foot"; "stiffening" for all joints with one velocity, "stiffening:elbow" for one, see
+            `impact`. None: friction and restitution, from 0 to 2 and from 0 to 1.
         law: Restitution law; None: that of the contacts, or Poisson's law for arrays.
         loss: "soft_l1", which gives outliers less weight, or "linear".
         group: (N,) labels of impacts with common errors, such as those of one toss; None: those of `found`,
@@ -85,11 +98,13 @@ def identify(
         An `Identified`.
 
     Raises:
-        InputError: Wrong shapes, bounds, or covariances; impacts that have no solution.
-        UnknownNameError: An unknown parameter, contact, law or loss.
+        InputError: Wrong shapes, bounds, or covariances; impacts that have no solution; stiffening without a
+            scene or with held contacts.
+        UnknownNameError: An unknown parameter, contact, joint, law or loss.
     """
     labels = [] if scene is None else [one.label for one in scene.contacts]
-    bounds = checked_bounds(FREE if free is None else free, RANGES, labels)
+    joints = () if scene is None else single_joints(scene.model)
+    bounds = checked_bounds(FREE if free is None else free, RANGES | STIFFENING, labels, joints)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
     if scene is None:
@@ -104,7 +119,7 @@ def identify(
         given = as_found(found, scene, contact, group)
         if group is None and isinstance(found, FoundImpacts):
             group = given.group
-        rows = _of_robot(given, scene, law, covariance)
+        rows = _of_robot(given, scene, law, covariance, _stiffened(bounds))
     numbers = group_numbers(group, len(rows.velocity))
     return _fitted(rows, bounds, numbers, loss)
 
@@ -114,47 +129,58 @@ def _fitted(
 ) -> Identified:
     """Return the fit of rows in contact space."""
     names = list(bounds)
-    kinds = [list(RANGES).index(name.partition(":")[0]) for name in names]
-    order = sorted(range(len(names)), key=lambda j: ":" in names[j])  # that of one contact overrides
+    stiffened = [j for j, name in enumerate(names) if name in _stiffened(bounds)]
+    kinds = {
+        j: list(RANGES).index(names[j].partition(":")[0]) for j in range(len(names)) if j not in stiffened
+    }
     owner = np.full(rows.coefficients.shape, -1)
-    for j in order:
+    for j in sorted(kinds, key=lambda j: ":" in names[j]):  # that of one contact overrides
         label = names[j].partition(":")[2]
         owner[kinds[j], (rows.contact == label) if label else slice(None)] = j
-    solved: dict[bytes, BatchSolution] = {}
+    solved: dict[bytes, tuple[BatchSolution, tuple[_Rows, Array, Array]]] = {}
 
-    def solve(x: Array, derivatives: bool = True) -> BatchSolution:
+    def solve(x: Array, derivatives: bool = True) -> tuple[BatchSolution, tuple[_Rows, Array, Array]]:
         if x.tobytes() not in solved:
             solved.clear()
             mu, e = np.where(owner >= 0, x[owner], rows.coefficients)
-            problems = rows.delassus, rows.velocity, mu, e, rows.law, rows.scale
+            now = rows.at(x[stiffened])
+            problems = now[0].delassus, rows.velocity, mu, e, rows.law, rows.scale
             batch = _checked(solve_impacts(*problems, derivatives=derivatives))
             if not derivatives:
-                return batch
-            solved[x.tobytes()] = batch
+                return batch, now
+            solved[x.tobytes()] = batch, now
         return solved[x.tobytes()]
 
     def residual(x: Array, derivatives: bool = True) -> Array:
-        return np.einsum("nij,nj->ni", rows.map, solve(x, derivatives).impulse) - rows.target
+        batch, (now, _, _) = solve(x, derivatives)
+        return np.einsum("nij,nj->ni", now.map, batch.impulse) - rows.target
 
     def jacobian(x: Array) -> Array:
-        slopes: Any = solve(x).derivatives
-        by = np.array([slopes.dP_dfriction, slopes.dP_drestitution])[kinds]  # (p, N, 3)
-        by = by * (owner[kinds] == np.arange(len(names))[:, None])[:, :, None]
+        batch, (now, W_slopes, map_slopes) = solve(x)
+        slopes: Any = batch.derivatives
+        by = np.zeros((len(names), *batch.impulse.shape))
+        for j, kind in kinds.items():
+            by[j] = (slopes.dP_dfriction, slopes.dP_drestitution)[kind] * (owner[kind] == j)[:, None]
+        by[stiffened] = np.einsum("nkij,pnij->pnk", slopes.dP_ddelassus, W_slopes)
         # a row on a boundary has no derivative there: it does not count in this step
-        return np.einsum("nij,pnj->nip", rows.map, np.nan_to_num(by))
+        out = np.einsum("nij,pnj->nip", now.map, np.nan_to_num(by))
+        out[:, :, stiffened] += np.einsum("pnij,nj->nip", map_slopes, batch.impulse)
+        return out
 
     def reason(name: str, x: Array) -> str:
+        if names.index(name) in stiffened:
+            return ""
         used = (owner == names.index(name)).any(axis=0)
         if not used.any():
             return "no impact is of this contact"
-        batch = solve(x)
+        batch = solve(x)[0]
         struck = used & (batch.status != Status.NO_IMPACT)
         if name.startswith("friction") and ((batch.flags & Flag.STICK) != 0)[struck].all():
             return "all impacts end sticking, and more friction would change nothing"
         speed = -np.median(rows.velocity[used, 2])
         return f"the median approach speed is {speed:.2g} m/s" if name.startswith("restitution") else ""
 
-    setters = {kind: _set_coefficient for kind in RANGES}
+    setters = dict.fromkeys(RANGES, _set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
     trial = partial(residual, derivatives=False)
     return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
 
@@ -170,6 +196,20 @@ def _set_coefficient(scene: Scene, name: str, value: float) -> Scene:
         replace(contact, **changed) if label in ("", contact.label) else contact for contact in scene.contacts
     ]
     return replace(scene, contacts=contacts)
+
+
+def _stiffened(bounds: Mapping[str, Any]) -> list[str]:
+    """Return the parameters that are stiffenings of joints."""
+    return [name for name in bounds if name.partition(":")[0] in STIFFENING]
+
+
+def _no_setting(scene: Scene, name: str, value: float) -> Scene:
+    """Refuse a stiffening for a scene: it is one of single impacts."""
+    _, _, joint = name.partition(":")
+    option = f"{{{joint!r}: {value:.6g}}}" if joint else f"{value:.6g}"
+    raise InputError(
+        f"scene: a scene has no {name}; use impact(…, stiffening={option})", field="scene", value=name
+    )
 
 
 def _checked(batch: BatchSolution) -> BatchSolution:
@@ -193,6 +233,12 @@ def _of_arrays(
     fixed: Mapping[str, float],
 ) -> _Rows:
     """Return impacts given by (W, v⁻, v⁺)."""
+    if stiff := _stiffened(free):
+        raise InputError(
+            f"free: {stiff[0]} is of the joints of a robot; give (q, v_before, v_after) and a scene",
+            field="free",
+            value=stiff,
+        )
     W, before, after = arrays_of(found, "(delassus, v_before, v_after) without a scene")
     count = len(before)
     W = finite_array("delassus", W, (count, 3, 3))
@@ -214,8 +260,10 @@ def _of_arrays(
     return _Rows(W, before, np.zeros(count), weights, target, np.full(count, ""), coefficients, law)
 
 
-def _of_robot(found: FoundImpacts, scene: Scene, law: str | None, covariance: ArrayLike | None) -> _Rows:
-    """Return impacts of a robot. (I1)"""
+def _of_robot(
+    found: FoundImpacts, scene: Scene, law: str | None, covariance: ArrayLike | None, stiff: list[str]
+) -> _Rows:
+    """Return impacts of a robot. (I1), and with stiff joints (I11)"""
     contacts = {one.label: one for one in scene.contacts}
     laws = {contacts[name].law for name in found.contact.tolist()}
     if law is None and len(laws) > 1:
@@ -229,12 +277,15 @@ def _of_robot(found: FoundImpacts, scene: Scene, law: str | None, covariance: Ar
     before = np.array([one.velocity(v) for one, v in zip(all_of, found.v_before, strict=True)])
     scale = np.array([one.velocity_scale(v) for one, v in zip(all_of, found.v_before, strict=True)])
     change = found.v_after - found.v_before
-    if covariance is None:
+    root = None if covariance is None else whitener("covariance", covariance, len(found), scene.model.nv)
+    joints = stiff_joints(stiff, scene, all_of, root) if stiff else None
+    if joints is not None:
+        root = joints.root
+    if root is None:
         weights = _energy_root(W)
         jump = np.array([one.jacobian @ dv for one, dv in zip(all_of, change, strict=True)])
         target = _targets(weights, W, jump)
     else:
-        root = whitener("covariance", covariance, len(found), scene.model.nv)
         weights = root @ np.array([one.response for one in all_of])
         target = np.einsum("nij,nj->ni", root, change)
     coefficients = np.array(
@@ -247,7 +298,7 @@ def _of_robot(found: FoundImpacts, scene: Scene, law: str | None, covariance: Ar
         ]
     )
     names = np.asarray(found.contact)
-    return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop())
+    return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop(), joints)
 
 
 def _energy_root(W: Array) -> Array:

@@ -6,46 +6,45 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ..tolerances import COUPLED
 from .tree import factor, solve, solve_transposed
 
 
-@declared(FLOAT_ROWS, INTEGERS, FLAGS, FLOAT_ROWS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def half_solve(mass, parents, free, lower, rows):
-    """Fill `lower` with L, M = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ x.
+def half_solve(mass, parents, mobility, lower, rows):
+    """Fill `lower` with L, N = LᵀL, and replace each row x (nv,) of `rows` (m, nv) by L⁻ᵀ D x. (1.7)
 
     Args:
         mass: (nv, nv) M.
         parents: (nv,) the next velocity towards the root, or −1.
-        free: (nv,) False for locked velocities, which are left out.
+        mobility: (nv,) the diagonal of D: 1 for free velocities, 0 for locked ones.
         lower: (nv, nv) takes L.
         rows: Rows of Jacobians.
 
     Returns:
         −1, or the first velocity whose inertia is not positive.
     """
-    n = len(free)
-    loose = np.empty((n, n))
+    n = len(mobility)
+    scaled = np.empty((n, n))
     for i in range(n):
         for j in range(n):
-            loose[i, j] = mass[i, j] if free[i] and free[j] else 0.0
-        if not free[i]:
-            loose[i, i] = 1.0
-            for row in rows:
-                row[i] = 0.0
-    stopped = factor(loose, parents, lower)
+            scaled[i, j] = mass[i, j] * (mobility[i] * mobility[j])
+        scaled[i, i] = mass[i, i] if mobility[i] > 0.0 else 1.0  # what is locked may move no inertia
+        for row in rows:
+            row[i] *= mobility[i]
+    stopped = factor(scaled, parents, lower)
     if stopped < 0:
         solve_transposed(lower, parents, rows)
     return stopped
 
 
-@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
+@declared(FLOAT_ROWS, INTEGERS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS)
 @jit
-def respond(lower, parents, y, delassus, response):
-    """Fill `delassus` (m, m) with W = y yᵀ and `response` (m, nv) with M⁻¹ x, for rows y = L⁻ᵀ x (m, nv)."""
+def respond(lower, parents, mobility, y, delassus, response):
+    """Fill `delassus` (m, m) with y yᵀ and `response` (m, nv) with D L⁻¹ y for rows y of `half_solve`."""
     for a in range(len(y)):
         for b in range(a + 1):
             total = 0.0
@@ -56,6 +55,9 @@ def respond(lower, parents, y, delassus, response):
         for i in range(y.shape[1]):
             response[a, i] = y[a, i]
     solve(lower, parents, response)
+    for row in response:
+        for i in range(len(row)):
+            row[i] *= mobility[i]
 
 
 @declared(FLOAT_ROWS, FLOATS, FLOATS, float, int, INTEGERS)
