@@ -1,13 +1,14 @@
 """Ensembles: draws, independence of chunks and workers, survival, statistics against closed forms, errors."""
 
 import functools
+import itertools
 import json
 import os
 import pathlib
 import re
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,7 @@ import pytest
 from scipy import stats
 
 from pinimpact import Contact, Event, InputError, Plane, Scene, SimulationError, UnknownNameError
+from pinimpact.studies import ensembles
 from pinimpact.studies.ensembles import ensemble
 
 from . import interrupted_study
@@ -76,6 +78,61 @@ def test_processes_give_the_same_bits(tmp_path, monkeypatch):
     assert names[0] == "samples-000000000.parquet"
     assert names[-1] == "study.json"
     assert 4 <= len(names) <= 13
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_chunks_cover_what_is_missing_once(seed):
+    rng = np.random.default_rng(seed)
+    cuts = np.unique(np.r_[0, rng.integers(0, 500, 12), 500])
+    known = {int(a): int(b - a) for a, b in itertools.pairwise(cuts) if rng.random() < 0.4}
+    pieces = ensembles._Pieces(known, 500)
+    done, flying = [(first, count) for first, count in known.items()], []
+    while (piece := pieces.take(int(rng.integers(1, 5)))) is not None or flying:
+        flying += [] if piece is None else [piece]
+        if rng.random() < 0.1:
+            pieces.give_back(flying)
+            flying = []
+        elif flying and rng.random() < 0.5:
+            done.append(flying.pop(rng.integers(len(flying))))
+            pieces.timed(done[-1][1], rng.uniform(0.0, 0.2))
+    samples = [i for first, count in done for i in range(first, first + count)]
+    assert sorted(samples) == list(range(500))
+
+
+def test_chunks_take_the_time_that_is_wanted():
+    pieces = ensembles._Pieces({}, 10**9)
+    sizes = []
+    for _ in range(12):
+        _, count = pieces.take()
+        sizes.append(count)
+        pieces.timed(count, 1e-3 * count)
+    assert sizes[:5] == [1, 8, 64, 512, int(ensembles.CHUNK_SECONDS / 1e-3)]
+    assert len(set(sizes[4:])) == 1
+    pieces.timed(sizes[-1], 1e3)  # slower samples
+    assert pieces.take()[1] == 4
+
+
+class _AtOnce(Executor):
+    """An executor that runs each task when it is submitted."""
+
+    submitted = 0
+
+    def submit(self, task, *args):
+        self.submitted += 1
+        future = Future()
+        future.set_result(task(*args))
+        return future
+
+
+@pytest.mark.parametrize(("seconds", "grows"), [(100.0, True), (0.0, False)])
+def test_more_chunks_are_in_flight_where_none_waits_for_a_processor(seconds, grows):
+    executor, pieces, most = _AtOnce(), ensembles._Pieces({}, 300), 0
+    task = lambda first, count: ({"sample": np.arange(first, first + count)}, seconds)  # noqa: E731
+    for yielded, _ in enumerate(ensembles._by_executor(task, pieces, executor, 2)):
+        most = max(most, executor.submitted - yielded)
+        pieces.size = 1
+    assert (most > 4 * ensembles.IN_FLIGHT) == grows
+    assert grows or most == 2 * ensembles.IN_FLIGHT
 
 
 def _resume(out, **change):

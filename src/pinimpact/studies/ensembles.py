@@ -227,12 +227,14 @@ def ensemble(
         folder = StudyFolder(out, sampling, settings, resume)
         found = folder.read()
     pieces = _Pieces({first: len(columns["sample"]) for first, columns in found.items()}, sampling.samples)
+    done = sum(len(columns["sample"]) for columns in found.values())
     for first, columns in _finished(task, pieces, executor):
         if folder is not None:
             folder.write(first, columns)
         found[first] = columns
+        done += len(columns["sample"])
         if progress is not None:
-            progress(sum(len(chunk["sample"]) for chunk in found.values()), sampling.samples)
+            progress(done, sampling.samples)
     rows = joined([columns for _, columns in sorted(found.items(), key=lambda item: item[0])])
     return Ensemble(rows, sampling.names, sampling.design, None if duration is None else task.trajectory)
 
