@@ -90,7 +90,8 @@ def test_none_is_the_plain_impact_and_one_is_locked(panda):
     data, locked = panda.createData(), ["panda_joint2", "panda_joint4"]
     for q, v, _, _ in states(panda, contact, 20):
         plain = impact(panda, data, q, v, contact)
-        assert np.array_equal(impact(panda, data, q, v, contact, stiffening=0.0).v, plain.v)
+        for free in (None, 0, 0.0):
+            assert np.array_equal(impact(panda, data, q, v, contact, stiffening=free).v, plain.v)
         recorded = impact(panda, data, q, v, contact, record=True)
         nothing = impact(panda, data, q, v, contact, record=True, stiffening=dict.fromkeys(locked, 0))
         assert np.array_equal(nothing.v, recorded.v)
@@ -140,6 +141,33 @@ def test_balance_of_momentum_and_energy(panda):
         energy = [0.5 * x @ (free.mass + K) @ x for x in (v, hit.v)]
         assert hit.solution.work.total == pytest.approx(energy[1] - energy[0], abs=ROUNDING * energy[0])
         assert energy[1] <= energy[0] * (1.0 + ROUNDING)
+
+
+def test_equal_stiffening_of_an_arm_takes_away_coupling(panda):
+    contact = Contact("panda_hand_tcp", Plane(), 0.4, 0.5)
+    for q, v, free, _ in states(panda, contact, 5):
+        s = 0.9
+        loose = (1.0 - s) * free.mass + s * np.diag(np.diag(free.mass))
+        response = np.linalg.solve(loose, free.jacobian.T)
+        problem = pinimpact.ImpactProblem(free.jacobian @ response, free.velocity(v), 0.4, 0.5)
+        impulse = pinimpact.solve_impact(problem).impulse
+        hit = impact(panda, panda.createData(), q, v, contact, stiffening=s)
+        assert np.allclose(
+            hit.solution.impulse, impulse / (1.0 - s), rtol=0, atol=1e-9 * np.abs(impulse).max()
+        )
+        assert np.allclose(hit.v, v + response @ impulse, rtol=0, atol=ROUNDING * np.abs(hit.v).max())
+
+
+def test_derivatives_have_no_stiffening(panda):
+    with pytest.raises(TypeError, match="stiffening"):
+        pinimpact.impact_derivatives(
+            panda,
+            panda.createData(),
+            pin.neutral(panda),
+            np.ones(9),
+            Contact("panda_hand_tcp", Plane()),
+            stiffening=0.5,
+        )
 
 
 def test_more_stiffening_makes_the_contact_harder(panda):

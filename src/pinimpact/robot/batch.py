@@ -25,7 +25,7 @@ from .contact import Contact, check_contact, check_held
 from .data_cache import DataCache, data_cache
 from .held import HeldContactWarning, moves, pull
 from .matrices import contact_matrices
-from .names import Stiffening, coordinate_names, joint_keys, mobilities, model_of, singular_mass
+from .names import Stiffening, coordinate_names, is_stiff, joint_keys, mobilities, model_of, singular_mass
 from .placed_robot import PlacedRobot
 from .robot_impact import LOCKED, Hit, impact, impact_by_pinocchio, restitution_of_approach
 from .struck import strike
@@ -151,7 +151,7 @@ def impacts(
     locked: Sequence[str | int] = (),
     threads: int = 1,
     law: Literal["newton", "poisson", "energetic"] | None = None,
-    stiffening: Stiffening = 0.0,
+    stiffening: Stiffening = None,
 ) -> Hits:
     """Compute the impact of one contact for many states and coefficients.
 
@@ -200,7 +200,7 @@ def impacts(
     mu = _per_row("friction", mu, count)
     e = None if e is None else _per_row("restitution", e, count)
     locked = joint_keys(locked)
-    in_steps = bool(held or locked) or type(stiffening) is not float or stiffening != 0.0
+    in_steps = bool(held or locked) or is_stiff(stiffening)
     usable = np.ones(count, dtype=np.bool_)  # without other information the kernel checks q
     if cache.tree is None or e is None or in_steps or contact.rim > 0.0:
         usable[:] = [_is_usable(model, data, row, contact) for row in q]

@@ -62,7 +62,7 @@ def contact_matrices(
     contact: Contact,
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
-    stiffening: Stiffening = 0.0,
+    stiffening: Stiffening = None,
 ) -> ContactMatrices:
     """Return the matrices of a contact at a configuration.
 
@@ -150,7 +150,7 @@ def many_matrices(
     contacts: Sequence[Contact],
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
-    stiffening: Stiffening = 0.0,
+    stiffening: Stiffening = None,
 ) -> ManyMatrices:
     """Return the matrices of n contacts at a configuration.
 

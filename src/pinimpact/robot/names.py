@@ -8,11 +8,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from ..checks import as_tuple, coefficient, counted, near_matches, whole_number
+from ..checks import as_tuple, coefficient, counted, near_matches, real_number, whole_number
 from ..errors import InputError, ModelError, UnknownNameError
 
-Stiffening: TypeAlias = float | Mapping[str, float]
-"""Stiffening of all joints with one velocity, or by joint."""
+Stiffening: TypeAlias = float | Mapping[str, float] | None
+"""Stiffening of all joints with one velocity, or by joint; None: of none."""
 
 
 def frame_id(model: pin.Model, key: str | int, field: str = "frame") -> int:
@@ -97,7 +97,7 @@ def free_velocities(model: pin.Model, locked: Sequence[str | int]) -> np.ndarray
     return free
 
 
-def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffening = 0.0) -> np.ndarray:
+def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffening = None) -> np.ndarray:
     """Return (nv,) √(1 − s) for the stiffening s of each velocity: 1 where it is free, 0 where locked. (1.7)
 
     Raises:
@@ -111,12 +111,19 @@ def mobilities(model: pin.Model, locked: Sequence[str | int], stiffening: Stiffe
             if model.nvs[joint] != 1:
                 raise _not_stiffened(f"joint {key!r} has {counted(model.nvs[joint], 'velocity')}", key)
             stiff[model.idx_vs[joint]] = coefficient(f"stiffening[{key!r}]", value)
-    elif (same := coefficient("stiffening", stiffening)) > 0.0:
+    elif is_stiff(stiffening):
         joints = single_joints(model)
         if not joints:
             raise _not_stiffened("the model has no such joint", stiffening)
-        stiff[list(joints.values())] = same
+        stiff[list(joints.values())] = coefficient("stiffening", stiffening)
     return np.where(free_velocities(model, locked), np.sqrt(1.0 - stiff), 0.0)
+
+
+def is_stiff(stiffening: Stiffening) -> bool:
+    """Return whether joints may be stiffened: not by None or 0."""
+    if stiffening is None or isinstance(stiffening, Mapping):
+        return stiffening is not None
+    return real_number("stiffening", stiffening) != 0.0
 
 
 def single_joints(model: pin.Model) -> dict[str, int]:

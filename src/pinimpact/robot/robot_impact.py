@@ -26,7 +26,7 @@ from .data_cache import DataCache, _caches, data_cache, not_normalized
 from .held import check_at_rest, warn_of_pulls
 from .many_impact import ManyHit, impact_at_many
 from .matrices import contact_geometry, contact_matrices
-from .names import Stiffening, model_of, singular_mass
+from .names import Stiffening, is_stiff, model_of, singular_mass
 from .placed_robot import PlacedRobot
 from .reactions import joint_reactions
 from .shape_pair import is_pair, touching_points
@@ -196,7 +196,7 @@ def impact(
     method: str = "exact",
     record: bool = False,
     simultaneous: str = "propagate",
-    stiffening: Stiffening = 0.0,
+    stiffening: Stiffening = None,
     **options: Any,
 ) -> Hit | ManyHit:
     """Compute the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
@@ -248,8 +248,8 @@ def impact(
         return _impact_of_many(robot, data, q, v, contact, *rest, **options)
     if contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact,))
-    stiffened = type(stiffening) is not float or stiffening
-    if held or locked or stiffened or record or options or method != "exact":
+    plain = method == "exact" and not (held or locked or record or options)
+    if not plain or (stiffening is not None and is_stiff(stiffening)):
         rest = held, locked, method, record, stiffening, options
         return _impact_in_steps(model, data, q, v, contact, *rest)
     # the common case of what `float_array` returns, in a tenth of its time
