@@ -138,6 +138,8 @@ def test_balance_of_momentum_and_energy(panda):
         control = free.mass @ (hit.v - v) - free.jacobian.T @ hit.solution.impulse
         scale = np.abs(free.jacobian.T @ hit.solution.impulse).max()
         assert np.allclose(control, -K @ (hit.v - v), rtol=0, atol=ROUNDING * scale)
+        reactions = hit.joint_reactions(panda, data, q, v)[4]  # about the axis z of joint 4
+        assert reactions[5] == pytest.approx(control[3], rel=1e-8)
         energy = [0.5 * x @ (free.mass + K) @ x for x in (v, hit.v)]
         assert hit.solution.work.total == pytest.approx(energy[1] - energy[0], abs=ROUNDING * energy[0])
         assert energy[1] <= energy[0] * (1.0 + ROUNDING)
@@ -156,6 +158,17 @@ def test_equal_stiffening_of_an_arm_takes_away_coupling(panda):
             hit.solution.impulse, impulse / (1.0 - s), rtol=0, atol=1e-9 * np.abs(impulse).max()
         )
         assert np.allclose(hit.v, v + response @ impulse, rtol=0, atol=ROUNDING * np.abs(hit.v).max())
+
+
+def test_rounding_errors_of_a_stiff_arm_are_as_small_as_its_matrix(panda):
+    contact = Contact("panda_hand_tcp", Plane())
+    for q, _, free, _ in states(panda, contact, 5):
+        stiff = pinimpact.contact_matrices(panda, panda.createData(), q, contact, stiffening=1.0 - 1e-12)
+        assert np.allclose(
+            stiff.factor @ stiff.factor.T, stiff.delassus, rtol=0, atol=1e-12 * stiff.delassus.max()
+        )
+        sizes = [one.factor_scale / np.linalg.norm(one.factor) for one in (free, stiff)]
+        assert sizes[1] < 10.0 * sizes[0]
 
 
 def test_derivatives_have_no_stiffening(panda):

@@ -123,7 +123,8 @@ class Hit:
 
         Row i is what the link before joint i exerts on the one after it, at the joint and in its axes; row 0
         is what the robot exerts on the world at its origin, beside contacts, in world axes. Along an axis
-        that a joint is free to move a wrench has only what accelerates a rotor.
+        that a joint is free to move a wrench has only what accelerates a rotor, and the impulse −k Δq̇ of the
+        control that stiffens the joint (1.6).
 
         Args:
             model: That of the impact.

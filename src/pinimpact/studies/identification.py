@@ -277,10 +277,11 @@ def _of_robot(
     before = np.array([one.velocity(v) for one, v in zip(all_of, found.v_before, strict=True)])
     scale = np.array([one.velocity_scale(v) for one, v in zip(all_of, found.v_before, strict=True)])
     change = found.v_after - found.v_before
-    root = None if covariance is None else whitener("covariance", covariance, len(found), scene.model.nv)
-    joints = stiff_joints(stiff, scene, all_of, root) if stiff else None
-    if joints is not None:
-        root = joints.root
+    root = None
+    if covariance is not None:
+        root = whitener("covariance", covariance, len(found), scene.model.nv)
+    elif stiff:
+        root = _energy_root(np.array([one.mass for one in all_of]))
     if root is None:
         weights = _energy_root(W)
         jump = np.array([one.jacobian @ dv for one, dv in zip(all_of, change, strict=True)])
@@ -298,11 +299,12 @@ def _of_robot(
         ]
     )
     names = np.asarray(found.contact)
+    joints = None if root is None or not stiff else stiff_joints(stiff, scene, all_of, root)
     return _Rows(W, before, scale, weights, target, names, coefficients, law or laws.pop(), joints)
 
 
 def _energy_root(W: Array) -> Array:
-    """Return the symmetric roots (N, 3, 3) of W: |√W ΔP|² is twice the kinetic energy of W ΔP."""
+    """Return the symmetric roots of W (N, n, n): |√W ΔP|² is twice the kinetic energy of W ΔP."""
     values, vectors = np.linalg.eigh(W)
     return (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]) @ np.swapaxes(vectors, 1, 2)
 

@@ -56,7 +56,7 @@ class StiffJoints(NamedTuple):
 
 
 def stiff_joints(
-    names: Sequence[str], scene: Scene, of_impacts: Sequence[ContactMatrices], root: Array | None
+    names: Sequence[str], scene: Scene, of_impacts: Sequence[ContactMatrices], root: Array
 ) -> StiffJoints:
     """Return the stiff joints of impacts.
 
@@ -64,7 +64,7 @@ def stiff_joints(
         names: Parameters, "stiffening" for all joints or "stiffening:elbow" for one.
         scene: The robot.
         of_impacts: The matrices of each impact.
-        root: (N, m, nv) that whitens velocities; None for that of M, so that |r|² is twice a kinetic energy.
+        root: (N, m, nv) by which residuals of velocities are whitened.
 
     Raises:
         InputError: Held contacts, or a model without joints to stiffen.
@@ -88,7 +88,5 @@ def stiff_joints(
         owner[[joints[label]] if label else list(joints.values())] = p
     mobility = mobilities(scene.model, scene.locked)
     owner[mobility == 0.0] = -1
-    mass = np.array([one.mass for one in of_impacts])
-    if root is None:
-        root = np.swapaxes(np.linalg.cholesky(mass), 1, 2)
-    return StiffJoints(mass, np.array([one.jacobian for one in of_impacts]), root, owner, mobility)
+    mass, jacobian = (np.array([getattr(one, name) for one in of_impacts]) for name in ("mass", "jacobian"))
+    return StiffJoints(mass, jacobian, root, owner, mobility)
