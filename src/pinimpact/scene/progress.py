@@ -28,11 +28,6 @@ RUBBING = slice(1, 3)
 GAINED = 10.0
 """Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps."""
 
-ROLLING = 0.25
-"""Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
-grows with time and is no gain. With none of it rolling balls are refused, with all of it a gain of 0.4 % of
-the energy is not seen."""
-
 STALLED = 1e-8
 """Time [s] that is no progress, or that part of a duration below 1 s."""
 
@@ -101,17 +96,22 @@ class Progress:
         Raises:
             IrregularMotionError: See above.
         """
-        state = self._state
+        state, work = self._state, self._instant.dynamics.work
         joints, contacts = state.works[RUBBING].tolist()
-        least_joints, least_contacts = state.rubbed
-        state.rubbed = least_joints, least_contacts = min(joints, least_joints), min(contacts, least_contacts)
+        least_joints, least_contacts, by_error = state.rubbed
+        least_joints, least_contacts = min(joints, least_joints), min(contacts, least_contacts)
         joints, contacts = step.work_at(until)[RUBBING].tolist()
         gained = max(joints - least_joints, contacts - least_contacts)
+        if gained > 0.0:  # what sticks or rolls moves by the error of velocities against its friction
+            forces = np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum()
+            by_error += float(forces) * self._instant.error(state.v) * (until - step.start)
+        else:
+            by_error = 0.0
+        state.rubbed = least_joints, least_contacts, by_error
         if not gained > self._little:
             return
         rounding = 4.0 * math.ulp(max(abs(joints), abs(contacts)))  # of sums that grow step by step
-        explained = self._little + self._weight * ROLLING * self._instant.error(state.v) * until + rounding
-        if gained > explained and gained > GAINED * self._options.rtol * kinetic_energy(
+        if gained > self._little + by_error + rounding and gained > GAINED * self._options.rtol * kinetic_energy(
             self._model, self._instant.data, state.q, state.v
         ):
             raise IrregularMotionError(

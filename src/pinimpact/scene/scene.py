@@ -236,7 +236,18 @@ class Scene:
                 if shape.name in named:
                     kept.addGeometryObject(shape)
             state["geometry"] = kept if named else None
+        limits = self.model.lowerPositionLimit.copy(), self.model.upperPositionLimit.copy()
+        if not np.isfinite(limits).all():  # Pinocchio 4.0 writes infinite numbers, but cannot read them
+            model = self.model.copy()
+            model.lowerPositionLimit = model.upperPositionLimit = np.zeros(model.nq)
+            state |= {"model": model, "_limits": limits}
         return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        limits = state.pop("_limits", None)
+        vars(self).update(state)
+        if limits is not None:
+            self.model.lowerPositionLimit, self.model.upperPositionLimit = limits
 
     def __repr__(self) -> str:
         """Return the scene in a line: the robot, its contacts, and what differs from the defaults."""
