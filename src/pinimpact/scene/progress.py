@@ -110,8 +110,8 @@ class Progress:
         state.rubbed = least_joints, least_contacts, by_error
         if not gained > self._little:
             return
-        rounding = 4.0 * math.ulp(max(abs(joints), abs(contacts)))  # of sums that grow step by step
-        if gained > self._little + by_error + rounding and gained > GAINED * self._options.rtol * kinetic_energy(
+        by_error += 4.0 * math.ulp(max(abs(joints), abs(contacts)))  # rounding of sums that grow step by step
+        if gained > self._little + by_error and gained > GAINED * self._options.rtol * kinetic_energy(
             self._model, self._instant.data, state.q, state.v
         ):
             raise IrregularMotionError(
