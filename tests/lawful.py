@@ -100,7 +100,7 @@ def lost(scene: Scene, trajectory: Trajectory, rtol: float) -> str:
                 jacobian = pin.getFrameJacobian(
                     model, data, model.getFrameId(contact.frame), pin.LOCAL_WORLD_ALIGNED
                 )[:3]
-                error = 10.0 * off * np.linalg.norm(np.abs(jacobian).sum(axis=1))  # of ten such steps
+                error = 30.0 * off * np.linalg.norm(np.abs(jacobian).sum(axis=1))  # of thirty such steps
                 before, change = np.linalg.norm(jacobian @ v[k]), np.linalg.norm(jacobian @ (v[k + 1] - v[k]))
                 if before > error and change > error:
                     return f"{contact.label} at {t[k]:.9g} s loses {change:.3g} of {before:.3g} m/s, unstruck"
