@@ -112,6 +112,21 @@ def test_a_bouncing_ball():
     assert np.allclose(found[np.ix_([0, 3], [0, 3])], np.eye(2), atol=1e-15)
 
 
+def test_derivatives_after_the_last_bounce_are_flagged():
+    # rebounds at e v, e² v, … take 2 eⁿ v/g each; those below the resting speed are left out
+    e, v, g = 0.5, 2.0, 9.81
+    contact = Contact("ball centre", Plane(), 0.0, e, name="ball")
+    scene = Scene(point("ball"), [contact], resting_speed=1e-3)
+    run = simulate(scene, np.zeros(3), [0.0, 0.0, -v], 1.0, sensitivities="state")
+    bounces = run.impacts[-1].time
+    assert run.impacts[-1].resting and bounces == pytest.approx(2 * e * v / ((1 - e) * g), rel=1e-3)
+    assert run.sensitivity(0.9 * bounces).boundary == Boundary.NONE
+    assert run.sensitivity(1.0).boundary == Boundary.LAST_BOUNCE
+    plastic = Scene(point("ball"), [Contact("ball centre", Plane(), 0.0, name="ball")])
+    run = simulate(plastic, np.zeros(3), [0.0, 0.0, -v], 1.0, sensitivities="state")
+    assert run.sensitivity(1.0).boundary & Boundary.LAST_BOUNCE == 0
+
+
 def test_two_balls_swap_their_motions():
     # at e = 1 and without gravity x₂ = x₁ + v₁ t afterwards
     gravity = {"without": ("gravity",)}

@@ -29,6 +29,7 @@ class Boundary(enum.IntFlag):
     BOUND = 32
     RANK = 64
     CLOSED = 128
+    LAST_BOUNCE = 256
 
     @classmethod
     def _missing_(cls, value: object) -> Any:
@@ -48,6 +49,7 @@ _TEXTS = {
     Boundary.BOUND: "μ = 0, e = 0 or e = 1: slopes by it are those into the range.",
     Boundary.RANK: "W is singular: derivatives hold for changes that keep its rank.",
     Boundary.CLOSED: "Contacts or limits are closed at the start: changes that open them are projected.",
+    Boundary.LAST_BOUNCE: "Bounces ended at the resting speed: those that would follow do not count.",
 }
 
 

@@ -224,6 +224,8 @@ class Saltation:
         joints = (work.dry_friction > 0.0) & (np.abs(record.v_after) <= work.stick_speed)
         if closes.any() or not (slow or np.abs(removed[joints]).max(initial=0.0) > 0.0):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
+        if record.resting:
+            self.boundary |= Boundary.LAST_BOUNCE
         jump = self.jump(number, record.q, record.v_before, record.resting)
         nv = len(record.v_before)
         closing = float(jump.guard @ rates[0][:nv])
