@@ -264,7 +264,7 @@ class Alternating(TimeStepping):
         self.progress.mark()
         state.cut_short, state.events_since = False, len(self.record.dense_steps)
         joints, contacts = state.works[RUBBING].tolist()
-        state.rubbed = joints, contacts, 0.0
+        state.rubbed = joints, contacts
         return self.dynamics.first_length()
 
 

@@ -58,8 +58,7 @@ class HybridState:
         low_orders_from: The steps from which orders 5 and 3 may be tried.
         steps, rejected: Numbers of steps.
         marked: `steps`, `t`, `v` and `rejected` where there was progress last.
-        rubbed: Least works of friction so far, in joints and in contacts, and what errors of velocities
-            explain since then [J].
+        rubbed: Least works of friction so far, in joints and in contacts [J].
         struck: Instants with impacts since the motion was resumed.
         islands: (trees,) Of each tree of joints that rests in time steps: its island, else −1.
         resting_forces: On what rests.
@@ -100,7 +99,7 @@ class HybridState:
     steps: int = 0
     rejected: int = 0
     marked: tuple[int, float, Array, int] = (0, 0.0, np.zeros(0), 0)
-    rubbed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rubbed: tuple[float, float] = (0.0, 0.0)
     struck: int = 0
 
     islands: NDArray[np.int64] | None = None
