@@ -104,6 +104,8 @@ def fit(
     loss: str,
     reason: Callable[[str, Array], str],
     trial: Callable[[Array], Array] | None = None,
+    tolerance: float = 1e-8,
+    start: Array | None = None,
     **known: Any,
 ) -> Identified:
     """Fit parameters, and return them with their covariance by groups. (I2)–(I5)
@@ -115,13 +117,16 @@ def fit(
         group: (n,) index of the group of each row, from 0.
         loss: A name of `LOSSES`.
         reason: Clause on why a parameter is not determined, for its name and the solution.
-        trial: The residuals, where they are cheaper without preparing derivatives.
+        trial: The residuals, where they are cheaper without preparing derivatives, or fewer.
+        tolerance: Of `scipy.optimize.least_squares`, for cost, parameters and gradient.
+        start: Parameters from which the fit begins; None: the best of `STARTS` points.
         **known: Further attributes of the result.
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
-    starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
-    start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
+    if start is None:
+        starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
+        start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
 
     def run(x: Array, loss: Any, scale: float) -> OptimizeResult:
         return least_squares(
@@ -132,6 +137,9 @@ def fit(
             x_scale=high - low,
             loss=loss,
             f_scale=scale,
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
         )
 
     result, scale = run(start, "linear", 1.0), 1.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,12 +20,15 @@ from ..scene.scene import Scene
 from ..status import Flag, Status
 from .estimate import Identified, checked_bounds, fit, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
+from .motion_fit import fit_motions
+from .recordings import Motion
 from .stiff_joints import StiffJoints, stiff_joints
 
 Array = NDArray[np.float64]
 
 RANGES = {"friction": (0.0, np.inf), "restitution": (0.0, 1.0)}
 STIFFENING = {"stiffening": (0.0, 1.0)}
+SLIDING = {"sliding_friction": (0.0, np.inf)}
 FREE = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0)}
 
 
@@ -62,7 +66,7 @@ class _Rows(NamedTuple):
 
 
 def identify(
-    found: Any,
+    found: Any = None,
     scene: Scene | None = None,
     free: Mapping[str, tuple[float, float]] | None = None,
     *,
@@ -72,8 +76,10 @@ def identify(
     covariance: ArrayLike | None = None,
     contact: Any = None,
     fixed: Mapping[str, float] | None = None,
+    trajectories: Sequence[Motion] | None = None,
+    executor: Executor | None = None,
 ) -> Identified:
-    """Fit friction and restitution, and the stiffening of joints, to measured impacts.
+    """Fit friction and restitution, and the stiffening of joints, to measured impacts or whole motions.
 
     The residuals are the differences of predicted and measured velocities after the impact, as kinetic energy
     weighs them, or as a covariance does (I1); with stiffening, those of all joints (I11).
@@ -93,6 +99,9 @@ def identify(
             ``found.covariance[:, nv:, nv:]``; or one for all.
         contact: Name of the contact that collides, or (N,) names, for (q, v⁻, v⁺).
         fixed: Coefficients of arrays (W, v⁻, v⁺) that are not free.
+        trajectories: Recorded motions of one free body instead of `found`: they are simulated from their
+            first flights, and the poses compared (I12); "sliding_friction" can be free too.
+        executor: Runs these simulations, such as a ``ProcessPoolExecutor``; None: this process does.
 
     Returns:
         An `Identified`.
@@ -103,6 +112,15 @@ def identify(
         UnknownNameError: An unknown parameter, contact, joint, law or loss.
     """
     labels = [] if scene is None else [one.label for one in scene.contacts]
+    if trajectories is not None:
+        others = {
+            "found": found,
+            "covariance": covariance,
+            "contact": contact,
+            "fixed": fixed,
+            "group": group,
+        }
+        return _of_motions(trajectories, scene, free, law, loss, executor, others)
     joints = () if scene is None else single_joints(scene.model)
     bounds = checked_bounds(FREE if free is None else free, RANGES | STIFFENING, labels, joints)
     if law is not None:
@@ -183,6 +201,35 @@ def _fitted(
     setters = dict.fromkeys(RANGES, _set_coefficient) | dict.fromkeys(STIFFENING, _no_setting)
     trial = partial(residual, derivatives=False)
     return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
+
+
+def _of_motions(
+    motions: Any,
+    scene: Scene | None,
+    free: Mapping[str, tuple[float, float]] | None,
+    law: str | None,
+    loss: str,
+    executor: Executor | None,
+    others: Mapping[str, Any],
+) -> Identified:
+    """Return the fit to whole motions, or refuse what only impacts have."""
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(
+                f"{name}: given beside trajectories=; motions have their groups, and no {name}",
+                field=name,
+                value=value,
+            )
+    if scene is None:
+        raise InputError(
+            "scene: None given; trajectories= needs the scene of the body", field="scene", value=scene
+        )
+    labels = [one.label for one in scene.contacts]
+    bounds = checked_bounds(FREE if free is None else free, RANGES | SLIDING, labels)
+    if law is not None:
+        choice("law", law, LAWS, "a restitution law")
+    setters = dict.fromkeys(RANGES | SLIDING, _set_coefficient)
+    return fit_motions(motions, scene, bounds, law, loss, setters, executor)
 
 
 def _set_coefficient(scene: Scene, name: str, value: float) -> Scene:

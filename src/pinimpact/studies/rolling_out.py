@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,31 +103,72 @@ def rollouts(
         SimulationError: A motion that cannot be simulated.
     """
     free_body(scene, "rollouts")
-    motions, body = checked_motions(held_out), Body.of(scene.model)
-    restart = truth_value("restart", restart)
     rows: list[tuple[Any, ...]] = []
+    for start in starts_of(scene, held_out, truth_value("restart", restart), "held_out"):
+        off, turn = differences(scene, start, **options)
+        errors = np.linalg.norm(off, axis=1), np.linalg.norm(turn, axis=1)
+        rows.append((start.t, *errors, start.label, start.place))
+    return RollOuts(*(tuple(column) for column in zip(*rows, strict=True)))
+
+
+class Start(NamedTuple):
+    """The state of a recorded flight at its first frame, and what follows.
+
+    Attributes:
+        q, v: The state.
+        t: (n,) times of the frames from there on [s].
+        com: (n, 3) recorded centres of mass.
+        rotation: (n,) recorded rotations.
+        label: The group.
+        place: Numbers of the recording and of the frame.
+    """
+
+    q: Array
+    v: Array
+    t: Array
+    com: Array
+    rotation: Rotation
+    label: Any
+    place: tuple[int, int]
+
+
+def starts_of(scene: Scene, recorded: Any, restart: bool, field: str) -> list[Start]:
+    """Return the start of each recording, or of each flight up to the end of the next one.
+
+    Raises:
+        InputError: Recordings that are none of one free body, or without flight.
+    """
+    motions, body = checked_motions(recorded), Body.of(scene.model)
+    starts = []
     found = flights_of(scene, motions, body, CLEARANCE)
     for number, (motion, (label, poses, _, flights)) in enumerate(zip(motions, found, strict=True)):
         if not flights:
             raise InputError(
-                f"held_out: motion {number} has no flight of {FRAMES} frames to start from",
-                field="held_out",
+                f"{field}: motion {number} has no flight of {FRAMES} frames to start from",
+                field=field,
                 value=motion,
             )
         ends = [flight.stop for flight in flights[1:]] if restart else [len(motion.t)]
         for flight, stop in zip(flights, ends, strict=False):
             state = fit_flight(*poses.part(flight), float(motion.t[flight.start]), body)
-            q0 = np.concatenate([state.com - state.rotation.apply(body.lever), state.rotation.as_quat()])
-            q0[:3] += _lift(scene, q0)
-            t = motion.t[flight.start : stop] - motion.t[flight.start]
-            run = simulate(scene, q0, generalized(state, state.rotation, body), float(t[-1]), **options)
-            q = np.array([run.at(min(time, run.t[-1]))[0] for time in t.tolist()])
-            rotation = Rotation.from_quat(q[:, 3:])
-            recorded = poses.rotation[flight.start : stop]
-            off = q[:, :3] + rotation.apply(body.lever) - poses.com[flight.start : stop]
-            errors = np.linalg.norm(off, axis=1), (rotation * recorded.inv()).magnitude()
-            rows.append((t, *errors, label, (number, flight.start)))
-    return RollOuts(*(tuple(column) for column in zip(*rows, strict=True)))
+            q = np.concatenate([state.com - state.rotation.apply(body.lever), state.rotation.as_quat()])
+            q[:3] += _lift(scene, q)
+            v = generalized(state, state.rotation, body)
+            t, com, rotation = poses.part(slice(flight.start, stop))
+            starts.append(Start(q, v, t - t[0], com, rotation, label, (number, flight.start)))
+    return starts
+
+
+def differences(
+    scene: Scene, start: Start, frames: NDArray[np.int64] | slice = slice(None), **options: Any
+) -> tuple[Array, Array]:
+    """Return simulated less recorded centres of mass and rotations (n, 3), in the world, at some frames."""
+    t, lever = start.t[frames], Body.of(scene.model).lever
+    run = simulate(scene, start.q, start.v, float(start.t[-1]), **options)
+    q = np.array([run.at(min(time, run.t[-1]))[0] for time in t.tolist()])
+    rotation = Rotation.from_quat(q[:, 3:])
+    off = q[:, :3] + rotation.apply(lever) - start.com[frames]
+    return off, (rotation * start.rotation[frames].inv()).as_rotvec()
 
 
 def _lift(scene: Scene, q: Array) -> Array:

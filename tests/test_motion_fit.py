@@ -1,0 +1,87 @@
+"""Coefficients of contacts from whole motions."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pinimpact import InputError, UnknownNameError, simulate, studies
+from pinimpact.studies.motion_fit import SAMPLES, _residual
+from pinimpact.studies.rolling_out import differences, starts_of
+
+from .test_recorded_impacts import box_scene, recorded, toss
+
+
+@pytest.fixture(scope="module")
+def motions():
+    rng, scene = np.random.default_rng(4), box_scene(0.25, 0.4)
+    return [recorded(toss(scene, rng, 0.35), rng, sigma=(1e-5, 1e-4)) for _ in range(5)]
+
+
+@pytest.mark.slow
+def test_coefficients_of_simulated_tosses_are_found(motions) -> None:
+    """The given ones are wrong; what is fitted is 0.25 and 0.4, to the noise of the recordings."""
+    scene = box_scene(0.5, 0.1)
+    free = {"friction": (0.05, 0.6), "restitution": (0.0, 0.8)}
+    with ThreadPoolExecutor(1) as pool:
+        fit = studies.identify(scene=scene, free=free, trajectories=motions, executor=pool)
+    assert fit.x == pytest.approx([0.25, 0.4], abs=5e-3)
+    assert fit.apply(scene).contacts[3].friction == fit.x[0]
+    assert fit.groups == len(motions)
+
+
+def test_residuals_are_distances_of_poses(motions) -> None:
+    """Two poses of a motion that differ by a shift and a turn: |r|² is their mean kinetic energy over m/2."""
+    scene = box_scene(0.25, 0.4)
+    (start,) = starts_of(scene, motions[:1], False, "trajectories")
+    inertia = scene.model.inertias[1].inertia / scene.model.inertias[1].mass
+    found = _residual(scene, np.linalg.cholesky(inertia), start)
+    frames = np.linspace(0, len(start.t) - 1, SAMPLES).round().astype(int)
+    off, turn = differences(scene, start, frames)
+    body = start.rotation[frames].inv().apply(turn)
+    energy = (off**2).sum(axis=1) + np.einsum("ni,ij,nj->n", body, inertia, body)
+    assert found @ found == pytest.approx(energy.mean(), rel=1e-12)
+    run = simulate(scene, start.q, start.v, start.t[-1])
+    assert np.linalg.norm(off[-1]) == pytest.approx(
+        np.linalg.norm(_com(scene, run.at(run.t[-1])[0]) - start.com[-1]), rel=1e-9
+    )
+
+
+def _com(scene, q):
+    import pinocchio as pin
+
+    return pin.centerOfMass(scene.model, scene.model.createData(), q)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"scene": None}, "trajectories= needs the scene"),
+        ({"group": [1, 2]}, "group: given beside trajectories="),
+        ({"executor": 2}, "executor: 2 given; None or a concurrent.futures.Executor expected"),
+        ({"free": {"stiffening": (0, 1)}}, "free: 'stiffening' is not a parameter"),
+        ({"law": "hertz"}, "law: 'hertz' is not a restitution law"),
+    ],
+)
+def test_bad_input(motions, changed, message) -> None:
+    arguments = {"scene": box_scene(), "trajectories": motions} | changed
+    with pytest.raises((InputError, UnknownNameError)) as caught:
+        studies.identify(**arguments)
+    assert message in str(caught.value)
+
+
+def test_parameters_of_one_contact_override(motions) -> None:
+    scene = box_scene()
+    fit = studies.Identified(
+        names=("friction:corner 2",), x=np.array([0.9]), law=None, setters={"friction": _set}
+    )
+    assert fit.apply(scene).contacts[2] == replace(scene.contacts[2], friction=0.9)
+
+
+def _set(scene, name, value):
+    from pinimpact.studies.identification import _set_coefficient
+
+    return _set_coefficient(scene, name, value)
