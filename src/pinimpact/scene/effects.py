@@ -169,57 +169,12 @@ def make_plan(
         without: Effects to leave out.
     """
     watched = len(contacts) - len(unreachable)
-    far = set(unreachable)
-    away = _in_words(contact for contact in contacts if contact.label in far)
-    damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
-    rubbing = _in_words(c for c in contacts if max(c.friction, c.sustained_friction) > 0.0)
-    bouncing = _in_words(c for c in contacts if callable(c.restitution) or c.restitution > 0.0)
-    moving = _in_words(c for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity))
-    g = float(np.linalg.norm(model.gravity.linear))
-
-    called_for: dict[str, tuple[bool, str, str]] = {
-        "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
-        "control": (bool(control), control, "no control callback is given"),
-        "joint damping": (
-            bool(damping.any()),
-            f"{counted(int((damping != 0).sum()), 'velocity')} damped",
-            "the model's damping is zero",
-        ),
-        "joint friction": (
-            bool(dry.any()),
-            f"dry friction in {counted(int((dry != 0).sum()), 'joint')}",
-            "the model's joint friction is zero",
-        ),
-        "rotor inertia": (
-            bool(rotor.any()),
-            f"armature on {counted(int((rotor != 0).sum()), 'joint')}",
-            "the model's armature is zero",
-        ),
-        "contact friction": (
-            bool(rubbing),
-            f"μ > 0 at {rubbing}",
-            "no contact has μ > 0" if contacts else "there are no contacts",
-        ),
-        "restitution": (
-            bool(bouncing),
-            f"e > 0 at {bouncing}",
-            "no contact has e > 0" if contacts else "there are no contacts",
-        ),
-        "contact guards": (
-            watched > 0,
-            f"{counted(watched, 'contact')} watched"
-            + (f"; out of reach and not watched: {away}" if unreachable else ""),
-            f"out of reach of their surfaces: {away}" if unreachable else "there are no contacts",
-        ),
+    called_for = _of_model(model, control) | _of_contacts(contacts, unreachable)
+    called_for |= {
         "sustained contact": (
             watched > 0 or limits > 0,
             f"a bounce slower than {resting_speed:.3g} m/s is taken as rest",
             "no contact can close",
-        ),
-        "moving surfaces": (
-            bool(moving),
-            f"the surface moves at {moving}",
-            "no surface moves by itself",
         ),
         "joint limits": (
             limits > 0,
@@ -239,49 +194,92 @@ def make_plan(
         "recorded path": (record, "record=True", "record=False"),
         "user events": (bool(events), f"located: {', '.join(events)}", "no events are given"),
     }
-    effects = []
-    for name, (present, reason, absence) in called_for.items():
-        if not present:
-            effects.append(Effect(name, False, absence))
-        elif name in without:
-            effects.append(
-                Effect(name, False, f"switched off, although it applies: {reason}", name != "recorded path")
-            )
-        else:
-            effects.append(Effect(name, True, reason))
+    effects = [_effect(name, *called_for[name], without) for name in SWITCHABLE]
     touching = watched > 0 and "contact guards" not in without
-    for name, reason in (
-        ("normal-tangential coupling", "each impact computes it unless its W has none (b = 0)"),
-        ("spatial slip", "each impact integrates it unless its slip keeps its direction"),
-    ):
-        slipping = touching and (
-            name != "spatial slip" or (bool(rubbing) and "contact friction" not in without)
-        )
-        effects.append(
-            Effect(
-                name,
-                slipping,
-                reason
-                if slipping
-                else "no impact with friction can occur"
-                if touching
-                else "no contact can touch",
-            )
-        )
-    stops = limits if "joint limits" not in without else 0
-    several = (watched if "contact guards" not in without else 0) + stops > 1
+    rubbing = called_for["contact friction"][0] and "contact friction" not in without
+    none = "no impact with friction can occur" if touching else "no contact can touch"
+    coupled = "each impact computes it unless its W has none (b = 0)" if touching else none
+    spatial = (
+        "each impact integrates it unless its slip keeps its direction" if touching and rubbing else none
+    )
+    effects.append(Effect("normal-tangential coupling", touching, coupled))
+    effects.append(Effect("spatial slip", touching and rubbing, spatial))
+    several = (watched * touching + limits * ("joint limits" not in without)) > 1
+    resolved = "coupled contacts and joint limits that collide or rest at one instant are resolved by "
+    none = "no two contacts or joint limits can touch at one instant"
     effects.append(
-        Effect(
-            "simultaneous impacts",
-            several,
-            (
-                "coupled contacts and joint limits that collide or rest at one instant are resolved "
-                f"by {simultaneous!r}"
-            )
-            if several
-            else "no two contacts or joint limits can touch at one instant",
-        )
+        Effect("simultaneous impacts", several, f"{resolved}{simultaneous!r}" if several else none)
     )
     faces = any(contact.pair is not None for contact in contacts)
     scheme = "auto" if faces or watched > CROWD else "event-driven"
     return Plan(tuple(effects), resting_speed, unreachable, scheme)
+
+
+_Called = dict[str, tuple[bool, str, str]]
+"""Of each effect: whether a scene calls for it, why, and why not."""
+
+
+def _of_model(model: pin.Model, control: str) -> _Called:
+    """Return what the robot and its control call for."""
+    damping, dry, rotor = (np.asarray(x) for x in (model.damping, model.friction, model.armature))
+    g = float(np.linalg.norm(model.gravity.linear))
+    return {
+        "gravity": (g > 0.0, f"{g:.4g} m/s² in the model", "the model's gravity is zero"),
+        "control": (bool(control), control, "no control callback is given"),
+        "joint damping": (
+            bool(damping.any()),
+            f"{counted(int((damping != 0).sum()), 'velocity')} damped",
+            "the model's damping is zero",
+        ),
+        "joint friction": (
+            bool(dry.any()),
+            f"dry friction in {counted(int((dry != 0).sum()), 'joint')}",
+            "the model's joint friction is zero",
+        ),
+        "rotor inertia": (
+            bool(rotor.any()),
+            f"armature on {counted(int((rotor != 0).sum()), 'joint')}",
+            "the model's armature is zero",
+        ),
+    }
+
+
+def _of_contacts(contacts: Sequence[Contact], unreachable: tuple[str, ...]) -> _Called:
+    """Return what contacts call for."""
+    watched, far = len(contacts) - len(unreachable), set(unreachable)
+    away = _in_words(contact for contact in contacts if contact.label in far)
+    rubbing = _in_words(c for c in contacts if max(c.friction, c.sustained_friction) > 0.0)
+    bouncing = _in_words(c for c in contacts if callable(c.restitution) or c.restitution > 0.0)
+    moving = _in_words(c for c in contacts if any(c.plane.velocity) or any(c.plane.angular_velocity))
+    return {
+        "contact friction": (
+            bool(rubbing),
+            f"μ > 0 at {rubbing}",
+            "no contact has μ > 0" if contacts else "there are no contacts",
+        ),
+        "restitution": (
+            bool(bouncing),
+            f"e > 0 at {bouncing}",
+            "no contact has e > 0" if contacts else "there are no contacts",
+        ),
+        "contact guards": (
+            watched > 0,
+            f"{counted(watched, 'contact')} watched"
+            + (f"; out of reach and not watched: {away}" if unreachable else ""),
+            f"out of reach of their surfaces: {away}" if unreachable else "there are no contacts",
+        ),
+        "moving surfaces": (
+            bool(moving),
+            f"the surface moves at {moving}",
+            "no surface moves by itself",
+        ),
+    }
+
+
+def _effect(name: str, present: bool, reason: str, absence: str, without: Sequence[str]) -> Effect:
+    """Return an effect as a scene has it, or as it is switched off."""
+    if not present:
+        return Effect(name, False, absence)
+    if name in without:
+        return Effect(name, False, f"switched off, although it applies: {reason}", name != "recorded path")
+    return Effect(name, True, reason)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from functools import partial
 from pathlib import Path
@@ -61,7 +61,6 @@ def write_trajectory(
 ) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
     t, q, v = samples
-    groups = list(dict.fromkeys(impact.group[0] for impact in impacts if impact.group is not None))
     nq, nv = q.shape[1], v.shape[1]
     meta = {
         "format": FORMAT,
@@ -76,30 +75,9 @@ def write_trajectory(
         "coordinates": coordinates,
         "forces": None if forces is None else forces.contacts,
         "contacts": [_contact_fields(contact) for contact in contacts],
-        "points": [None if i.contact is None else _contact_fields(i.contact) for i in impacts],
         "events": [[event.time, event.name] for event in events],
-        "impacts": [
-            [
-                i.time,
-                i.source,
-                i.problem.friction,
-                i.problem.restitution,
-                i.problem.law,
-                i.resting,
-                i.simultaneous,
-                i.record,
-            ]
-            for i in impacts
-        ],
-        "groups": [{name: _plain(getattr(group.problem, name)) for name in GROUP} for group in groups],
-        "in_group": [
-            None if i.group is None else [groups.index(i.group[0]), i.group[1], i.group[0].policy]
-            for i in impacts
-        ],
+        **_impacts_in_words(impacts),
     }
-
-    def stack(rows: Sequence[Any], *shape: int) -> Array:
-        return np.array(rows, dtype=float).reshape(len(rows), *shape)
 
     tables: dict[str, Any] = {} if forces is None else dict(zip(FORCE_TABLES, forces.tables, strict=True))
     with open(output_file("path", path), "wb") as file:
@@ -111,23 +89,56 @@ def write_trajectory(
             q=q,
             v=v,
             energy=np.array([getattr(energy, name) for name in Energy.__dataclass_fields__]),
-            segment_times=stack([(s.start, s.end, s.h) for s in segments], 3),
-            segment_q=stack([s.q for s in segments], nq),
-            segment_v=stack([s.v for s in segments], nv),
-            segment_w=stack([s.w for s in segments], WORKS),
-            segment_dense=stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
-            event_q=stack([event.q for event in events], nq),
-            event_v=stack([(event.v_before, event.v_after) for event in events], 2, nv),
-            impact_q=stack([i.q for i in impacts], nq),
-            impact_v=stack([(i.v_before, i.v_after) for i in impacts], 2, nv),
-            impact_delassus=stack([i.problem.delassus for i in impacts], 3, 3),
-            impact_vectors=stack(
-                [(i.problem.velocity, i.problem.surface_velocity, i.impulse_world) for i in impacts], 3, 3
-            ),
+            segment_times=_stack([(s.start, s.end, s.h) for s in segments], 3),
+            segment_q=_stack([s.q for s in segments], nq),
+            segment_v=_stack([s.v for s in segments], nv),
+            segment_w=_stack([s.w for s in segments], WORKS),
+            segment_dense=_stack([s.coefficients for s in segments], 7, 2 * nv + WORKS),
+            event_q=_stack([event.q for event in events], nq),
+            event_v=_stack([(event.v_before, event.v_after) for event in events], 2, nv),
             **tables,
-            impact_scale=stack([i.problem.velocity_scale for i in impacts]),  # None becomes NaN
-            impact_factor=stack([_factor(i.problem) for i in impacts], 10),
+            **_impacts_in_numbers(impacts, nq, nv),
         )
+
+
+def _impacts_in_words(impacts: Sequence[ImpactRecord]) -> dict[str, Any]:
+    """Return what of impacts is no array: their coefficients, points, and problems of several contacts."""
+    groups = list(dict.fromkeys(impact.group[0] for impact in impacts if impact.group is not None))
+    return {
+        "points": [None if i.contact is None else _contact_fields(i.contact) for i in impacts],
+        "impacts": [
+            [
+                *(i.time, i.source, i.problem.friction, i.problem.restitution, i.problem.law),
+                *(i.resting, i.simultaneous, i.record),
+            ]
+            for i in impacts
+        ],
+        "groups": [{name: _plain(getattr(group.problem, name)) for name in GROUP} for group in groups],
+        "in_group": [
+            None if i.group is None else [groups.index(i.group[0]), i.group[1], i.group[0].policy]
+            for i in impacts
+        ],
+    }
+
+
+def _impacts_in_numbers(impacts: Sequence[ImpactRecord], nq: int, nv: int) -> dict[str, Any]:
+    problems = [impact.problem for impact in impacts]
+    vectors = [
+        (problem.velocity, problem.surface_velocity, impact.impulse_world)
+        for problem, impact in zip(problems, impacts, strict=True)
+    ]
+    return {
+        "impact_q": _stack([i.q for i in impacts], nq),
+        "impact_v": _stack([(i.v_before, i.v_after) for i in impacts], 2, nv),
+        "impact_delassus": _stack([problem.delassus for problem in problems], 3, 3),
+        "impact_vectors": _stack(vectors, 3, 3),
+        "impact_scale": _stack([problem.velocity_scale for problem in problems]),  # None becomes NaN
+        "impact_factor": _stack([_factor(problem) for problem in problems], 10),
+    }
+
+
+def _stack(rows: Sequence[Any], *shape: int) -> Array:
+    return np.array(rows, dtype=float).reshape(len(rows), *shape)
 
 
 def read_trajectory(path: str | Path) -> dict[str, Any]:
@@ -139,6 +150,36 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: A file that is missing, or is no trajectory.
     """
+    arrays, meta = _opened(path)
+    events = [
+        EventRecord(time, name, arrays["event_q"][i], *arrays["event_v"][i])
+        for i, (time, name) in enumerate(meta.get("events", ()))
+    ]
+    return {
+        "segments": _segments(arrays),
+        "joints": arrays["joints"],
+        "samples": (arrays["t"], arrays["q"], arrays["v"]),
+        "impacts": _impacts(arrays, meta),
+        "events": events,
+        "modes": [ModeInterval(*row) for row in meta["modes"]],
+        "energy": Energy(*arrays["energy"]),
+        "stepped": [SteppedInterval(*row) for row in meta.get("stepped", ())],
+        "notes": [Note(*row) for row in meta["notes"]],
+        "termination": meta["termination"],
+        "complete": meta["complete"],
+        "switched_off": meta["switched_off"],
+        "statistics": meta["statistics"],
+        "sources": meta.get("sources"),
+        "forces": None
+        if meta.get("forces") is None
+        else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
+        "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
+        "coordinates": meta.get("coordinates"),
+    }
+
+
+def _opened(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arrays of a file and the rest, or raise `InputError`."""
     path = file_path("path", path)
     if not path.is_file():
         raise InputError(f"path: there is no file {path}", field="path", value=path)
@@ -156,7 +197,10 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
             field="path",
             value=path,
         ) from error
-    joints = arrays["joints"]
+    return arrays, meta
+
+
+def _segments(arrays: Mapping[str, Any]) -> list[DenseStep]:
     segments = []
     for i, (start, end, h) in enumerate(arrays["segment_times"].tolist()):
         segment = DenseStep(
@@ -166,10 +210,14 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
             arrays["segment_v"][i],
             arrays["segment_w"][i],
             arrays["segment_dense"][i],
-            joints,
+            arrays["joints"],
         )
         segment.end = end
         segments.append(segment)
+    return segments
+
+
+def _impacts(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> list[ImpactRecord]:
     points = meta.get("points", [None] * len(meta["impacts"]))
     in_group = meta.get("in_group", [None] * len(meta["impacts"]))
     policies = {place[0]: place[2] for place in in_group if place is not None}
@@ -179,7 +227,7 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
     ]
     scales = arrays.get("impact_scale", np.full(len(meta["impacts"]), np.nan))
     factors = arrays.get("impact_factor", np.full((len(meta["impacts"]), 10), np.nan))
-    impacts = [
+    return [
         ImpactRecord(
             time,
             source,
@@ -202,31 +250,6 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         )
         for i, (time, source, mu, e, law, resting, simultaneous, record) in enumerate(meta["impacts"])
     ]
-    events = [
-        EventRecord(time, name, arrays["event_q"][i], *arrays["event_v"][i])
-        for i, (time, name) in enumerate(meta.get("events", ()))
-    ]
-    return {
-        "segments": segments,
-        "joints": joints,
-        "samples": (arrays["t"], arrays["q"], arrays["v"]),
-        "impacts": impacts,
-        "events": events,
-        "modes": [ModeInterval(*row) for row in meta["modes"]],
-        "energy": Energy(*arrays["energy"]),
-        "stepped": [SteppedInterval(*row) for row in meta.get("stepped", ())],
-        "notes": [Note(*row) for row in meta["notes"]],
-        "termination": meta["termination"],
-        "complete": meta["complete"],
-        "switched_off": meta["switched_off"],
-        "statistics": meta["statistics"],
-        "sources": meta.get("sources"),
-        "forces": None
-        if meta.get("forces") is None
-        else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
-        "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
-        "coordinates": meta.get("coordinates"),
-    }
 
 
 def _fields(value: Any) -> dict[str, Any]:
