@@ -8,13 +8,15 @@ Run from the root of the repository; the data are not part of it. Lengths are in
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from tests.test_identification import cross_validated, cube_scene, cube_states, names_of
 from tests.test_recorded_impacts import cube_motions
 
-from pinimpact import studies
+from pinimpact import Plane, Scene, studies
+from pinimpact.studies.recordings import gaps
 
 from .timing import FIGURES
 
@@ -25,6 +27,32 @@ WIDTH = 0.1017
 def row(what: str, fit: studies.Identified, index: int, unit: str = "") -> str:
     """Return a line with a parameter and its standard error."""
     return f"{what:<52}{fit.x[index]:>9.4f} ± {fit.standard_errors[index]:.4f}{unit}"
+
+
+def averages(errors: np.ndarray) -> list[str]:
+    """Return lines with the mean and the median of errors (n, 2) of position and rotation."""
+    return [
+        f"{'  ' + name:<52}{100 * position / WIDTH:>7.1f} % of the width, {np.degrees(rotation):.1f}°"
+        for name, (position, rotation) in (
+            ("mean", errors.mean(axis=0)),
+            ("median", np.median(errors, axis=0)),
+        )
+    ]
+
+
+def whole_motions(scene: Scene, motions: list[studies.Motion]) -> list[str]:
+    """Return lines with coefficients from every sixth toss as a whole, and errors of the others."""
+    rest = np.array([gaps(scene, motion.q[-1:])[0] for motion in motions])
+    height = float(np.sort(rest, axis=1)[:, :4].mean())  # of the board, by the corners on which cubes rest
+    board = Plane(point=(0.0, 0.0, height))
+    scene = replace(scene, contacts=[replace(contact, plane=board) for contact in scene.contacts])
+    free = {"friction": (0.05, 0.4), "restitution": (0.05, 0.6), "sliding_friction": (0.1, 0.4)}
+    fit = studies.identify(scene=scene, free=free, trajectories=motions[::6])
+    held_out = [motion for k, motion in enumerate(motions) if k % 6]
+    errors = studies.rollouts(fit.apply(scene), held_out).mean()
+    lines = [f"coefficients from {fit.groups} whole tosses, with the board at {1e3 * height:.2f} mm"]
+    lines += [row(f"  {name.replace('_', ' ')}", fit, j) for j, name in enumerate(fit.names)]
+    return [*lines, f"errors of the other {len(held_out)} tosses, averaged over time", *averages(errors)]
 
 
 def main() -> None:
@@ -58,11 +86,8 @@ def main() -> None:
         model = studies.identify_sliding(others, model, ("sliding_friction",)).apply(model)
         test = studies.rollouts(model, [motion for motion, left in zip(motions, out, strict=True) if left])
         errors[out] = test.mean()
-    position, rotation = errors.mean(axis=0)
-    middle = np.median(errors, axis=0)
-    lines += ["whole tosses left out of the fit, errors averaged over time"]
-    lines += [f"{'  mean':<52}{100 * position / WIDTH:>7.1f} % of the width, {np.degrees(rotation):.1f}°"]
-    lines += [f"{'  median':<52}{100 * middle[0] / WIDTH:>7.1f} % of the width, {np.degrees(middle[1]):.1f}°"]
+    lines += ["whole tosses left out of the fit, errors averaged over time", *averages(errors)]
+    lines += whole_motions(scene, motions)
     text = "\n".join(lines) + "\n"
     print(text)
     (FIGURES / "recorded_cubes.txt").write_text(text, encoding="utf-8")
