@@ -112,11 +112,9 @@ class Progress:
             return
         error = self._instant.error(state.v)
         forces = float(np.abs(work.contact_force[:, :2]).sum() + np.abs(work.scalar_force).sum())
-        explained = self._weight * ROLLING * error * until + 4.0 * math.ulp(
-            max(abs(by_joints), abs(by_contacts))
-        )
-        too_much = gained > self._little + explained  # which rounding adds to sums that grow step by step
-        too_much |= at_once > self._little + forces * error * (until - step.start)
+        rounding = 4.0 * math.ulp(max(abs(by_joints), abs(by_contacts)))  # of sums that grow step by step
+        too_much = gained > self._little + self._weight * ROLLING * error * until + rounding
+        too_much |= at_once > self._little + forces * error * (until - step.start) + rounding
         if too_much and gained > GAINED * self._options.rtol * kinetic_energy(
             self._model, self._instant.data, state.q, state.v
         ):
