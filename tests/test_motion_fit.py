@@ -81,6 +81,14 @@ def test_parameters_of_one_contact_override(motions) -> None:
     assert fit.apply(scene).contacts[2] == replace(scene.contacts[2], friction=0.9)
 
 
+@pytest.mark.parametrize("names", [("friction", "friction:corner 2"), ("friction:corner 2", "friction")])
+def test_a_parameter_of_one_contact_overrides_that_of_all_in_any_order(names) -> None:
+    x = np.array([0.9 if ":" in name else 0.3 for name in names])
+    fit = studies.Identified(names=names, x=x, law=None, setters={"friction": _set})
+    contacts = fit.apply(box_scene()).contacts
+    assert [contact.friction for contact in contacts] == [0.3, 0.3, 0.9, 0.3, 0.3, 0.3, 0.3, 0.3]
+
+
 def _set(scene, name, value):
     from pinimpact.studies.identification import _set_coefficient
 

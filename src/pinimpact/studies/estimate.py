@@ -75,8 +75,9 @@ class Identified(OptimizeResult):
         Raises:
             UnknownNameError: The scene has no contact of a fitted name.
         """
-        for name, value in zip(self.names, self.x.tolist(), strict=True):
-            scene = self.setters[name.partition(":")[0]](scene, name, value)
+        for j in general_first(self.names):
+            name = self.names[j]
+            scene = self.setters[name.partition(":")[0]](scene, name, float(self.x[j]))
         if self.law is not None:
             scene = replace(scene, contacts=[replace(contact, law=self.law) for contact in scene.contacts])
         return scene
@@ -94,6 +95,11 @@ class Identified(OptimizeResult):
         ]
         head = f"Identified({len(self.fun)} residuals in {self.groups} groups"
         return "\n".join([head, *rows, *(f"  {sentence}" for sentence in self.unidentified)]) + ")"
+
+
+def general_first(names: Sequence[str]) -> list[int]:
+    """Return the indices of parameters, those of one contact or joint last: they override those of all."""
+    return sorted(range(len(names)), key=lambda j: ":" in names[j])
 
 
 def fit(

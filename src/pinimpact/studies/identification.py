@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..robot.names import single_joints
 from ..scene.scene import Scene
 from ..status import Flag, Status
-from .estimate import Identified, checked_bounds, fit, group_numbers, whitener
+from .estimate import Identified, checked_bounds, fit, general_first, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
 from .motion_fit import fit_motions
 from .recordings import Motion
@@ -152,7 +152,7 @@ def _fitted(
         j: list(RANGES).index(names[j].partition(":")[0]) for j in range(len(names)) if j not in stiffened
     }
     owner = np.full(rows.coefficients.shape, -1)
-    for j in sorted(kinds, key=lambda j: ":" in names[j]):  # that of one contact overrides
+    for j in (j for j in general_first(names) if j in kinds):
         label = names[j].partition(":")[2]
         owner[kinds[j], (rows.contact == label) if label else slice(None)] = j
     solved: dict[bytes, tuple[BatchSolution, tuple[_Rows, Array, Array]]] = {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -56,21 +55,15 @@ def fit_motions(
             field="executor",
             value=executor,
         )
-    if law is not None:
-        scene = replace(scene, contacts=[replace(contact, law=law) for contact in scene.contacts])
     root = np.real(sqrtm(Body.of(scene.model).inertia))
-    names = sorted(bounds, key=lambda name: ":" in name)  # that of one contact overrides
-    place = {name: j for j, name in enumerate(bounds)}
+    about = {"names": tuple(bounds), "law": law, "setters": setters}
     low, high = np.array(list(bounds.values())).T
 
     def fitted(starts: list[Start], first: Array | None) -> Identified:
         known: dict[bytes, Array] = {}
 
         def residual(x: Array, some: list[Start] = starts) -> Array:
-            model = scene
-            for name in names:
-                model = setters[name.partition(":")[0]](model, name, float(x[place[name]]))
-            one = partial(_residual, model, root)
+            one = partial(_residual, Identified(about | {"x": x}).apply(scene), root)
             return np.array(
                 list(map(one, some) if executor is None else executor.map(one, some, chunksize=4))
             )

@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..robot.matrices import ContactMatrices
 from ..robot.names import mobilities, single_joints
 from ..scene.scene import Scene
+from .estimate import general_first
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def stiff_joints(
             value=list(names),
         )
     owner = np.full(scene.model.nv, -1)
-    for p in sorted(range(len(names)), key=lambda p: ":" in names[p]):  # that of one joint overrides
+    for p in general_first(names):
         label = names[p].partition(":")[2]
         owner[[joints[label]] if label else list(joints.values())] = p
     mobility = mobilities(scene.model, scene.locked)
