@@ -171,12 +171,13 @@ def cost() -> None:
         calls = {
             "impact": lambda args=(model, data, q, v, contact): pinimpact.impact(*args),
             "derivatives": lambda args=(model, data, q, v, contact): pinimpact.impact_derivatives(*args),
+            "rows": lambda args=(model, data, q, v, contact, 1e-3): pinimpact.impact_rows(*args),
         }
         best = best_of(calls, rounds=20)
         ratio = best["derivatives"] / best["impact"]
         print(
             f"{name}: impact {1e6 * best['impact']:.1f} µs, derivatives {1e6 * best['derivatives']:.0f} µs, "
-            f"{ratio:.0f} ×"
+            f"{ratio:.1f} ×, rows for a controller {1e6 * best['rows']:.0f} µs"
         )
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import pinimpact
 from pinimpact import Boundary, Contact, ImpactProblem, Plane, Sphere
+from pinimpact.robot.data_cache import data_cache
 from pinimpact.robot.names import free_velocities
 
 from .robot_cases import FRAMES, load, random_state
@@ -178,6 +179,36 @@ def test_a_planar_arm_keeps_its_rank():
     by_v = slope(lambda e: pinimpact.impact(model, data, q, v + e, contact).v, 2)
     assert close(d.dv_dq, by_q)
     assert close(d.dv_dv, by_v)
+
+
+def test_joints_that_the_kernels_of_trees_do_not_support():
+    # a screw between hinges; all is from Pinocchio then
+    rng = np.random.default_rng(3)
+    model = pin.Model()
+    kinds = {"base": pin.JointModelRX(), "screw": pin.JointModelHZ(0.2), "wrist": pin.JointModelRY()}
+    for name, kind in kinds.items():
+        placement = pin.SE3(np.eye(3), rng.normal(size=3))
+        joint = model.addJoint(model.njoints - 1, kind, placement, name)
+        link = pin.Inertia(1.0, rng.normal(size=3) * 0.1, np.diag([0.02, 0.03, 0.04]))
+        model.appendBodyToJoint(joint, link, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), rng.normal(size=3))
+    model.addFrame(pin.Frame("tip", 3, tip, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    contact = replace(CONTACTS["ball on moving slope"], law="poisson")
+    assert data_cache(model, data).tree is None
+    q, v, d = struck(model, data, contact, 6)
+    check(model, data, q, v, contact, d)
+
+
+def test_results_keep_their_numbers():
+    contact = replace(CONTACTS["point on floor"], frame=FRAMES["panda"])
+    q, v, first = struck(MODEL, DATA, contact, 7)
+    names = [name for name in first.__dataclass_fields__ if name != "boundary"]
+    kept = {name: getattr(first, name).copy() for name in names}
+    other = pinimpact.impact_derivatives(MODEL, DATA, q, 2.0 * v, contact)
+    assert not np.array_equal(other.v, first.v)
+    for name in names:
+        assert np.array_equal(getattr(first, name), kept[name])
 
 
 def test_a_ball_that_bounces():

@@ -4,33 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import above_zero, finite_array
-from ..contact_space.derivatives import Boundary, differentiate, empty_slopes
-from ..contact_space.inputs import FACTOR, NO_FACTOR
-from ..contact_space.one_contact import solve_inputs
-from ..contact_space.problem import delassus_upper
+from ..checks import above_zero, finite_array, float_array
+from ..contact_space.derivatives import Boundary
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.solve import solve_impact
 from ..errors import InputError, ModelError
 from ..geometry._kernels.constants import PLANE, SPHERE
-from ..status import Status
-from ._kernels import configuration_slopes as kernel
-from ._kernels.impact_slopes import impact_slopes
+from ._kernels import configuration_slopes as places
+from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
-from ._kernels.tree import solve
+from ._kernels.tree import solve_mass
 from .contact import Contact, check_contact, check_held
-from .data_cache import DataCache, data_cache
-from .forest import Forest, frame_placement
+from .data_cache import data_cache
+from .forest import Forest
 from .held import check_at_rest
-from .matrices import ContactGeometry, ContactMatrices, contact_matrices
+from .matrices import ContactMatrices, contact_matrices
 from .names import free_velocities, model_of
+from .placed_robot import ContactGeometry, PlacedRobot
+from .robot_impact import LOCKED, impact
+from .struck import strike
 
 Array = NDArray[np.float64]
+_SHARES = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
+_UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -67,31 +69,7 @@ class ImpactDerivatives:
         return f"ImpactDerivatives(nv={len(self.v)}, boundary={self.boundary!r})"
 
 
-class _Joints(NamedTuple):
-    """Of each velocity its joint, of each joint the one that it stands on, and `DataCache.parents`."""
-
-    of_velocity: NDArray[np.int64]
-    parent: NDArray[np.int64]
-    parents: NDArray[np.int64]
-
-
-_JOINTS: WeakKeyDictionary[DataCache, _Joints] = WeakKeyDictionary()
-_WORLD = np.eye(3)
 _TURNING_AXES = ("Composite", "Universal", "SphericalZYX", "Ellipsoid", "Mimic", "mimic")
-
-
-def _joints(model: pin.Model, data: Any) -> _Joints:
-    """Return the joints of a model that can be differentiated."""
-    cache = data_cache(model, data)
-    found = _JOINTS.get(cache)
-    if found is not None:
-        return found
-    if isinstance(data, Forest):
-        raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
-    check_joints(model)
-    of_velocity = np.repeat(np.arange(model.njoints), model.nvs)
-    found = _JOINTS[cache] = _Joints(of_velocity, np.array(model.parents, dtype=np.int64), cache.parents)
-    return found
 
 
 def check_joints(model: pin.Model) -> None:
@@ -105,74 +83,6 @@ def check_joints(model: pin.Model) -> None:
                 field="model",
                 value=name,
             )
-
-
-class _Robot:
-    """The motions and inertias of a robot at a configuration."""
-
-    def __init__(self, joints: _Joints, model: pin.Model, data: pin.Data, q: Array) -> None:
-        pin.crba(model, data, q, pin.Convention.WORLD)  # for oYcrb, which the other convention leaves out
-        self.J = np.ascontiguousarray(data.J.reshape(6, -1))
-        self.joint, self.parent, self.parents = joints
-        self.inertia = np.array([inertia.toDynamicParameters() for inertia in data.oYcrb])
-        self.scratch = np.empty((2 * len(self.parent), 6))
-
-    def of_velocity(self, ends: NDArray[np.int64], at: Array, x: Array) -> Array:
-        """Return ∂(J x)/∂q (3, nv); see `velocity_slopes`."""
-        out = np.empty((3, len(x)))
-        kernel.velocity_slopes(self.J, self.joint, self.parent, ends, at, x, False, self.scratch, out)
-        return out
-
-    def add_force(self, ends: NDArray[np.int64], at: Array, force: Array, out: Array) -> None:
-        """Add ∂(JᵀP)/∂q to `out` (nv, nv)."""
-        kernel.force_slopes(self.J, self.joint, self.parent, ends, at, force, out)
-
-
-def _respond(
-    mass: Array,
-    parents: NDArray[np.int64],
-    free: NDArray[np.bool_],
-    rows: Array,
-    forces: Array,
-    slip: Array,
-) -> Array:
-    """Solve M x = f + rowsᵀλ, rows x = −slip, for columns (nv, n), with x = 0 where it is not free."""
-    if not len(rows):
-        lower, columns = np.empty_like(mass), np.ascontiguousarray(forces.T)
-        half_solve(mass, parents, free.astype(np.float64), lower, columns)
-        solve(lower, parents, columns)
-        return columns.T
-    found = np.zeros_like(forces)
-    mass, forces, rows = mass[np.ix_(free, free)], forces[free], rows[:, free]
-    n, m = len(mass), len(rows)
-    matrix = np.block([[mass, rows.T], [rows, np.zeros((m, m))]])
-    solution = np.linalg.lstsq(matrix, np.vstack([forces, -slip]), rcond=1e-12)[0]
-    found[free] = solution[:n]
-    return found
-
-
-def _place(
-    model: pin.Model, data: pin.Data, contact: Contact, geometry: ContactGeometry, turns: bool
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the joints of tip and surface, where the contact is, and the surface's axes in the world."""
-    frame, body, _ = data_cache(model, data).contact(contact.frame, contact.plane.body)
-    plane, n = contact.plane, geometry.axes[2]
-    centre = geometry.point + contact.radius * n
-    base, rotation, origin = 0, _WORLD, np.array(plane.origin)
-    moves = plane.velocity, plane.angular_velocity
-    if plane.body is not None:
-        carrier = frame_placement(model, data, body)
-        base, rotation, origin = model.frames[body].parentJoint, carrier.rotation, carrier.act(origin)
-        moves = rotation @ plane.velocity, rotation @ plane.angular_velocity
-    rate = 0.0
-    if plane.code == SPHERE:
-        away = centre - origin
-        rate = float(np.copysign(1.0 / np.linalg.norm(away), n @ away))
-    at = np.concatenate(
-        (geometry.axes.ravel(), centre, geometry.point, origin, *moves, (contact.radius, rate, turns))
-    )
-    tip = model.frames[frame].parentJoint
-    return np.array([tip, base]), at, rotation
 
 
 def check_differentiable(contact: Contact) -> None:
@@ -234,20 +144,18 @@ def impact_derivatives(
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
-    model = model_of(model)
     check_contact("contact", contact)
     held = check_held(held)
     for one in (contact, *held):
         check_differentiable(one)
-    matrices = contact_matrices(model, data, q, contact, held, locked)
-    joints = _joints(model, data)
-    v = finite_array("v", v, (len(matrices.h),))
-    check_at_rest(matrices.held, held, v)
-    J = matrices.jacobian
-    impulse, slopes, boundary = _in_contact_space(contact, matrices, v)
-    free = free_velocities(model, locked)
-    robot = _Robot(joints, model, data, np.asarray(q, dtype=np.float64))
-    return _assembled(model, data, robot, contact, held, matrices, J, free, v, impulse, slopes, boundary)
+    block, boundary = _differentiated(model, data, q, v, contact, held, locked, True)
+    nv = len(block) - 3
+    of_v, of_impulse, surface, mu = block[:nv], block[nv:], 2 * nv, 2 * nv + kernel.FRICTION
+    return ImpactDerivatives(
+        *(of_v[:, mu + 2], of_v[:, :nv], of_v[:, nv:surface], of_v[:, mu], of_v[:, mu + 1]),
+        *(of_v[:, surface:mu], of_impulse[:, :nv], of_impulse[:, nv:surface], of_impulse[:, mu]),
+        *(of_impulse[:, mu + 1], of_impulse[:, surface:mu], Boundary(boundary)),
+    )
 
 
 def impact_rows(
@@ -281,106 +189,140 @@ def impact_rows(
     """
     dt = above_zero("dt", dt)
     check_contact("contact", contact)
-    held = check_held(held)
-    matrices = contact_matrices(model, data, q, contact, held, locked)
-    v = finite_array("v", v, (len(matrices.h),))
-    check_at_rest(matrices.held, held, v)
-    impulse, slopes, _ = _in_contact_space(contact, matrices, v)
-    by_v = slopes[:, :3] @ matrices.jacobian
-    to_robot = np.vstack([matrices.response, matrices.axes.T])
-    rows, now = to_robot @ by_v, to_robot @ impulse
-    rows[: len(v)] += np.eye(len(v))
-    now[: len(v)] += v
-    return dt * rows, now
+    block, _ = _differentiated(model, data, q, v, contact, check_held(held), locked, False)
+    nv = len(block) - 3
+    return dt * block[:, nv : 2 * nv], block[:, -1].copy()
 
 
-def _in_contact_space(contact: Contact, matrices: ContactMatrices, v: Array) -> tuple[Array, Array, Boundary]:
-    """Return P (3,) in contact axes and its slopes (3, 11), see `INPUTS` of the kernel, and their flags."""
-    velocity, scale = matrices.velocity(v), matrices.velocity_scale(v)
-    speed = max(-float(velocity[2]), 0.0)
-    slope = _slope_of_restitution(contact, speed)
-    mu, e, law = float(contact.friction), contact.restitution_at(speed), contact.law_code
-    factor = NO_FACTOR
-    if matrices.factor is not None and matrices.factor_scale:
-        (c11, _, _), (c21, c22, _), (c31, c32, c33) = matrices.factor.tolist()
-        factor = np.array([c11, c21, c22, c31, c32, c33, matrices.factor_scale])
-    slopes, boundary = empty_slopes(1)
-    numbers, codes = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64)
-    coefficients = np.array([[mu], [e], [scale]])
-    differentiate(
-        *(matrices.delassus[None], velocity[None], coefficients[0], coefficients[1], law, coefficients[2]),
-        *(factor.reshape(-1, FACTOR), (numbers, codes, slopes, boundary)),
-    )
-    if codes[0, 0] > Status.LOCKED:
-        v1, v2, v3 = velocity.tolist()
-        solve_inputs((*delassus_upper(matrices.delassus), v1, v2, v3, mu, e, law, scale, factor))
-    of_impulse = slopes[0, 3:]
-    of_impulse[:, 2] -= slope * of_impulse[:, 10]
-    return numbers[0, 3:6], of_impulse, Boundary(boundary[0])
-
-
-_UPPER = np.triu_indices(3)
-
-
-def _assembled(
+def _differentiated(
     model: pin.Model,
     data: pin.Data,
-    robot: _Robot,
+    q: ArrayLike,
+    v: ArrayLike,
     contact: Contact,
     held: tuple[Contact, ...],
+    locked: Sequence[str | int],
+    by_q: bool,
+) -> tuple[Array, int]:
+    """Return q̇⁺ and P and their derivatives, as `assemble` lays them out, and flags of `Boundary`."""
+    model = model_of(model)
+    if not (held or locked or callable(contact.restitution)):
+        cache = data_cache(model, data)
+        work = strike(cache, model, data, contact)[1]
+        if work is not None:
+            block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))
+            q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
+            status, boundary = kernel.robot_slopes(work, q_now, v_now, contact.restitution, 0.0, by_q, block)
+            if not 0 <= status <= LOCKED:
+                impact(model, data, q, v, contact)  # which raises the error
+            return block, boundary
+    return _by_pinocchio(model, data, q, v, contact, held, locked, by_q)
+
+
+class _Place(NamedTuple):
+    """The joints of tip and surface, where a contact is, and the placement (12,) of the surface's body."""
+
+    tip: int
+    base: int
+    at: Array
+    carrier: Array
+
+
+def _place(placed: PlacedRobot, contact: Contact, geometry: ContactGeometry, turns: bool) -> _Place:
+    frame, body, _ = placed.cache.contact(contact.frame, contact.plane.body)
+    frames, at = placed.model.frames, np.empty(places.PLACE)
+    carrier = placed.placements(contact)[1][:3].T.ravel()
+    places.fill_place(contact.constants.copy(), carrier, geometry.axes.ravel(), geometry.point, turns, at)
+    return _Place(frames[frame].parentJoint, frames[body].parentJoint, at, carrier)
+
+
+def _by_pinocchio(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: tuple[Contact, ...],
+    locked: Sequence[str | int],
+    by_q: bool,
+) -> tuple[Array, int]:
+    """Do what `robot_slopes` does by calls of Pinocchio, where that kernel does not apply."""
+    matrices = contact_matrices(model, data, q, contact, held, locked)
+    nv = len(matrices.h)
+    v = finite_array("v", v, (nv,))
+    check_at_rest(matrices.held, held, v)
+    velocity, rows = matrices.velocity(v), np.ascontiguousarray(matrices.jacobian)
+    speed = max(-float(velocity[2]), 0.0)
+    slope = _slope_of_restitution(contact, speed)
+    problem = ImpactProblem(
+        *(matrices.delassus, velocity, contact.friction, contact.restitution_at(speed), contact.law),
+        velocity_scale=matrices.velocity_scale(v),
+        factor=matrices.factor,
+        factor_scale=matrices.factor_scale,
+    )
+    solution = solve_impact(problem, derivatives=True)
+    impulse, d = solution.impulse, solution.derivatives
+    assert d is not None
+    by_delassus = d.dP_ddelassus[:, _UPPER[0], _UPPER[1]] * _SHARES
+    slopes = np.column_stack([d.dP_dv, by_delassus, d.dP_dfriction, d.dP_drestitution])
+    placed, n = PlacedRobot(model, data, q), nv if by_q else 0
+    where, y = _place(placed, contact, matrices, True), np.ascontiguousarray(matrices.response.T)
+    of_data, responses, turned = np.empty((9, n)), np.empty((n, n)), np.empty((3, n))
+    if by_q:
+        free, of_all = free_velocities(model, locked), (y, v, impulse, of_data, responses, turned)
+        responses = _by_configuration(placed, where, held, matrices, free, of_all)
+    block = np.empty((nv + 3, 2 * nv + kernel.MORE))
+    rest = y, v, impulse, slopes, slope, by_q, of_data, responses, turned, block
+    kernel.assemble(where.at, where.carrier, rows, *rest)
+    return block, d.boundary
+
+
+def _by_configuration(
+    placed: PlacedRobot,
+    where: _Place,
+    held: tuple[Contact, ...],
     matrices: ContactMatrices,
-    J: Array,
     free: NDArray[np.bool_],
-    v: Array,
-    impulse: Array,
-    slopes: Array,
-    boundary: Boundary,
-) -> ImpactDerivatives:
-    """Return the derivatives from those in contact space. (D17)–(D21)"""
-    R, Y = matrices.axes, matrices.response
-    nv = len(v)
-    ends, at, surface_axes = _place(model, data, contact, matrices, True)
-    y, push = np.ascontiguousarray(Y.T), impulse @ R
-    change, forces, turned = np.empty((9, nv)), np.empty((nv, nv)), np.empty((3, nv))
-    impact_slopes(
-        *(robot.J, robot.joint, robot.parent, robot.inertia, ends, at, y, v, impulse, push, robot.scratch),
-        *(np.empty((3, nv, nv)), np.empty((3, 3, nv)), change, forces, turned),
-    )
-    rows = np.zeros((0, nv))
-    slip = rows
-    if held:
-        anchors = [_place(model, data, a, g, False) for a, g in zip(held, matrices.held, strict=True)]
-        rows = np.vstack([g.axes.T @ g.jacobian for g in matrices.held])
-        moved = np.array([[robot.of_velocity(e, a, x) for e, a, _ in anchors] for x in y])
-        moved = moved.reshape(3, len(rows), nv)
-        pushes = matrices.held_response  # [h, world axis, i]
-        of_rows = pushes.reshape(-1, 3).T @ moved  # [j, i, k]
-        change[3:] += (of_rows + of_rows.transpose(1, 0, 2))[_UPPER]
-        slip = np.tensordot(impulse, moved, 1)
-        for (e, a, _), on_held in zip(anchors, pushes @ impulse, strict=True):
-            robot.add_force(e, a, on_held, forces)
-    # P by the data, in contact axes: q, v, the surface, μ and e
-    by_velocity = slopes[:, :3]
-    arm = matrices.point - at[kernel.ORIGIN : kernel.ORIGIN + 3]
-    spin = by_velocity @ (R @ pin.skew(arm) @ surface_axes)
-    parts = slopes[:, :9] @ change, by_velocity @ J, -by_velocity @ (R @ surface_axes), spin, slopes[:, 9:]
-    of_impulse = np.concatenate(parts, axis=1)
-    of_v, of_world = Y @ of_impulse, R.T @ of_impulse
-    of_v[:, :nv] += _respond(matrices.mass, robot.parents, free, rows, forces, slip)
-    of_v[:, nv : 2 * nv] += np.eye(nv)
-    of_world[:, :nv] += turned
-    by_q, by_v, by_surface = slice(nv), slice(nv, 2 * nv), slice(2 * nv, 2 * nv + 6)
-    return ImpactDerivatives(
-        v=v + Y @ impulse,
-        dv_dq=of_v[:, by_q],
-        dv_dv=of_v[:, by_v],
-        dv_dfriction=of_v[:, -2],
-        dv_drestitution=of_v[:, -1],
-        dv_dsurface=of_v[:, by_surface],
-        dP_dq=of_world[:, by_q],
-        dP_dv=of_world[:, by_v],
-        dP_dfriction=of_world[:, -2],
-        dP_drestitution=of_world[:, -1],
-        dP_dsurface=of_world[:, by_surface],
-        boundary=boundary,
-    )
+    of_all: tuple[Array, ...],
+) -> Array:
+    """Fill what `impact_slopes` does, with held contacts; return M⁻¹ times the forces. (D17)–(D21)"""
+    model, data = placed.model, placed.data
+    if isinstance(data, Forest):
+        raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
+    check_joints(model)
+    pin.crba(model, data, placed.q, pin.Convention.WORLD)  # for oYcrb, which the other convention leaves out
+    J, parents = np.asfortranarray(data.J.reshape(6, -1)), placed.cache.parents
+    joint, parent = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents, dtype=np.int64)
+    inertia = np.array([inertia.toDynamicParameters() for inertia in data.oYcrb])
+    kernel.impact_slopes(J, joint, parent, parents, inertia, where.tip, where.base, where.at, *of_all)
+    y, _, impulse, of_data, forces, _ = of_all
+    if not held:
+        lower, columns = np.empty_like(forces), forces * free[:, None]
+        half_solve(matrices.mass, parents, free.astype(np.float64), lower, np.empty((0, len(free))))
+        solve_mass(lower, parents, columns)
+        return columns
+    motions, moved = np.empty((model.njoints, 6)), np.empty((3, len(held), 3, len(free)))
+    pushes = matrices.held_response  # [h, world axis, i]
+    for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
+        tip, base, at, _ = _place(placed, anchor, geometry, False)
+        for i, x in enumerate(y):
+            places.fill_motions(J, joint, parent, x, motions)
+            places.velocity_slopes(J, joint, parent, tip, base, at, motions, False, moved[i, h])
+        f1, f2, f3 = pushes[h] @ impulse
+        places.force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, forces)
+    by_rows = moved.reshape(3, 3 * len(held), -1)
+    of_rows = pushes.reshape(-1, 3).T @ by_rows  # [j, i, k]
+    of_data[3:] += (of_rows + of_rows.transpose(1, 0, 2))[_UPPER]
+    rows = np.vstack([g.axes.T @ g.jacobian for g in matrices.held])
+    return _respond(matrices.mass, free, rows, forces, np.tensordot(impulse, by_rows, 1))
+
+
+def _respond(mass: Array, free: NDArray[np.bool_], rows: Array, forces: Array, slip: Array) -> Array:
+    """Solve M x + rowsᵀλ = f, rows x = −slip, for columns (nv, n), with x = 0 where it is not free."""
+    found = np.zeros_like(forces)
+    mass, forces, rows = mass[np.ix_(free, free)], forces[free], rows[:, free]
+    n, m = len(mass), len(rows)
+    matrix = np.block([[mass, rows.T], [rows, np.zeros((m, m))]])
+    solution = np.linalg.lstsq(matrix, np.vstack([forces, -slip]), rcond=1e-12)[0]
+    found[free] = solution[:n]
+    return found

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import external, inlined, released
 from .batch import asymmetry, write_result
@@ -370,6 +371,51 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
     return boundary
 
 
+_MOVES = SCRATCH
+_VALUES = _MOVES + MAX_MOVES * MOVE
+_FOUND = _VALUES + NODE_ROWS * NODES
+_COLUMNS = _FOUND + 4 * DATA
+ROOM = _COLUMNS + 4 * INPUTS
+"""Floats of scratch that a derivative needs."""
+
+
+@declared(int, *11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGERS)
+@external
+def differentiate_into(
+    i, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, room, numbers, codes,
+    out, boundaries,
+):  # fmt: skip
+    """Solve one problem and differentiate v⁺ and P by all inputs.
+
+    Args:
+        w11 … factor: As in `solve_into`.
+        room: (ROOM,) of any numbers.
+        out: (6, INPUTS) takes the derivatives; NaN in columns that have none.
+        i, numbers, codes, boundaries: Row i takes the answer and flags, as in `differentiate_rows`.
+    """
+    factor, room, numbers, codes, out, boundaries = (
+        *(borrowed(factor), borrowed(room), borrowed(numbers), borrowed(codes), borrowed(out)),
+        borrowed(boundaries),
+    )
+    scratch, moves = room[:_MOVES], room[_MOVES:_VALUES].reshape((MAX_MOVES, MOVE))
+    given = w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
+    result = Result(*solve_into(*given, scratch, moves, room[:0].reshape((0, 6))))
+    write_result(i, result, numbers, codes)
+    if result.status == NO_IMPACT:
+        boundaries[i] = _without_impact(v3, out)
+        return
+    _fill(out, 0, INPUTS, math.nan)
+    boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
+    rows = result.trace_rows
+    if result.status <= LOCKED and rows + 1 < MAX_MOVES and not result.flags & LOCKS:
+        _, _, _, view, problem = prepare(*given)
+        boundaries[i] |= _differentiate(
+            *(problem, view, result.flags, moves, room[_VALUES:_FOUND].reshape((NODE_ROWS, NODES))),
+            *(room[_FOUND:_COLUMNS].reshape((4, DATA)), room[_COLUMNS:].reshape((4, INPUTS))),
+            *(out, rows, result.v3),
+        )
+
+
 @declared(
     *(FLOAT_STACK, FLOAT_ROWS, FLOATS, FLOATS, int, FLOATS, FLOAT_ROWS),
     *(FLOAT_ROWS, INTEGER_ROWS, FLOAT_STACK, INTEGERS),
@@ -386,31 +432,19 @@ def differentiate_rows(
         slopes: (N, 6, INPUTS) receives the derivatives; NaN in columns that have none.
         boundaries: (N,) receives flags of `Boundary`.
     """
-    scratch, none, path = np.empty(SCRATCH), np.empty(0), np.empty((0, 6))
-    moves, values = np.empty((MAX_MOVES, MOVE)), np.empty((NODE_ROWS, NODES))
-    found, columns = np.empty((4, DATA)), np.empty((4, INPUTS))
+    room, none = np.empty(ROOM), np.empty(0)
     for i in range(velocity.shape[0]):
-        w, v, out = delassus[i], velocity[i], slopes[i]
+        w, v = delassus[i], velocity[i]
         factor = none
         if len(factors) > 0 and factors[i, 6] > 0.0:
             factor = factors[i]
-        numbers_in = (
-            *(w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),
-            *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
-            *(law, velocity_scale[i], factor),
-        )
-        result = Result(*solve_into(*numbers_in, scratch, moves, path))
         if asymmetry(w):
-            result = no_result(INDEFINITE_DELASSUS, 0.0)
-        write_result(i, result, numbers, codes)
-        if result.status == NO_IMPACT:
-            boundaries[i] = _without_impact(v[2], out)
+            write_result(i, no_result(INDEFINITE_DELASSUS, 0.0), numbers, codes)
+            _fill(slopes[i], 0, INPUTS, math.nan)
+            boundaries[i] = NO_FLAG
             continue
-        _fill(out, 0, INPUTS, math.nan)
-        boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
-        rows = result.trace_rows
-        if result.status <= LOCKED and rows + 1 < MAX_MOVES and not result.flags & LOCKS:
-            _, _, _, view, problem = prepare(*numbers_in)
-            boundaries[i] |= _differentiate(
-                problem, view, result.flags, moves, values, found, columns, out, rows, result.v3
-            )
+        differentiate_into(
+            *(i, w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),
+            *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
+            *(law, velocity_scale[i], factor, room, numbers, codes, slopes[i], boundaries),
+        )

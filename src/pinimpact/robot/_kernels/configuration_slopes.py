@@ -2,14 +2,19 @@
 
 A change δq_k turns all that joint k carries by the motion J_k, at fixed x. So a velocity of a body beyond k
 changes by J_k × (V − V_below), where V_below is that of the joint that k stands on. All vectors are in world
-axes; motions and forces are (linear, angular) at the world's origin.
+axes; motions and forces are (linear, angular) at the point that places are measured from.
 """
 
 from __future__ import annotations
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
-from .placement import cross
+from ...geometry._kernels import constants as layout
+from .placement import cross, direction, place
 
 AXES, TIP, POINT, ORIGIN, MATERIAL, SPIN, RADIUS, ROUND, TURNS = 0, 9, 12, 15, 18, 21, 24, 25, 26
 PLACE = 27
@@ -19,8 +24,38 @@ inverse distance of the centres with the sign of the side, else 0; whether vecto
 axes, or in the world."""
 
 
+@declared(FLOATS, FLOATS, FLOATS, FLOATS, bool, FLOATS)
+@jit
+def fill_place(constants, carrier, axes, point, turns, at):
+    """Fill where a contact is.
+
+    Args:
+        constants: (CONSTANTS,) of the contact.
+        carrier: (12,) placement of the body whose axes its surface is given in.
+        axes: (9,) t₁, t₂, n in world axes.
+        point: (3,) the contact point.
+        turns: Whether vectors have components along the axes.
+        at: (PLACE,).
+    """
+    r = constants[layout.RADIUS]
+    for i in range(9):
+        at[AXES + i] = axes[i]
+    for i in range(3):
+        at[TIP + i], at[POINT + i] = point[i] + r * axes[6 + i], point[i]
+    at[ORIGIN], at[ORIGIN + 1], at[ORIGIN + 2] = place(carrier, constants, layout.POINT)
+    at[MATERIAL], at[MATERIAL + 1], at[MATERIAL + 2] = direction(carrier, constants, layout.VELOCITY)
+    at[SPIN], at[SPIN + 1], at[SPIN + 2] = direction(carrier, constants, layout.SPIN)
+    at[RADIUS], at[ROUND], at[TURNS] = r, 0.0, 1.0 if turns else 0.0
+    if constants[layout.KIND] == layout.SPHERE:
+        square = along = 0.0
+        for i in range(3):
+            x = at[TIP + i] - at[ORIGIN + i]
+            square, along = square + x * x, along + x * axes[6 + i]
+        at[ROUND] = math.copysign(1.0 / math.sqrt(square), along)
+
+
 @inlined
-def _motion_cross(J, k, v1, v2, v3, w1, w2, w3):
+def motion_cross(J, k, v1, v2, v3, w1, w2, w3):
     """Return J_k × (v, w) (6)."""
     a1, a2, a3, b1, b2, b3 = J[0, k], J[1, k], J[2, k], J[3, k], J[4, k], J[5, k]
     x1, x2, x3 = cross(b1, b2, b3, v1, v2, v3)
@@ -30,9 +65,28 @@ def _motion_cross(J, k, v1, v2, v3, w1, w2, w3):
 
 
 @inlined
-def _velocities(J, joint, parent, x, out):
-    """Fill the motions (joints, 6) of all joints for the velocities x (nv,); the first is the world's."""
-    out[:, :] = 0.0
+def _turned_by(J, k, f1, f2, f3, n1, n2, n3):
+    """Return how a force (6) changes that turns by J_k: (J_k × x)·f = −x·this."""
+    a1, a2, a3, b1, b2, b3 = J[0, k], J[1, k], J[2, k], J[3, k], J[4, k], J[5, k]
+    x1, x2, x3 = cross(b1, b2, b3, f1, f2, f3)
+    y1, y2, y3 = cross(a1, a2, a3, f1, f2, f3)
+    z1, z2, z3 = cross(b1, b2, b3, n1, n2, n3)
+    return x1, x2, x3, y1 + z1, y2 + z2, y3 + z3
+
+
+@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS)
+@jit
+def fill_motions(J, joint, parent, x, out):
+    """Fill the motions (joints, 6) of all joints for the velocities x (nv,); the first is the world's.
+
+    Args:
+        J: (6, nv) motions.
+        joint: (nv,) the joint of each velocity.
+        parent: (joints,) the joint that each stands on; the first is the world.
+        x: (nv,).
+        out: (joints, 6).
+    """
+    out[0, :] = 0.0
     k = 0
     for i in range(1, len(parent)):
         for r in range(6):
@@ -56,6 +110,37 @@ def _momentum(inertia, i, v1, v2, v3, w1, w2, w3):
 
 
 @inlined
+def _of_velocity(J, joint, inertia, k, x):
+    """Return the force (6) that makes all that velocity k carries move by J_k x."""
+    return _momentum(
+        *(inertia, joint[k], J[0, k] * x, J[1, k] * x, J[2, k] * x, J[3, k] * x, J[4, k] * x, J[5, k] * x)
+    )
+
+
+@inlined
+def fill_momenta(J, joint, parent, inertia, x, motions, out):
+    """Fill the momentum (joints, 6) of all that each joint carries, with `inertia` as in `mass_slopes`.
+
+    x (nv,) are the velocities, with these motions of the joints.
+    """
+    out[:, :] = 0.0
+    last = len(joint) - 1
+    for i in range(len(parent) - 1, 0, -1):  # what is beyond i first, then with what i moves itself
+        beyond = out[parent[i]]
+        for r in range(6):
+            beyond[r] += out[i, r]
+        while last >= 0 and joint[last] == i:
+            f = _of_velocity(J, joint, inertia, last, x[last])
+            for r in range(6):
+                beyond[r] += f[r]
+            last -= 1
+        b = motions[i]
+        f = _momentum(inertia, i, b[0], b[1], b[2], b[3], b[4], b[5])
+        for r in range(6):
+            out[i, r] += f[r]
+
+
+@inlined
 def _carries(parent, i, j):
     """Whether joint i is joint j or one that it stands on."""
     while j > i:
@@ -63,62 +148,42 @@ def _carries(parent, i, j):
     return j == i
 
 
-@declared(FLOAT_ROWS, INTEGERS, INTEGERS, FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOAT_ROWS)
-@jit
-def mass_slopes(J, joint, parent, inertia, x, scratch, out):
+@inlined
+def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
     """Fill ∂(M x)/∂q. (D18)
 
     Args:
-        J: (6, nv) motions.
-        joint: (nv,) the joint of each velocity.
-        parent: (joints,) the joint that each stands on; the first is the world.
-        inertia: (joints, 10) of all that each carries, at the world's origin: mass, first moment, xx, xy, yy,
-            xz, yz, zz.
-        x: (nv,).
-        scratch: (2 joints, 6).
+        J, joint, parent: As in `fill_motions`.
+        before: (nv,) the next velocity towards the root, or −1.
+        inertia: (joints, 10) of all that each carries: mass, first moment, xx, xy, yy, xz, yz, zz.
+        motions, momenta: (joints, 6) for x.
         out: (nv, nv).
     """
-    joints, nv = len(parent), len(joint)
-    below, momenta = scratch[:joints], scratch[joints:]
-    _velocities(J, joint, parent, x, below)
-    momenta[:, :] = 0.0
-    last = nv - 1
-    for i in range(joints - 1, 0, -1):  # what is beyond i first, then with what i moves itself
-        beyond = momenta[parent[i]]
-        for r in range(6):
-            beyond[r] += momenta[i, r]
-        k = last
-        while k >= 0 and joint[k] == i:
-            f = _momentum(
-                *(inertia, i, J[0, k] * x[k], J[1, k] * x[k], J[2, k] * x[k]),
-                *(J[3, k] * x[k], J[4, k] * x[k], J[5, k] * x[k]),
-            )
-            for r in range(6):
-                beyond[r] += f[r]
-            k -= 1
-        last = k
-        b = below[i]
-        f = _momentum(inertia, i, b[0], b[1], b[2], b[3], b[4], b[5])
-        for r in range(6):
-            momenta[i, r] += f[r]
-    for k in range(nv):
+    out[:, :] = 0.0
+    bends = np.empty((len(joint), 6))
+    for k in range(len(joint)):
         i = joint[k]
-        b, h = below[parent[i]], momenta[i]
-        a1, a2, a3, a4, a5, a6 = _motion_cross(J, k, b[0], b[1], b[2], b[3], b[4], b[5])
-        g1, g2, g3, g4, g5, g6 = _momentum(inertia, i, a1, a2, a3, a4, a5, a6)
-        for m in range(nv):
-            x1, x2, x3, x4, x5, x6 = J[0, m], J[1, m], J[2, m], J[3, m], J[4, m], J[5, m]
-            if _carries(parent, joint[m], i):
-                total = -(x1 * g1 + x2 * g2 + x3 * g3 + x4 * g4 + x5 * g5 + x6 * g6)
-                if joint[m] != i:
-                    y1, y2, y3, y4, y5, y6 = _motion_cross(J, k, x1, x2, x3, x4, x5, x6)
-                    total -= y1 * h[0] + y2 * h[1] + y3 * h[2] + y4 * h[3] + y5 * h[4] + y6 * h[5]
-                out[m, k] = total
-            elif _carries(parent, i, joint[m]):
-                f1, f2, f3, f4, f5, f6 = _momentum(inertia, joint[m], x1, x2, x3, x4, x5, x6)
-                out[m, k] = -(f1 * a1 + f2 * a2 + f3 * a3 + f4 * a4 + f5 * a5 + f6 * a6)
-            else:
-                out[m, k] = 0.0
+        b, h = motions[parent[i]], momenta[i]
+        bend = motion_cross(J, k, b[0], b[1], b[2], b[3], b[4], b[5])
+        for r in range(6):
+            bends[k, r] = bend[r]
+        g1, g2, g3, g4, g5, g6 = _momentum(inertia, i, *bend)
+        t1, t2, t3, t4, t5, t6 = _turned_by(J, k, h[0], h[1], h[2], h[3], h[4], h[5])
+        f1, f2, f3, f4, f5, f6 = _of_velocity(J, joint, inertia, k, 1.0)
+        m = k
+        while m >= 0:
+            own, a = 0.0 if joint[m] == i else 1.0, bends[m]
+            out[m, k] = (
+                J[0, m] * (own * t1 - g1)
+                + J[1, m] * (own * t2 - g2)
+                + J[2, m] * (own * t3 - g3)
+                + J[3, m] * (own * t4 - g4)
+                + J[4, m] * (own * t5 - g5)
+                + J[5, m] * (own * t6 - g6)
+            )
+            if m != k:
+                out[k, m] = -(f1 * a[0] + f2 * a[1] + f3 * a[2] + f4 * a[3] + f5 * a[4] + f6 * a[5])
+            m = before[m]
 
 
 @inlined
@@ -142,26 +207,24 @@ def _shift(J, k, tips, carries, at):
     return c1 - r * m1, c2 - r * m2, c3 - r * m3, o1, o2, o3, w1, w2, w3
 
 
-@declared(FLOAT_ROWS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, bool, FLOAT_ROWS, FLOAT_ROWS)
+@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, bool, FLOAT_ROWS)
 @jit
-def velocity_slopes(J, joint, parent, ends, at, x, relative, scratch, out):
+def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
     """Fill ∂(J x)/∂q (3, nv), or that of J x less what the surface does beyond its carrier. (D19)
 
     Args:
-        J, joint, parent: As in `mass_slopes`.
-        ends: (2,) the joints of the tip and of the surface.
+        J, joint, parent: As in `fill_motions`.
+        tip, base: The joints of the tip and of the surface.
         at: (PLACE,) where the contact is.
-        x: (nv,).
+        motions: (joints, 6) for x.
         relative: Whether the surface's own velocity is taken off.
-        scratch: (joints, 6).
         out: (3, nv).
     """
-    _velocities(J, joint, parent, x, scratch)
-    tip, base = scratch[ends[0]], scratch[ends[1]]
+    moving, carrying = motions[tip], motions[base]
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
-    w1, w2, w3 = tip[3] - base[3], tip[4] - base[4], tip[5] - base[5]
+    w1, w2, w3 = moving[3] - carrying[3], moving[4] - carrying[4], moving[5] - carrying[5]
     x1, x2, x3 = cross(w1, w2, w3, p1, p2, p3)
-    u1, u2, u3 = tip[0] - base[0] + x1, tip[1] - base[1] + x2, tip[2] - base[2] + x3
+    u1, u2, u3 = moving[0] - carrying[0] + x1, moving[1] - carrying[1] + x2, moving[2] - carrying[2] + x3
     y1, y2, y3 = p1 - at[ORIGIN], p2 - at[ORIGIN + 1], p3 - at[ORIGIN + 2]
     s1, s2, s3 = at[SPIN], at[SPIN + 1], at[SPIN + 2]
     if relative:
@@ -169,14 +232,17 @@ def velocity_slopes(J, joint, parent, ends, at, x, relative, scratch, out):
         u1, u2, u3 = u1 - at[MATERIAL] - x1, u2 - at[MATERIAL + 1] - x2, u3 - at[MATERIAL + 2] - x3
     for k in range(len(joint)):
         i = joint[k]
-        tips, carries = _carries(parent, i, ends[0]), _carries(parent, i, ends[1])
+        tips, carries = _carries(parent, i, tip), _carries(parent, i, base)
+        if not (tips or carries):
+            out[0, k] = out[1, k] = out[2, k] = 0.0
+            continue
         q1, q2, q3, o1, o2, o3, r1, r2, r3 = _shift(J, k, tips, carries, at)
         d1, d2, d3 = cross(w1, w2, w3, q1, q2, q3)
-        b = scratch[parent[i]]
+        b = motions[parent[i]]
         for end in range(2):
             if carries if end else tips:
-                v, f = scratch[ends[end]], 1.0 - 2.0 * end
-                a1, a2, a3, a4, a5, a6 = _motion_cross(
+                v, f = carrying if end else moving, 1.0 - 2.0 * end
+                a1, a2, a3, a4, a5, a6 = motion_cross(
                     J, k, v[0] - b[0], v[1] - b[1], v[2] - b[2], v[3] - b[3], v[4] - b[4], v[5] - b[5]
                 )
                 x1, x2, x3 = cross(a4, a5, a6, p1, p2, p3)
@@ -199,48 +265,54 @@ def velocity_slopes(J, joint, parent, ends, at, x, relative, scratch, out):
             out[0, k], out[1, k], out[2, k] = d1, d2, d3
 
 
-@declared(FLOAT_ROWS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS)
+@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, float, float, float, FLOAT_ROWS)
 @jit
-def force_slopes(J, joint, parent, ends, at, force, out):
+def force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, out):
     """Add ∂(JᵀP)/∂q (nv, nv) for an impulse that turns with the axes, or stays in the world. (D20)
 
     Args:
-        J, joint, parent, ends, at: As in `velocity_slopes`.
-        force: (3,) the impulse in world axes.
+        J, joint, parent, tip, base, at: As in `velocity_slopes`.
+        f1, f2, f3: The impulse in world axes.
         out: (nv, nv).
     """
+    nv = len(joint)
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
-    f1, f2, f3 = force
     n1, n2, n3 = cross(p1, p2, p3, f1, f2, f3)
-    for k in range(len(joint)):
+    signs = np.empty(nv)
+    for m in range(nv):
+        tips, carries = _carries(parent, joint[m], tip), _carries(parent, joint[m], base)
+        signs[m] = (1.0 if tips else 0.0) - (1.0 if carries else 0.0)
+    for k in range(nv):
         i = joint[k]
-        tips, carries = _carries(parent, i, ends[0]), _carries(parent, i, ends[1])
+        tips, carries = _carries(parent, i, tip), _carries(parent, i, base)
+        if not (tips or carries):
+            continue
         q1, q2, q3, _, _, _, r1, r2, r3 = _shift(J, k, tips, carries, at)
         e1, e2, e3 = cross(q1, q2, q3, f1, f2, f3)
         g1 = g2 = g3 = 0.0
         if at[TURNS] > 0.0:
             g1, g2, g3 = cross(r1, r2, r3, f1, f2, f3)
         h1, h2, h3 = cross(p1, p2, p3, g1, g2, g3)
-        for m in range(len(joint)):
-            j = joint[m]
-            moves_tip, moves_surface = _carries(parent, j, ends[0]), _carries(parent, j, ends[1])
-            if moves_tip == moves_surface:
+        h1, h2, h3 = h1 + e1, h2 + e2, h3 + e3
+        t1, t2, t3, t4, t5, t6 = _turned_by(J, k, f1, f2, f3, n1, n2, n3)
+        for m in range(nv):
+            if signs[m] == 0.0:
                 continue
-            sign = 1.0 if moves_tip else -1.0
-            x1, x2, x3, x4, x5, x6 = J[0, m], J[1, m], J[2, m], J[3, m], J[4, m], J[5, m]
-            total = x1 * g1 + x2 * g2 + x3 * g3 + x4 * (e1 + h1) + x5 * (e2 + h2) + x6 * (e3 + h3)
-            if _carries(parent, i, j):
-                y1, y2, y3, y4, y5, y6 = _motion_cross(J, k, x1, x2, x3, x4, x5, x6)
-                total += y1 * f1 + y2 * f2 + y3 * f3 + y4 * n1 + y5 * n2 + y6 * n3
-            out[m, k] += sign * total
+            own = 1.0 if _carries(parent, i, joint[m]) else 0.0
+            out[m, k] += signs[m] * (
+                J[0, m] * (g1 - own * t1)
+                + J[1, m] * (g2 - own * t2)
+                + J[2, m] * (g3 - own * t3)
+                + J[3, m] * (h1 - own * t4)
+                + J[4, m] * (h2 - own * t5)
+                + J[5, m] * (h3 - own * t6)
+            )
 
 
-@declared(FLOAT_ROWS, INTEGERS, INTEGERS, INTEGERS, FLOATS, FLOATS, FLOAT_ROWS)
-@jit
-def turn_slopes(J, joint, parent, ends, at, force, out):
-    """Fill how a vector (3,) fixed in the contact axes changes with q, (3, nv) in world axes. (D19)"""
+@inlined
+def turn_slopes(J, joint, parent, tip, base, at, f1, f2, f3, out):
+    """Fill how a vector f (3) fixed in the contact axes changes with q, (3, nv) in world axes. (D19)"""
     for k in range(len(joint)):
-        i = joint[k]
-        tips, carries = _carries(parent, i, ends[0]), _carries(parent, i, ends[1])
+        tips, carries = _carries(parent, joint[k], tip), _carries(parent, joint[k], base)
         _, _, _, _, _, _, r1, r2, r3 = _shift(J, k, tips, carries, at)
-        out[0, k], out[1, k], out[2, k] = cross(r1, r2, r3, force[0], force[1], force[2])
+        out[0, k], out[1, k], out[2, k] = cross(r1, r2, r3, f1, f2, f3)

@@ -1,52 +1,215 @@
-"""How v°, W and the forces of a robot's impact change with the configuration. (derivatives.md, 5)"""
+"""The derivatives of a robot's impact in one call: from configuration and velocity. (derivatives.md, 5)"""
 
 from __future__ import annotations
 
-from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
-from ..._compile.jit import jit
-from .configuration_slopes import force_slopes, mass_slopes, turn_slopes, velocity_slopes
+import numpy as np
+
+from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.jit import inlined, jit
+from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED
+from ...contact_space._kernels.derivatives import INPUTS, ROOM, differentiate_into
+from ...contact_space.inputs import FACTOR
+from .configuration_slopes import (
+    AXES,
+    ORIGIN,
+    PLACE,
+    POINT,
+    fill_momenta,
+    fill_motions,
+    fill_place,
+    force_slopes,
+    mass_slopes,
+    motion_cross,
+    turn_slopes,
+    velocity_slopes,
+)
+from .contact_kinematics import fill_by_axes
+from .placement import along, cross, rotate
+from .robot_impact import NOT_NORMALIZED, SINGULAR_MASS, all_finite, evaluate, meet, parts
+from .robot_workspace import RobotWorkspace
+from .tree import factor, solve, solve_mass
+
+SURFACE, FRICTION, RESTITUTION, VALUE, MORE = 0, 6, 7, 8, 9
+"""Columns of the results after those of q and q̇: the surface's velocity and spin, μ and e, and the values
+themselves. Rows are those of q̇⁺ and, in world axes, of P."""
 
 
 @declared(
-    *(FLOAT_ROWS, INTEGERS, INTEGERS, FLOAT_ROWS, INTEGERS, FLOATS, FLOAT_ROWS, FLOATS, FLOATS, FLOATS),
-    *(FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
+    *(FLOAT_COLUMNS, INTEGERS, INTEGERS, INTEGERS, FLOAT_ROWS, int, int, FLOATS, FLOAT_ROWS, FLOATS, FLOATS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
 )
 @jit
 def impact_slopes(
-    J, joint, parent, inertia, ends, at, y, v, impulse, push, scratch, masses, moved, data, forces, turned
-):
+    J, joint, parent, before, inertia, tip, base, at, y, v, impulse, data, forces, turned
+):  # fmt: skip
     """Fill how the data of an impact in contact space change with q, and its forces. (D17)
 
     Args:
-        J, joint, parent, inertia, ends, at: As in `mass_slopes` and `velocity_slopes`.
+        J, joint, parent, before, inertia: As in `mass_slopes`.
+        tip, base, at: As in `velocity_slopes`.
         y: (3, nv) q̇ per unit impulse along each contact axis.
         v: (nv,) before the impact.
-        impulse, push: (3,) P in contact axes and in the world.
-        scratch: (2 joints, 6).
-        masses: (3, nv, nv) scratch.
-        moved: (3, 3, nv) scratch.
+        impulse: (3,) P in contact axes.
         data: (9, nv) receives ∂v°/∂q and the slopes of w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃.
-        forces: (nv, nv) receives ∂(JᵀP)/∂q − P·D(y).
+        forces: (nv, nv) receives ∂(JᵀP)/∂q − D(Δ).
         turned: (3, nv) receives how P, fixed in the contact axes, changes in the world.
     """
+    nv, joints = len(v), len(parent)
+    motions, momenta = np.empty((4, joints, 6)), np.empty((4, joints, 6))
+    moved, bends = np.empty((3, 3, nv)), np.empty((3, 6))
+    fill_motions(J, joint, parent, v, motions[3])
+    velocity_slopes(J, joint, parent, tip, base, at, motions[3], True, data[:3])
+    motions[3, :, :] = 0.0
+    momenta[3, :, :] = 0.0
+    for a in range(3):
+        fill_motions(J, joint, parent, y[a], motions[a])
+        fill_momenta(J, joint, parent, inertia, y[a], motions[a], momenta[a])
+        velocity_slopes(J, joint, parent, tip, base, at, motions[a], False, moved[a])
+        for i in range(joints):
+            for r in range(6):  # those of −Δ
+                motions[3, i, r] -= impulse[a] * motions[a, i, r]
+                momenta[3, i, r] -= impulse[a] * momenta[a, i, r]
+    for k in range(nv):
+        i = joint[k]
+        for a in range(3):
+            x = motions[a, parent[i]]
+            bend = motion_cross(J, k, x[0], x[1], x[2], x[3], x[4], x[5])
+            for r in range(6):
+                bends[a, r] = bend[r]
+        row = 3
+        for a in range(3):
+            for b in range(a, 3):
+                total = moved[a, b, k] + moved[b, a, k]
+                for r in range(6):
+                    total += bends[a, r] * momenta[b, i, r] + bends[b, r] * momenta[a, i, r]
+                data[row, k] = total
+                row += 1
+    mass_slopes(J, joint, parent, before, inertia, motions[3], momenta[3], forces)
+    f1, f2, f3 = rotate(at, impulse[0], impulse[1], impulse[2])
+    force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, forces)
+    turn_slopes(J, joint, parent, tip, base, at, f1, f2, f3, turned)
+
+
+@declared(
+    *(FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOAT_ROWS, float, bool, FLOAT_ROWS),
+    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
+)
+@jit
+def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, responses, turned, out):
+    """Fill the derivatives of an impact from those in contact space. (D17)
+
+    Args:
+        at, y, v, impulse, data, turned: As in `impact_slopes`.
+        carrier: (12,) placement of the body whose axes the surface's velocities are given in.
+        jacobian: (3, nv) J.
+        slopes: (3, INPUTS) of P in contact axes.
+        slope: de/d(approach speed).
+        by_q: Whether columns of q are filled; without, `data`, `responses` and `turned` are not read.
+        responses: (nv, nv) M⁻¹ times the forces of `impact_slopes`.
+        out: (nv + 3, 2 nv + MORE), see `SURFACE` and its neighbours.
+    """
     nv = len(v)
-    velocity_slopes(J, joint, parent, ends, at, v, True, scratch, data[:3])
+    first, more = 0 if by_q else nv, 2 * nv
+    rows = np.empty((3, more + MORE))
+    x1, x2, x3 = at[POINT] - at[ORIGIN], at[POINT + 1] - at[ORIGIN + 1], at[POINT + 2] - at[ORIGIN + 2]
     for i in range(3):
-        mass_slopes(J, joint, parent, inertia, y[i], scratch, masses[i])
-        velocity_slopes(J, joint, parent, ends, at, y[i], False, scratch, moved[i])
-    row = 3
-    for i in range(3):
-        for j in range(i, 3):
-            for k in range(nv):
-                data[row, k] = moved[i, j, k] + moved[j, i, k]
-            for m in range(nv):
-                for k in range(nv):
-                    data[row, k] -= y[i, m] * masses[j, m, k]
-            row += 1
-    for m in range(nv):
+        row, s = rows[i], slopes[i]
+        s1, s2, s3 = s[0], s[1], s[2] - slope * s[10]
+        for k in range(first, nv):
+            row[k] = s1 * data[0, k] + s2 * data[1, k] + s3 * data[2, k]
+            for j in range(3, 9):
+                row[k] += s[j] * data[j, k]
         for k in range(nv):
-            forces[m, k] = -(
-                impulse[0] * masses[0, m, k] + impulse[1] * masses[1, m, k] + impulse[2] * masses[2, m, k]
-            )
-    force_slopes(J, joint, parent, ends, at, push, forces)
-    turn_slopes(J, joint, parent, ends, at, push, turned)
+            row[nv + k] = s1 * jacobian[0, k] + s2 * jacobian[1, k] + s3 * jacobian[2, k]
+        u1, u2, u3 = rotate(at, s1, s2, s3)
+        w1, w2, w3 = cross(x1, x2, x3, u1, u2, u3)
+        for j in range(3):
+            row[more + SURFACE + j] = -along(carrier, 3 * j, u1, u2, u3)
+            row[more + SURFACE + 3 + j] = -along(carrier, 3 * j, w1, w2, w3)
+        row[more + FRICTION], row[more + RESTITUTION], row[more + VALUE] = s[9], s[10], impulse[i]
+    for m in range(nv):
+        y1, y2, y3 = y[0, m], y[1, m], y[2, m]
+        for k in range(first, more + MORE):
+            out[m, k] = y1 * rows[0, k] + y2 * rows[1, k] + y3 * rows[2, k]
+        for k in range(first, nv):
+            out[m, k] += responses[m, k]
+        out[m, nv + m] += 1.0
+        out[m, more + VALUE] += v[m]
+    for i in range(3):
+        a1, a2, a3 = at[AXES + i], at[AXES + 3 + i], at[AXES + 6 + i]
+        for k in range(first, more + MORE):
+            out[nv + i, k] = a1 * rows[0, k] + a2 * rows[1, k] + a3 * rows[2, k]
+        for k in range(first, nv):
+            out[nv + i, k] += turned[i, k]
+
+
+@inlined
+def _dynamic_parameters(bodies, out):
+    """Fill mass, first moment and inertia (joints, 10) of composite bodies, see `BODY`, about the origin."""
+    for i in range(len(out)):
+        m, c1, c2, c3 = bodies[i, 12], bodies[i, 13], bodies[i, 14], bodies[i, 15]
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = m, m * c1, m * c2, m * c3
+        out[i, 4] = bodies[i, 16] + m * (c2 * c2 + c3 * c3)
+        out[i, 5] = bodies[i, 17] - m * c1 * c2
+        out[i, 6] = bodies[i, 18] + m * (c1 * c1 + c3 * c3)
+        out[i, 7] = bodies[i, 19] - m * c1 * c3
+        out[i, 8] = bodies[i, 20] - m * c2 * c3
+        out[i, 9] = bodies[i, 21] + m * (c1 * c1 + c2 * c2)
+
+
+@declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS)
+@jit
+def robot_slopes(work, q, v, e, slope, by_q, out):
+    """Differentiate the impact of one contact.
+
+    Args:
+        work: `RobotWorkspace`.
+        q: (nq,).
+        v: (nv,) pre-impact velocity.
+        e, slope, by_q, out: As in `assemble`.
+
+    Returns:
+        Status as in `robot_impact`, and flags of `Boundary`.
+    """
+    bodies, columns, mass, frame, carrier, room = parts(work, work.scratch)
+    if not evaluate(work, q, bodies, columns, mass, frame, carrier):
+        return NOT_NORMALIZED, 0
+    if not (all_finite(q) and all_finite(v)):
+        return INVALID_NUMBERS, 0
+    nv, before = work.nv, work.velocity_parent
+    lower, y = room[: nv * nv].reshape((nv, nv)), room[nv * nv : (nv + 3) * nv].reshape((3, nv))
+    if factor(mass, before, lower) >= 0:
+        return SINGULAR_MASS, 0
+    numbers, codes, boundary = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64), np.empty(1, dtype=np.int64)
+    slopes, singular, jacobian = np.empty((6, INPUTS)), np.empty(FACTOR), np.empty((3, nv))
+    at, axes = np.empty(PLACE), np.empty(15)
+    geometry, w, relative, scale, known = meet(
+        frame, carrier, columns, work.signs, work.constants, v, lower, before, y, singular
+    )
+    w11, w12, w13, w22, w23, w33 = w
+    v1, v2, v3 = relative
+    differentiate_into(
+        *(0, w11, w12, w13, w22, w23, w33, v1, v2, v3, work.friction, e, work.law, scale),
+        *(singular[:known], np.empty(ROOM), numbers, codes, slopes, boundary),
+    )
+    status = codes[0, 0]
+    if not 0 <= status <= LOCKED:
+        return status, 0
+    fill_by_axes(columns, work.signs, geometry[12], geometry[13], geometry[14], geometry[:9], jacobian)
+    for i in range(15):
+        axes[i] = geometry[i]
+    impulse = numbers[0][3:6]
+    fill_place(work.constants, carrier, axes[:9], axes[12:], True, at)
+    solve(lower, before, y)
+    n = nv if by_q else 0
+    data, responses, turned = np.empty((9, n)), np.empty((n, n)), np.empty((3, n))
+    if by_q:
+        inertia = np.empty((work.bodies, 10))
+        _dynamic_parameters(bodies, inertia)
+        impact_slopes(
+            *(columns, work.velocity_joint, work.joint_parent, before, inertia),
+            *(work.frame_joint, work.carrier_joint, at, y, v, impulse, data, responses, turned),
+        )
+        solve_mass(lower, before, responses)
+    assemble(at, carrier, jacobian, y, v, impulse, slopes[3:], slope, by_q, data, responses, turned, out)
+    return status, boundary[0]

@@ -56,6 +56,38 @@ def all_finite(x):
     return total == 0.0
 
 
+@inlined
+def meet(frame, carrier, columns, signs, constants, v, lower, parents, y, singular):
+    """Evaluate a contact of a robot with the factor L of M, and fill the rows y (3, nv) of JL⁻¹.
+
+    Fills `singular` (FACTOR) with the factor of an ill-conditioned W, else zero; otherwise as `resolve`.
+
+    Returns:
+        What `contact_rows` does, the upper triangle of W (6), the contact's velocity (3), the size of the
+            terms that it is the sum of, and how many numbers of the factor count.
+    """
+    geometry = contact_rows(frame, carrier, columns, signs, constants, y)
+    s1, s2, s3 = geometry[9], geometry[10], geometry[11]
+    v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
+    scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
+    for j in range(len(v)):
+        scale += (abs(y[0, j]) + abs(y[1, j]) + abs(y[2, j])) * abs(v[j])
+    solve_transposed(lower, parents, y)
+    w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
+    w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
+    singular[:] = 0.0
+    known = 0 if clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED)[0] else FACTOR
+    if known > 0:
+        x1, x2, x3 = geometry[12], geometry[13], geometry[14]
+        fill_by_axes(columns, signs, x1, x2, x3, geometry[:9], y)
+        v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
+        solve_transposed(lower, parents, y)
+        w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
+        w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
+        delassus_factor(lower, parents, columns, signs, x1, x2, x3, y, singular)
+    return geometry, (w11, w12, w13, w22, w23, w33), (v1, v2, v3), scale, known
+
+
 def room_to_resolve(nv: int) -> int:
     """Return the size of the work array of `resolve`; for Python."""
     return (nv + 4) * nv + SCRATCH
@@ -104,26 +136,12 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
     stopped = factor(mass, parents, lower)
     if stopped >= 0:
         return SINGULAR_MASS, stopped, 0, 0
-    geometry = contact_rows(frame, carrier, columns, signs, constants, y)
-    s1, s2, s3 = geometry[9], geometry[10], geometry[11]
-    v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
-    scale = abs(s1) + abs(s2) + abs(s3)  # v is known to rounding of this size
-    for j in range(n):
-        scale += (abs(y[0, j]) + abs(y[1, j]) + abs(y[2, j])) * abs(v[j])
-    solve_transposed(lower, parents, y)
-    w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
-    w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
     singular = out[n + SINGULAR : n + SINGULAR + FACTOR]
-    singular[:] = 0.0
-    known = 0 if clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED)[0] else FACTOR
-    if known > 0:
-        x1, x2, x3 = geometry[12], geometry[13], geometry[14]
-        fill_by_axes(columns, signs, x1, x2, x3, geometry[:9], y)
-        v1, v2, v3 = dot(y[0], v) - s1, dot(y[1], v) - s2, dot(y[2], v) - s3
-        solve_transposed(lower, parents, y)
-        w11, w12, w13 = dot(y[0], y[0]), dot(y[0], y[1]), dot(y[0], y[2])
-        w22, w23, w33 = dot(y[1], y[1]), dot(y[1], y[2]), dot(y[2], y[2])
-        delassus_factor(lower, parents, columns, signs, x1, x2, x3, y, singular)
+    geometry, w, relative, scale, known = meet(
+        frame, carrier, columns, signs, constants, v, lower, parents, y, singular
+    )
+    w11, w12, w13, w22, w23, w33 = w
+    v1, v2, v3 = relative
     status, flags, iterations, a1, a2, a3, p1, p2, p3, pc, _, _, _ = solve_into(
         *(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale),
         *(singular[:known], room[(n + 4) * n :], unwanted, unwanted),
@@ -135,7 +153,9 @@ def resolve(mass, parents, frame, carrier, columns, signs, constants, bounds, q,
     for j in range(n):
         out[j] = v[j] + delta[j]
     rest = (
-        *(w11, w12, w13, w22, w23, w33, v1, v2, v3, s1, s2, s3),
+        *w,
+        *relative,
+        *geometry[9:12],
         *geometry[:9],
         *(a1, a2, a3, p1, p2, p3, pc, scale),
     )
@@ -150,27 +170,39 @@ def room_for(nv: int, bodies: int) -> int:
 
 
 @inlined
-def _by_tree(work, room, evaluated, q, v, mu, e, out):
-    """Resolve the impact of a robot's contact; returns as `resolve`, or `NOT_NORMALIZED`.
-
-    If the tree is `evaluated`, at this q by the previous call, the work array still has its matrices.
-    """
-    room, q, v, out = borrowed(room), borrowed(q), borrowed(v), borrowed(out)
+def parts(work, room):
+    """Return the parts of a work array: bodies, columns, M, placements of frame and carrier; and the rest."""
     nv, n = work.nv, work.bodies
     first = BODY * (n + 2)
     second = first + 6 * nv
     third = second + nv * nv
     bodies = room[:first].reshape((n + 2, BODY))
     columns, mass = room[first:second].reshape((nv, 6)).T, room[second:third].reshape((nv, nv))
-    frame, carrier = bodies[n, :12], bodies[n + 1, :12]
-    if not evaluated:
-        if not tree_matrices(work, q, bodies, columns, mass):
-            return NOT_NORMALIZED, 0, 0, 0
-        placed(bodies[work.frame_joint], work.frame, frame)
-        placed(bodies[work.carrier_joint], work.carrier, carrier)
+    return bodies, columns, mass, bodies[n, :12], bodies[n + 1, :12], room[third:]
+
+
+@inlined
+def evaluate(work, q, bodies, columns, mass, frame, carrier):
+    """Fill the `parts` of a work array, and return whether q is normalized."""
+    normalized = tree_matrices(work, q, bodies, columns, mass)
+    placed(bodies[work.frame_joint], work.frame, frame)
+    placed(bodies[work.carrier_joint], work.carrier, carrier)
+    return normalized
+
+
+@inlined
+def _by_tree(work, room, evaluated, q, v, mu, e, out):
+    """Resolve the impact of a robot's contact; returns as `resolve`, or `NOT_NORMALIZED`.
+
+    If the tree is `evaluated`, at this q by the previous call, the work array still has its matrices.
+    """
+    room, q, v, out = borrowed(room), borrowed(q), borrowed(v), borrowed(out)
+    bodies, columns, mass, frame, carrier, room = parts(work, room)
+    if not evaluated and not evaluate(work, q, bodies, columns, mass, frame, carrier):
+        return NOT_NORMALIZED, 0, 0, 0
     return resolve(
         *(mass, work.velocity_parent, frame, carrier, columns, work.signs, work.constants, work.bounds),
-        *(q, v, mu, e, work.law, room[third:], out),
+        *(q, v, mu, e, work.law, room, out),
     )
 
 

@@ -83,3 +83,31 @@ def solve(lower, parents, rows):
                 x -= lower[i, j] * row[j]
                 j = parents[j]
             row[i] = x / lower[i, i]
+
+
+@declared(FLOAT_ROWS, INTEGERS, FLOAT_ROWS)
+@jit
+def solve_mass(lower, parents, columns):
+    """Solve M y = x in place for each column x (nv,) of `columns` (nv, m)."""
+    columns = borrowed(columns)
+    n, m = columns.shape
+    for i in range(n - 1, -1, -1):
+        inverse = 1.0 / lower[i, i]
+        for k in range(m):
+            columns[i, k] *= inverse
+        j = parents[i]
+        while j >= 0:
+            x = lower[i, j]
+            for k in range(m):
+                columns[j, k] -= x * columns[i, k]
+            j = parents[j]
+    for i in range(n):
+        j = parents[i]
+        while j >= 0:
+            x = lower[i, j]
+            for k in range(m):
+                columns[i, k] -= x * columns[j, k]
+            j = parents[j]
+        inverse = 1.0 / lower[i, i]
+        for k in range(m):
+            columns[i, k] *= inverse
