@@ -43,8 +43,9 @@ OVER = {
     "v0:root_joint.vz": stats.norm(0.0, 0.1),
 }
 COLD = (
-    "from benchmarks.ensembles import land; from pinimpact.app.scene_loader import load_scene;"
-    "land(load_scene('solo12_landing'), 1)"
+    "from pinimpact import simulate; from pinimpact.app.scene_loader import load_scene;"
+    "loaded = load_scene('solo12_landing');"
+    "simulate(loaded.scene, loaded.q, loaded.v, loaded.file.duration)"
 )
 
 
@@ -168,7 +169,7 @@ def main() -> None:
     options = parser.parse_args()
     loaded = load_scene("solo12_landing")
     lines = overhead(loaded, options.samples, options.rounds)
-    lines += workers(loaded, 2 * options.samples, options.rounds)
+    lines += workers(loaded, 4 * options.samples, options.rounds // 2)
     lines += cold_starts(1)
     lines += kills(options.kills)
     text = "\n".join(lines) + "\n"

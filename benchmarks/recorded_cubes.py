@@ -16,6 +16,8 @@ from tests.test_identification import cross_validated, cube_scene, cube_states, 
 from tests.test_recorded_impacts import cube_motions
 
 from pinimpact import Plane, Scene, studies
+from pinimpact.contact_space.laws import LAWS
+from pinimpact.studies.one_step import ONE_STEP
 from pinimpact.studies.recordings import gaps
 
 from .timing import FIGURES
@@ -27,6 +29,20 @@ WIDTH = 0.1017
 def row(what: str, fit: studies.Identified, index: int, unit: str = "") -> str:
     """Return a line with a parameter and its standard error."""
     return f"{what:<52}{fit.x[index]:>9.4f} ± {fit.standard_errors[index]:.4f}{unit}"
+
+
+def other_laws(given: studies.FoundImpacts, scene: Scene) -> list[str]:
+    """Return lines with the mean error of each law, and its excess over that of Poisson's law."""
+    fits = {law: studies.identify(given, scene, law=law) for law in (*LAWS, *ONE_STEP)}
+    unit = np.sqrt(scene.model.inertias[1].mass)
+    lines = ["mean errors of fits, and differences from Poisson's law"]
+    for law, fit in fits.items():
+        found = studies.compare(fit, fits["poisson"])
+        low, high = found.interval[0] / unit
+        error = np.linalg.norm(fit.fun.reshape(len(given), -1), axis=1).mean() / unit
+        coefficients = " and ".join(f"{x:.3f}" for x in fit.x)
+        lines.append(f"  {law:<10} μ and e {coefficients:<32}{error:>9.4f} m/s, {low:+.4f} to {high:+.4f}")
+    return lines
 
 
 def averages(errors: np.ndarray) -> list[str]:
@@ -68,6 +84,7 @@ def main() -> None:
     lines = [f"{len(given)} impacts found by others, {pair.groups} tosses"]
     lines += [row("  friction", pair, 0), row("  restitution", pair, 1)]
     lines += [f"{'  error of impacts left out of the fit':<52}{cross_validated(d):>9.4f} m/s"]
+    lines += other_laws(given, scene)
     motions = cube_motions(d, recordings, len(recordings["toss"]))
     found = studies.impacts(scene, motions)
     own = studies.identify(found, scene)

@@ -18,7 +18,7 @@ import pinimpact
 from pinimpact import studies
 
 MASS, CENTRE, INERTIA = 0.4, np.array([0.004, -0.003, 0.006]), np.diag([9e-4, 8e-4, 6e-4])
-FRICTION, RESTITUTION, SLIDING = 0.2, 0.4, 0.25
+FRICTION, RESTITUTION, SLIDING, LAW = 0.2, 0.4, 0.25, "energetic"
 NOISE = 5e-5, 5e-4  # of recorded positions [m] and rotations [rad]
 
 
@@ -30,7 +30,7 @@ def box(centre, inertia, friction=0.0, restitution=0.0, sliding=None):
     model.addBodyFrame("box", joint, pin.SE3.Identity(), 0)
     corners = itertools.product((-0.04, 0.04), (-0.05, 0.05), (-0.06, 0.06))
     contact = pinimpact.Contact(
-        "box", pinimpact.Plane(), friction, restitution, radius=0.002, sliding_friction=sliding
+        "box", pinimpact.Plane(), friction, restitution, LAW, radius=0.002, sliding_friction=sliding
     )
     contacts = [replace(contact, offset=o, name=f"corner {i}") for i, o in enumerate(corners)]
     return pinimpact.Scene(model, contacts)
@@ -72,7 +72,7 @@ def main(tosses=40):
     print(f"{len(found)} impacts, {len(found.dropped)} dropped; the first because:\n  {found.dropped[0]}")
     show(body, [*CENTRE, *np.diag(INERTIA) / MASS, 0, 0, 0])
 
-    pair = studies.identify(found, guess, law="energetic")
+    pair = studies.identify(found, guess, law=LAW)
     show(pair, [FRICTION, RESTITUTION])
     slid = studies.identify_sliding(known, pair.apply(guess), free=("sliding_friction",))
     show(slid, [SLIDING])

@@ -124,7 +124,7 @@ def test_roll_outs_of_the_true_model_are_exact_and_of_another_are_not() -> None:
     again = studies.rollouts(scene, motions, restart=True)
     assert len(again) >= 4
     assert again.at_end()[:, 0].max() < 1e-3
-    with pytest.raises(InputError, match="its roll-outs are not of the recordings of test"):
+    with pytest.raises(InputError, match="its errors are not of the data of test"):
         studies.compare(true, again)
 
 
@@ -145,7 +145,7 @@ def test_bad_input_is_named() -> None:
     noise = (1e-5, 1e-4)
     with pytest.raises(InputError, match="motion 0 has no flight of 5 frames"):
         studies.rollouts(box_scene(), [studies.Motion(t, still.q, sigma=noise)])
-    with pytest.raises(InputError, match="test: 3 given, roll-outs of two or more groups"):
+    with pytest.raises(InputError, match="test: 3 given; roll-outs or a fit of two or more groups"):
         studies.compare(3, 4)
 
 

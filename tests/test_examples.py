@@ -174,7 +174,7 @@ def test_a_tossed_box_is_identified(tmp_path, monkeypatch, capsys) -> None:
     found = {row[0]: (float(row[1]), float(row[5]), float(row[7]), float(row[9])) for row in rows}
     assert len(found) == 12
     for name, (value, low, high, true) in found.items():
-        assert abs(value - true) < 1.5 * (high - low), name  # six standard errors
+        assert abs(value - true) < high - low, name  # four standard errors
     for name in ("friction", "restitution", "sliding_friction"):
         value, low, high, true = found[name]
         assert high - low < 0.1 * true

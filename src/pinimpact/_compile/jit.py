@@ -192,8 +192,7 @@ def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
     try:
         with without_collecting(), ExitStack() as stack:
             missing = _missing(wanted)
-            needed = jobs(missing)
-            stack.enter_context(cache.session(bool(missing), lambda: all(map(_is_kept, needed))))
+            stack.enter_context(cache.session(bool(missing), _all_kept(jobs(missing))))
             missing = _missing(missing)
             _together = [kernel for kernel, _ in missing] or [kernel for kernel, _ in wanted]
             if missing:
@@ -213,6 +212,18 @@ def _compile_locked(wanted: Sequence[tuple[Any, Any]]) -> None:
 def _missing(wanted: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
     """Return the kernels that are not cached."""
     return [(kernel, types) for kernel, types in wanted if not kernel._cache.knows(types)]
+
+
+def _all_kept(needed: Sequence[Job]) -> Callable[[], bool]:
+    """Return a function that says whether all kernels are cached by now; it asks of each until it is."""
+    left = list(needed)
+
+    def all_kept() -> bool:
+        while left and _is_kept(left[-1]):
+            left.pop()
+        return not left
+
+    return all_kept
 
 
 def _is_kept(job: Job) -> bool:

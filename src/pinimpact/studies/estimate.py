@@ -48,9 +48,11 @@ class Identified(OptimizeResult):
         bounds: (2, p) their bounds.
         covariance: (p, p) their covariance by leaving out groups (I4); infinite where there is none.
         groups: Number of groups.
+        group: (n,) number of the group of each row of residuals.
         degrees: (p,) degrees of freedom of the intervals (I5), fewer where groups have unequal weight.
         unidentified: One sentence for each parameter that the data do not determine.
-        fun: (n m,) residuals, whitened; `jac` and `cost` are those of `scipy.optimize.least_squares`.
+        fun: (n m,) residuals, whitened, row by row; `jac` and `cost` are those of
+            `scipy.optimize.least_squares`.
         scale: Residual from which on the loss gives less weight.
         law: Restitution law of the fit; None where no law was used.
     """
@@ -164,6 +166,7 @@ def fit(
         covariance=covariance,
         degrees=degrees,
         groups=int(group.max()) + 1,
+        group=group,
         scale=scale,
         **({"law": None} | known),
     )

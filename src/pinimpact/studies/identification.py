@@ -21,6 +21,7 @@ from ..status import Flag, Status
 from .estimate import Identified, checked_bounds, fit, general_first, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
 from .motion_fit import fit_motions
+from .one_step import ONE_STEP, OneStepSolution, solve_one_step
 from .recordings import Motion
 from .stiff_joints import StiffJoints, stiff_joints
 
@@ -30,6 +31,8 @@ RANGES = {"friction": (0.0, np.inf), "restitution": (0.0, 1.0)}
 STIFFENING = {"stiffening": (0.0, 1.0)}
 SLIDING = {"sliding_friction": (0.0, np.inf)}
 FREE = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0)}
+
+_Batch = BatchSolution | OneStepSolution
 
 
 class _Rows(NamedTuple):
@@ -91,7 +94,8 @@ def identify(
         free: Bounds of each parameter: "friction" and "restitution" for all contacts, "friction:foot" for the
             contact "foot"; "stiffening" for all joints with one velocity, "stiffening:elbow" for one, see
             `impact`. None: friction and restitution, from 0 to 2 and from 0 to 1.
-        law: Restitution law; None: that of the contacts, or Poisson's law for arrays.
+        law: Restitution law; None: that of the contacts, or Poisson's law for arrays. For comparison also
+            "moreau" and "convex", which leave out the path of the impact (I13).
         loss: "soft_l1", which gives outliers less weight, or "linear".
         group: (N,) labels of impacts with common errors, such as those of one toss; None: those of `found`,
             or each impact on its own.
@@ -124,7 +128,7 @@ def identify(
     joints = () if scene is None else single_joints(scene.model)
     bounds = checked_bounds(FREE if free is None else free, RANGES | STIFFENING, labels, joints)
     if law is not None:
-        choice("law", law, LAWS, "a restitution law")
+        choice("law", law, LAWS + ONE_STEP, "a restitution law or a model in one step")
     if scene is None:
         rows = _of_arrays(found, law or "poisson", covariance, bounds, fixed or {})
     else:
@@ -155,15 +159,19 @@ def _fitted(
     for j in (j for j in general_first(names) if j in kinds):
         label = names[j].partition(":")[2]
         owner[kinds[j], (rows.contact == label) if label else slice(None)] = j
-    solved: dict[bytes, tuple[BatchSolution, tuple[_Rows, Array, Array]]] = {}
+    solved: dict[bytes, tuple[_Batch, tuple[_Rows, Array, Array]]] = {}
 
-    def solve(x: Array, derivatives: bool = True) -> tuple[BatchSolution, tuple[_Rows, Array, Array]]:
+    def solve(x: Array, derivatives: bool = True) -> tuple[_Batch, tuple[_Rows, Array, Array]]:
         if x.tobytes() not in solved:
             solved.clear()
             mu, e = np.where(owner >= 0, x[owner], rows.coefficients)
             now = rows.at(x[stiffened])
-            problems = now[0].delassus, rows.velocity, mu, e, rows.law, rows.scale
-            batch = _checked(solve_impacts(*problems, derivatives=derivatives))
+            problems = now[0].delassus, rows.velocity, mu, e, rows.law
+            if rows.law in ONE_STEP:
+                batch: _Batch = solve_one_step(*problems)
+            else:
+                batch = solve_impacts(*problems, rows.scale, derivatives=derivatives)
+            _check_solved(batch)
             if not derivatives:
                 return batch, now
             solved[x.tobytes()] = batch, now
@@ -259,17 +267,16 @@ def _no_setting(scene: Scene, name: str, value: float) -> Scene:
     )
 
 
-def _checked(batch: BatchSolution) -> BatchSolution:
-    """Return the solutions if all rows have one."""
+def _check_solved(batch: _Batch) -> None:
+    """Refuse rows that have no solution."""
     failed = np.flatnonzero(~np.isfinite(batch.velocity).all(axis=1))
     if len(failed):
         raise InputError(
             f"found: impact {failed[0]} has no solution: {Status(int(batch.status[failed[0]]))} "
-            f"({len(failed)} of {len(batch)} such impacts)",
+            f"({len(failed)} of {len(batch.status)} such impacts)",
             field="found",
             value=failed.tolist(),
         )
-    return batch
 
 
 def _of_arrays(

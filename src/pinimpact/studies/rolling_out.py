@@ -1,4 +1,4 @@
-"""Predicted motions against recorded ones, and the difference of two models with intervals."""
+"""Predicted motions against recorded ones."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import bootstrap
 
-from ..checks import above_zero, in_short, truth_value
+from ..checks import truth_value
 from ..errors import InputError
 from ..robot.matrices import contact_geometry
 from ..scene.scene import Scene
@@ -21,9 +20,6 @@ from .found import free_body
 from .recordings import CLEARANCE, FRAMES, Motion, checked_motions, flights_of, generalized
 
 Array = NDArray[np.float64]
-
-RESAMPLES = 2000
-"""Of a bootstrap; the ends of a 95 % interval then have errors of a twentieth of its length."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,21 +62,6 @@ class RollOuts:
             f"RollOuts({len(self)}: {1e3 * p:.3g} mm and {np.degrees(r):.3g}° on average, "
             f"{1e3 * p_end:.3g} mm and {np.degrees(r_end):.3g}° at the end)"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """The mean errors of one model minus those of another: position [m] and rotation [rad].
-
-    Attributes:
-        difference: (2,) means over groups.
-        interval: (2, 2) from, to.
-        groups: Number of groups.
-    """
-
-    difference: Array
-    interval: Array
-    groups: int
 
 
 def rollouts(
@@ -180,52 +161,3 @@ def _lift(scene: Scene, q: Array) -> Array:
         if deeper > 0.0:
             total += deeper * place.axes[2]
     return total
-
-
-def compare(
-    test: RollOuts, other: RollOuts, paired: bool = True, *, level: float = 0.95, seed: int = 0
-) -> Comparison:
-    """Return the difference of the mean errors of two models, with intervals by a bootstrap over groups.
-
-    Args:
-        test: Roll-outs of one model.
-        other: Those of the other.
-        paired: Whether both are of the same recordings; the differences of each group are then resampled.
-        level: Level of the intervals.
-        seed: Seed of the bootstrap.
-
-    Raises:
-        InputError: Paired roll-outs of different recordings, or fewer than two groups.
-    """
-    for name, value in (("test", test), ("other", other)):
-        if not isinstance(value, RollOuts) or len(set(value.group)) < 2:
-            raise InputError(
-                f"{name}: {in_short(value)} given, roll-outs of two or more groups expected",
-                field=name,
-                value=value,
-            )
-    level = above_zero("level", level)
-    if not level < 1.0:
-        raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
-    if truth_value("paired", paired) and (test.group, test.start) != (other.group, other.start):
-        raise InputError("other: its roll-outs are not of the recordings of test", field="other", value=other)
-    options = {"confidence_level": level, "n_resamples": RESAMPLES, "rng": np.random.default_rng(seed)}
-    one, two = _by_group(test), _by_group(other)
-    difference = one.mean(axis=0) - two.mean(axis=0)
-    if paired:
-        found = bootstrap((one - two,), np.mean, axis=0, method="percentile", **options)
-    else:
-
-        def apart(a: Array, b: Array, axis: int) -> Array:
-            return np.asarray(np.mean(a, axis=axis) - np.mean(b, axis=axis))
-
-        found = bootstrap((one, two), apart, axis=0, method="percentile", **options)
-    interval = np.column_stack([found.confidence_interval.low, found.confidence_interval.high])
-    return Comparison(difference, interval, len(one))
-
-
-def _by_group(runs: RollOuts) -> Array:
-    """Return the mean errors (groups, 2)."""
-    errors, groups = runs.mean(), list(dict.fromkeys(runs.group))
-    which = np.array([groups.index(label) for label in runs.group])
-    return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))])

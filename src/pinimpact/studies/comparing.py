@@ -1,0 +1,100 @@
+"""The difference of two models, with intervals by groups."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
+
+from ..checks import above_zero, in_short, truth_value
+from ..errors import InputError
+from .estimate import Identified
+from .rolling_out import RollOuts
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 2000
+"""Of a bootstrap; the ends of a 95 % interval then have errors of a twentieth of its length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The mean errors of one model minus those of another.
+
+    Attributes:
+        difference: (k,) means over groups: of roll-outs those of position [m] and rotation [rad], of fits
+            the length of the residuals of a row, k = 1.
+        interval: (k, 2) from, to.
+        groups: Number of groups.
+    """
+
+    difference: Array
+    interval: Array
+    groups: int
+
+
+def compare(
+    test: RollOuts | Identified,
+    other: RollOuts | Identified,
+    paired: bool = True,
+    *,
+    level: float = 0.95,
+    seed: int = 0,
+) -> Comparison:
+    """Return the difference of the mean errors of two models, with intervals by a bootstrap over groups.
+
+    Args:
+        test: Roll-outs of one model, or the fit of one law to impacts.
+        other: Those of the other.
+        paired: Whether both are of the same recordings or impacts; the differences of each group are then
+            resampled.
+        level: Level of the intervals.
+        seed: Seed of the bootstrap.
+
+    Raises:
+        InputError: Paired roll-outs or fits of different data, or fewer than two groups.
+    """
+    level = above_zero("level", level)
+    if not level < 1.0:
+        raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
+    (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
+    if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
+        raise InputError("other: its errors are not of the data of test", field="other", value=other)
+    options = {"confidence_level": level, "n_resamples": RESAMPLES, "rng": np.random.default_rng(seed)}
+    difference = one.mean(axis=0) - two.mean(axis=0)
+    if paired:
+        found = bootstrap((one - two,), np.mean, axis=0, method="percentile", **options)
+    else:
+
+        def apart(a: Array, b: Array, axis: int) -> Array:
+            return np.asarray(np.mean(a, axis=axis) - np.mean(b, axis=axis))
+
+        found = bootstrap((one, two), apart, axis=0, method="percentile", **options)
+    interval = np.column_stack([found.confidence_interval.low, found.confidence_interval.high])
+    return Comparison(difference, interval, len(one))
+
+
+def _by_group(name: str, model: Any) -> tuple[Array, Sequence[Any]]:
+    """Return the mean errors (groups, k), and of which data they are."""
+    if isinstance(model, RollOuts):
+        errors, labels = model.mean(), model.group
+        rows: Sequence[Any] = (labels, model.start)
+    elif isinstance(model, Identified):
+        labels = tuple(model.group.tolist())
+        errors = np.linalg.norm(model.fun.reshape(len(labels), -1), axis=1)[:, None]
+        rows = labels
+    else:
+        labels = ()
+    groups = list(dict.fromkeys(labels))
+    if len(groups) < 2:
+        raise InputError(
+            f"{name}: {in_short(model)} given; roll-outs or a fit of two or more groups expected",
+            field=name,
+            value=model,
+        )
+    which = np.array([groups.index(label) for label in labels])
+    return np.array([errors[which == k].mean(axis=0) for k in range(len(groups))]), rows

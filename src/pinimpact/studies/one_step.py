@@ -1,0 +1,171 @@
+"""Models of an impact in one step, for comparison with its path. (docs/identification.md, I13)"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..status import Flag, Status
+
+Array = NDArray[np.float64]
+
+ONE_STEP = ("moreau", "convex")
+"""Coulomb's law and Newton's restitution on the velocities after the impact; the same with the convex
+relaxation of friction, in which slip has a normal velocity μ|v_t|."""
+
+ANGLES = 64
+"""Directions of slip between which a change of sign is sought; the function has six roots at most."""
+
+HALVINGS = 50
+"""Of such an interval, to rounding."""
+
+
+ROUNDING = 32.0 * np.finfo(float).eps
+"""Of an eigenvalue of W over the largest, within which it is zero."""
+
+OUTSIDE = 1e-8
+"""Part of a velocity outside the range of a singular W that is rounding: of robots with cancellation too."""
+
+
+class OneStepSlopes(NamedTuple):
+    """Derivatives of the impulses, as `ImpactSlopes` of a batch has them."""
+
+    dP_ddelassus: Array
+    dP_dfriction: Array
+    dP_drestitution: Array
+
+
+class OneStepSolution(NamedTuple):
+    """What `BatchSolution` has of N impacts; impulses without solution are NaN."""
+
+    velocity: Array
+    impulse: Array
+    status: NDArray[np.int64]
+    flags: NDArray[np.int64]
+    derivatives: OneStepSlopes
+
+
+class _Slip(NamedTuple):
+    """Impulses p d(θ) on the cone of friction, d = (−μσ, 1), whose slip û is tested with a = d or n."""
+
+    W: Array
+    c: Array
+    mu: Array
+    convex: bool
+
+    def directions(self, angle: Array) -> tuple[Array, Array, Array, Array]:
+        """Return σ, σ⊥, d and a (n, k, 3) at angles (n, k)."""
+        zero, n = np.zeros_like(angle), np.array([0.0, 0.0, 1.0])
+        sigma = np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+        across = np.stack([-np.sin(angle), np.cos(angle), zero], axis=-1)
+        d = n - self.mu[:, None, None] * sigma
+        return sigma, across, d, d if self.convex else np.broadcast_to(n, d.shape)
+
+    def at(self, angle: Array) -> tuple[Array, Array, Array]:
+        """Return p and û at angles (n, k), from a·û = 0, and a·Wd (σ⊥·û), which has no poles."""
+        _, across, d, a = self.directions(angle)
+        moved = np.einsum("nij,nkj->nki", self.W, d)
+        gain, pull = np.einsum("nki,nki->nk", a, moved), -np.einsum("nki,ni->nk", a, self.c)
+        across_c, across_moved = np.einsum("nki,ni->nk", across, self.c), (across * moved).sum(axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            p = pull / gain
+            return p, self.c[:, None] + p[..., None] * moved, gain * across_c + pull * across_moved
+
+    def solve(self) -> tuple[Array, Array]:
+        """Return the angle and p ≥ 0 (n,) of slip along σ, that of least p; NaN where there is none."""
+        edges = np.linspace(0.0, 2.0 * np.pi, ANGLES + 1)
+        _, _, turns = self.at(np.broadcast_to(edges, (len(self.c), ANGLES + 1)))
+        rows, columns = np.nonzero(turns[:, :-1] * turns[:, 1:] <= 0.0)
+        each = _Slip(self.W[rows], self.c[rows], self.mu[rows], self.convex)
+        low, high = edges[columns][:, None], edges[columns + 1][:, None]
+        first = turns[rows, columns][:, None]
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            same = each.at(middle)[2] * first > 0.0
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        p, slip, _ = each.at(low)
+        sigma, _, _, _ = each.directions(low)
+        with np.errstate(invalid="ignore"):
+            valid = ((p >= 0.0) & (np.einsum("nki,nki->nk", sigma, slip) >= 0.0))[:, 0]
+        angle, push = np.full(len(self.c), np.nan), np.full(len(self.c), np.nan)
+        for k in np.flatnonzero(valid)[np.argsort(-p[valid, 0], kind="stable")]:  # the least p last
+            angle[rows[k]], push[rows[k]] = low[k, 0], p[k, 0]
+        return angle, push
+
+
+def solve_one_step(W: Array, velocity: Array, mu: Array, e: Array, model: str) -> OneStepSolution:
+    """Solve N impacts in one step.
+
+    Args:
+        W: (N, 3, 3).
+        velocity: (N, 3) before the impact.
+        mu: (N,) coefficients of friction.
+        e: (N,) coefficients of restitution.
+        model: A name of `ONE_STEP`.
+    """
+    count = len(velocity)
+    hits = velocity[:, 2] < 0.0
+    impulse = np.zeros((count, 3))
+    slopes = OneStepSlopes(np.zeros((count, 3, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3)))
+    c = velocity.copy()
+    c[:, 2] *= 1.0 + e
+    values, vectors = np.linalg.eigh(W)
+    regular = values > ROUNDING * values[:, 2:]
+    parts = np.einsum("nij,ni->nj", vectors, c)
+    missing = np.abs(np.where(regular, 0.0, parts)).max(axis=1)  # what no impulse changes
+    reciprocals = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
+    inverse = np.einsum("nij,nj,nkj->nik", vectors, reciprocals, vectors)
+    impulse[hits] = -np.einsum("nij,nj->ni", inverse, c)[hits]
+    slides = hits & (
+        (np.hypot(impulse[:, 0], impulse[:, 1]) > mu * impulse[:, 2])
+        | (missing > OUTSIDE * np.abs(parts).max(axis=1))
+    )
+    sticks = hits & ~slides
+    slopes.dP_drestitution[sticks] = -(inverse[:, :, 2] * velocity[:, 2:])[sticks]
+    slopes.dP_ddelassus[sticks] = -np.einsum("nki,nj->nkij", inverse, impulse)[sticks]
+    if slides.any():
+        slip = _Slip(W[slides], c[slides], mu[slides], model == "convex")
+        angle, p = slip.solve()
+        solved = np.isfinite(p)
+        impulse[slides] = np.nan
+        slides[slides] = solved
+        slip = _Slip(W[slides], c[slides], mu[slides], slip.convex)
+        impulse[slides], *by = _slipping(slip, angle[solved], p[solved], velocity[slides, 2])
+        for slope, part in zip(slopes, by, strict=True):
+            slope[slides] = part
+    after = velocity + np.einsum("nij,nj->ni", W, impulse)
+    status = np.where(hits, int(Status.SEPARATED), int(Status.NO_IMPACT))
+    status[np.isnan(impulse).any(axis=1)] = int(Status.UNSTOPPABLE)
+    return OneStepSolution(after, impulse, status, np.where(sticks, int(Flag.STICK), 0), slopes)
+
+
+def _slipping(slip: _Slip, angle: Array, p: Array, speed: Array) -> tuple[Array, Array, Array, Array]:
+    """Return impulses that slip, and their derivatives by W, μ and e.
+
+    With F = (a·û, σ⊥·û) = 0 for z = (p, θ): δz = −(∂F/∂z)⁻¹ δF.
+    """
+    W, mu = slip.W, slip.mu
+    sigma, across, d, a = (one[:, 0] for one in slip.directions(angle[:, None]))
+    u = slip.at(angle[:, None])[1][:, 0]
+    tests = np.stack([a, across], axis=1)
+    by_angle, by_mu = -mu[:, None] * across, -sigma  # of d
+
+    def change(of_d: Array, of_across: Array | None = None) -> Array:
+        """Return δF for a change of d, and with it of a and σ⊥."""
+        out = p[:, None] * np.einsum("nri,nij,nj->nr", tests, W, of_d)
+        if slip.convex:
+            out[:, 0] += np.einsum("ni,ni->n", of_d, u)
+        if of_across is not None:
+            out[:, 1] += np.einsum("ni,ni->n", of_across, u)
+        return out
+
+    of_z = np.stack([np.einsum("nri,nij,nj->nr", tests, W, d), change(by_angle, -sigma)], axis=2)
+    of_e = tests[:, :, 2] * speed[:, None]
+    of_W = p[:, None, None, None] * np.einsum("nri,nj->nrij", tests, d)
+    to_z = -np.linalg.pinv(of_z)
+    to_P = np.stack([d, p[:, None] * by_angle], axis=2) @ to_z
+    by_W = np.einsum("nkr,nrij->nkij", to_P, of_W)
+    by_friction = np.einsum("nkr,nr->nk", to_P, change(by_mu)) + p[:, None] * by_mu
+    return p[:, None] * d, by_W, by_friction, np.einsum("nkr,nr->nk", to_P, of_e)
