@@ -25,7 +25,7 @@ from pinimpact._compile import pool
 from pinimpact._compile.borrowing import borrowed
 from pinimpact._compile.jit import external, inlined, jit
 from pinimpact._compile.waiting import reached
-from pinimpact.app.cli import compiling_shown
+from pinimpact.app.terminal import compiling_shown
 
 SOURCE = Path(pinimpact.__file__).parent / "_compile"
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import json
-import logging
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,12 +14,7 @@ from ..checks import near_matches
 from ..errors import PinimpactError, SimulationError, UnknownNameError
 from ..tables import write_table
 from .output_folder import make_folder, table_files
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+from .terminal import INTERRUPTED, compiling_shown, plain_errors, print_result, working
 
 OUT = click.option(
     "-o",
@@ -41,109 +31,6 @@ DEMO_FILES = ("hodograph.png", "replay.html")
 RUN_FILES = ("trajectory.npz", "energy.png", "forces.png", "impact.png", "replay.html")
 COST_FILES = ("cost.png", "cost.json")
 ENSEMBLE_FILES = ("study.json", "summary.html")
-
-
-def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Print errors of input and files as one message, without a traceback."""
-
-    @functools.wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> Any:
-        with _warnings_as_lines():
-            try:
-                return command(*args, **kwargs)
-            except BrokenPipeError:  # `pinimpact … | head` has read enough; click ends quietly
-                raise
-            except (PinimpactError, OSError) as error:
-                raise click.ClickException(str(error)) from error
-            except KeyboardInterrupt:
-                click.echo("Interrupted.", err=True)
-                raise SystemExit(INTERRUPTED) from None
-
-    return wrapped
-
-
-@contextmanager
-def _warnings_as_lines() -> Iterator[None]:
-    """Print each warning in one line, without its place in the source."""
-
-    def print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-        click.echo(f"Warning: {message}", err=True)
-
-    with warnings.catch_warnings():
-        warnings.showwarning = print_warning
-        yield
-
-
-class _Shown(logging.Handler):
-    """Passes on log messages; the estimated time stays visible while kernels are counted."""
-
-    def __init__(self, show: Callable[[str], Any]) -> None:
-        super().__init__()
-        self._show = show
-        self._time = ""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Show a record."""
-        text = record.getMessage()
-        if record.levelno >= logging.WARNING:
-            self._time = f", {text.rpartition(': ')[2]}"
-            self._show(text)
-        else:
-            self._show(text + self._time)
-
-
-@contextmanager
-def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
-    """Send messages about compilation to `show` only, if the console is a terminal."""
-    if not console.is_terminal:
-        yield
-        return
-    logger = logging.getLogger("pinimpact.compiling")
-    handler, level, propagates = _Shown(show), logger.level, logger.propagate
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = propagates
-
-
-@contextmanager
-def _working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
-    """Show progress on a terminal, and which kernels are compiled.
-
-    Returns:
-        A function that prints a line of progress.
-    """
-    from rich.console import Console
-
-    console = Console(stderr=True, quiet=quiet)
-    with console.status(what) as status, compiling_shown(console, status.update):
-
-        def write(line: str) -> None:
-            status.update(what)
-            console.print(line, highlight=False, soft_wrap=True)
-
-        yield write
-
-
-def _print(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
-    """Print a result as JSON, as tables or text, or not at all."""
-    if quiet:
-        return
-    if as_json:
-        click.echo(json.dumps(facts(), ensure_ascii=False, allow_nan=False))
-        return
-    shown = tables()
-    if isinstance(shown, str):
-        click.echo(shown)
-    else:
-        from .report import wide_console
-
-        wide_console().print(shown)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -199,7 +86,7 @@ def demo(
 
     robot = robot or named or "panda"
     folder = make_folder(out, DEMO_FILES, force)
-    with _working(quiet, "simulating"):
+    with working(quiet, "simulating"):
         shown = run_demo(robot, **how)
     impact, contact = shown.impact, shown.contact
     remarks = []
@@ -217,7 +104,7 @@ def demo(
     )
     picture = save_figure(impact_figure(impact.problem, impact.solution, title), folder / DEMO_FILES[0])
     page = replay(shown.robot, shown.trajectory, folder / DEMO_FILES[1], speed=0.2)
-    _print(
+    print_result(
         lambda: {
             "robot": robot,
             "contact": contact.label,
@@ -280,7 +167,7 @@ def info(robot: str, every: bool, as_json: bool) -> None:
     from .robot_info import robot_facts
 
     facts = robot_facts(robot, load_robot(robot))
-    _print(lambda: facts, lambda: robot_report(facts, every), as_json, False)
+    print_result(lambda: facts, lambda: robot_report(facts, every), as_json, False)
 
 
 @main.command()
@@ -296,7 +183,7 @@ def plan(scene: Path, as_json: bool) -> None:
     from .scene_loader import load_scene
 
     found = load_scene(scene).scene.plan()
-    _print(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
+    print_result(lambda: [asdict(effect) for effect in found], lambda: str(found), as_json, False)
 
 
 def _plain(text: str) -> float | str:
@@ -367,7 +254,7 @@ def run(
     for rows, file in tables.items():
         write_table(file, trajectory.columns(rows))
         files[f"Table of {rows}"] = str(file)
-    _print(
+    print_result(
         lambda: {**run_facts(trajectory), "files": files},
         lambda: run_report(trajectory, every),
         as_json,
@@ -420,7 +307,7 @@ def run_ensemble(
                 lambda done, total: bar.update(task, description="simulating", completed=done, total=total),
             )
     page = found.save_summary(folder / "summary.html")
-    _print(found.facts, found.summary, as_json, quiet)
+    print_result(found.facts, found.summary, as_json, quiet)
     if not (as_json or quiet):
         click.echo(f"Samples: {folder}\nSummary: {page}")
 
@@ -435,7 +322,7 @@ def warmup(quiet: bool) -> None:
     processes with the same folder, Python, numba and type of processor. For a container image or a cluster,
     set NUMBA_CACHE_DIR to a shared folder and run this once.
     """
-    with _working(quiet, "compiling kernels"):
+    with working(quiet, "compiling kernels"):
         from .warmup import warm_up
 
         folder = warm_up()
@@ -494,9 +381,9 @@ def cost(
     if robot is not None:
         from .demo import run_demo
 
-        with _working(quiet, "simulating"):
+        with working(quiet, "simulating"):
             problems = {robot: run_demo(robot).impact.problem}
-    with _working(quiet, "measuring") as write:
+    with working(quiet, "measuring") as write:
         report = run_cost(
             problems, methods or None, time_cap=time_cap, progress=lambda name: write(f"measuring {name}")
         )
@@ -509,6 +396,6 @@ def cost(
     picture, figures = (folder / name for name in COST_FILES)
     report.plot(picture)
     report.save(figures)
-    _print(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
+    print_result(lambda: json.loads(figures.read_text(encoding="utf-8")), words, as_json, quiet)
     if not (as_json or quiet):
         click.echo(f"Plot: {picture}\nMeasurements: {figures}")

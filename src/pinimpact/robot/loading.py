@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -61,19 +61,7 @@ def load_robot(
         UnknownNameError: There is no robot of that name; the message suggests similar names.
         ModelError: The file is missing or invalid, a mass is negative, or the robot has no inertia.
     """
-    if not isinstance(robot, (str, Path)):
-        raise InputError(
-            f"robot: {type(robot).__name__} given; the name of a robot or the path of a file is expected",
-            field="robot",
-            value=robot,
-        )
-    package_dirs = as_tuple("package_dirs", package_dirs, (str, Path), "the path of a folder")
-    for folder in package_dirs:
-        if not file_path("package_dirs", folder).expanduser().is_dir():
-            raise InputError(f"package_dirs: there is no folder {folder}", field="package_dirs", value=folder)
-    for field, flag in (("free_flyer", free_flyer), ("mimic", mimic)):
-        if flag is not None:
-            truth_value(field, flag)
+    package_dirs = _checked(robot, package_dirs, free_flyer, mimic)
     models = bundled_models()
     name = str(robot)
     if re.match(r"[a-z]{2,}:/", name):  # a Path leaves out one of two slashes
@@ -117,6 +105,28 @@ def load_robot(
             stacklevel=2,
         )
     return wrapper
+
+
+def _checked(
+    robot: Any, package_dirs: Any, free_flyer: bool | None, mimic: bool | None
+) -> tuple[str | Path, ...]:
+    """Return the package folders, or raise what is wrong with the arguments of `load_robot`."""
+    if not isinstance(robot, (str, Path)):
+        raise InputError(
+            f"robot: {type(robot).__name__} given; the name of a robot or the path of a file is expected",
+            field="robot",
+            value=robot,
+        )
+    folders: tuple[str | Path, ...] = as_tuple(
+        "package_dirs", package_dirs, (str, Path), "the path of a folder"
+    )
+    for folder in folders:
+        if not file_path("package_dirs", folder).expanduser().is_dir():
+            raise InputError(f"package_dirs: there is no folder {folder}", field="package_dirs", value=folder)
+    for field, flag in (("free_flyer", free_flyer), ("mimic", mimic)):
+        if flag is not None:
+            truth_value(field, flag)
+    return folders
 
 
 def _from_example_robot_data(name: str, free_flyer: bool | None) -> tuple[Path, pin.RobotWrapper]:

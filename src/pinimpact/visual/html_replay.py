@@ -311,6 +311,16 @@ def _scales(marks: Sequence[ImpactMark], forces: Sequence[Array | None], size: f
     return {**scales, "longest": longest}
 
 
+def _tips(marks: Sequence[ImpactMark], reach: float) -> list[Array]:
+    """Return points (3,) around the ends of the longest arrows of impulse, [m] long, for the view."""
+    return [
+        part.point + reach * (part.axes[2] + aside @ part.axes[:2])
+        for mark in marks
+        for part in mark.contacts
+        for aside in 0.6 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    ]
+
+
 def _page(
     robot: Any,
     model: pin.Model,
@@ -336,14 +346,7 @@ def _page(
     )
     points = extreme_points(points, "outline") if len(points) else np.zeros((1, 3))
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    reach = LONGEST_IMPULSE * size
-    tips = [
-        part.point + reach * (part.axes[2] + aside @ part.axes[:2])
-        for mark in marks
-        for part in mark.contacts
-        for aside in 0.6 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    ]
-    points = np.vstack([points, *tips])
+    points = np.vstack([points, *_tips(marks, LONGEST_IMPULSE * size)])
     surfaces = []
     for surface in dict.fromkeys(contact.plane for contact in contacts):
         met = ways[[k for k, contact in enumerate(contacts) if contact.plane == surface]]

@@ -1,0 +1,124 @@
+"""What the commands share: errors and warnings as lines, progress, results as tables or JSON."""
+
+from __future__ import annotations
+
+import functools
+import json
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..errors import PinimpactError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+def plain_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Print errors of input and files as one message, without a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        with _warnings_as_lines():
+            try:
+                return command(*args, **kwargs)
+            except BrokenPipeError:  # `pinimpact … | head` has read enough; click ends quietly
+                raise
+            except (PinimpactError, OSError) as error:
+                raise click.ClickException(str(error)) from error
+            except KeyboardInterrupt:
+                click.echo("Interrupted.", err=True)
+                raise SystemExit(INTERRUPTED) from None
+
+    return wrapped
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Print each warning in one line, without its place in the source."""
+
+    def print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+        click.echo(f"Warning: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = print_warning
+        yield
+
+
+class _Shown(logging.Handler):
+    """Passes on log messages; the estimated time stays visible while kernels are counted."""
+
+    def __init__(self, show: Callable[[str], Any]) -> None:
+        super().__init__()
+        self._show = show
+        self._time = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a record."""
+        text = record.getMessage()
+        if record.levelno >= logging.WARNING:
+            self._time = f", {text.rpartition(': ')[2]}"
+            self._show(text)
+        else:
+            self._show(text + self._time)
+
+
+@contextmanager
+def compiling_shown(console: Console, show: Callable[[str], Any]) -> Iterator[None]:
+    """Send messages about compilation to `show` only, if the console is a terminal."""
+    if not console.is_terminal:
+        yield
+        return
+    logger = logging.getLogger("pinimpact.compiling")
+    handler, level, propagates = _Shown(show), logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagates
+
+
+@contextmanager
+def working(quiet: bool, what: str) -> Iterator[Callable[[str], None]]:
+    """Show progress on a terminal, and which kernels are compiled.
+
+    Returns:
+        A function that prints a line of progress.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True, quiet=quiet)
+    with console.status(what) as status, compiling_shown(console, status.update):
+
+        def write(line: str) -> None:
+            status.update(what)
+            console.print(line, highlight=False, soft_wrap=True)
+
+        yield write
+
+
+def print_result(facts: Callable[[], Any], tables: Callable[[], Any], as_json: bool, quiet: bool) -> None:
+    """Print a result as JSON, as tables or text, or not at all."""
+    if quiet:
+        return
+    if as_json:
+        click.echo(json.dumps(facts(), ensure_ascii=False, allow_nan=False))
+        return
+    shown = tables()
+    if isinstance(shown, str):
+        click.echo(shown)
+    else:
+        from .report import wide_console
+
+        wide_console().print(shown)
