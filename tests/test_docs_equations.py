@@ -14,7 +14,7 @@ import pytest
 
 from pinimpact._numeric import coulomb_problem
 from pinimpact.scene import instant, integrator, jam_growth, progress, scene_impacts
-from pinimpact.scene._kernels import contact_forces, contact_modes, slip
+from pinimpact.scene._kernels import contact_forces, contact_modes, slip, touching_rows
 from tools import pages
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -102,8 +102,8 @@ NUMBERS = [
     (contact_modes.ROUNDS, 4, "repeated, up to four times"),
     (contact_modes.NOTHING, 1e-3, "below $10^{-3}$ of the sticking speed"),
     (coulomb_problem.USABLE, 1e-10, "up to a residual of $10^{-10}$ of the largest load"),
-    (contact_modes.ROUNDED, 1e-11, r"$\varepsilon = 10^{-11}$ if the forces are unique"),
-    (contact_modes.ROUNDED_SHARED, 1e-9, "and $10^{-9}$ otherwise"),
+    (touching_rows.ROUNDED, 1e-11, r"$\varepsilon = 10^{-11}$ if the forces are unique"),
+    (touching_rows.ROUNDED_SHARED, 1e-9, "and $10^{-9}$ otherwise"),
     (coulomb_problem.COMPLIANCE, 1e-9, r"$\varepsilon = 10^{-9}$ makes the matrix definite"),
     (coulomb_problem.FACTOR, 10.0, r"$\rho$ is multiplied or divided by 10"),
     (contact_forces.SINGULAR_STILL, 1e-7, "is decided at $10^{-7}$ of its largest pivot"),

@@ -19,10 +19,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Sequence
 from types import FunctionType, ModuleType
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
 K = TypeVar("K")
 
@@ -33,7 +34,15 @@ FLOAT_VIEW = types.float64[:, :]  # of some columns
 FLOAT_COLUMNS = types.float64[::1, :]
 FLAGS = types.boolean[::1]
 THREE, FOUR = types.UniTuple(types.float64, 3), types.UniTuple(types.int64, 4)
+FOUR_FLOATS = types.UniTuple(types.float64, 4)
 READONLY = types.Array(types.float64, 1, "C", readonly=True)
+
+Floats = Annotated[NDArray[np.float64], FLOATS]
+FloatRows = Annotated[NDArray[np.float64], FLOAT_ROWS]
+Integers = Annotated[NDArray[np.int64], INTEGERS]
+IntegerRows = Annotated[NDArray[np.int64], INTEGER_ROWS]
+Flags = Annotated[NDArray[np.bool_], FLAGS]
+"""Annotations of arrays in a class of `NamedTuple` whose type kernels declare."""
 
 _NUMBERS = {float: types.float64, int: types.int64, np.int64: types.int64, bool: types.boolean}
 
@@ -57,8 +66,8 @@ def declared(*kinds: Any, result: Any = None) -> Callable[[K], K]:
     """Declare the types of a kernel's arguments.
 
     Args:
-        *kinds: The types in order: float, int, bool, a class of `NamedTuple` with annotations of these, a
-            class of `Workspace`, or a numba type.
+        *kinds: The types in order: float, int, bool, a class of `NamedTuple` with annotations of these or of
+            arrays (`Floats` …), a class of `Workspace`, or a numba type.
         result: The type of the result, if callers are to be compiled without the kernel.
     """
 
@@ -78,7 +87,9 @@ def numba_type(kind: Any) -> Any:
         return _NUMBERS[kind]
     if hasattr(kind, "numba_type"):
         return kind.numba_type
-    fields = [numba_type(one) for one in get_type_hints(kind).values()]
+    if hasattr(kind, "__metadata__"):
+        return kind.__metadata__[0]
+    fields = [numba_type(one) for one in get_type_hints(kind, include_extras=True).values()]
     if all(one == fields[0] for one in fields):
         return types.NamedUniTuple(fields[0], len(fields), kind)
     return types.NamedTuple(fields, kind)

@@ -6,28 +6,34 @@ Contacts have three rows (t₁, t₂, n), scalar rows (joint limits, then joints
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGERS, declared
+from ..._compile.declared import FLOATS, INTEGERS, FloatRows, Floats, Integers, declared
 from ..._compile.jit import external, inlined, jit
-from ..._numeric.coulomb_problem import USABLE, scale
 from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign, flags, nonzero
-from ..._numeric.semidefinite import factor
-from .acting_forces import driven_in, find_forces
-from .active_set import close, scalar_row, scalar_rows, stop_along
+from .acting_forces import driven_in
+from .active_set import close, stop_along
 from .approach import PRESSED, SLIDES, TOUCHES
 from .coming_to_rest import come_to_rest
-from .contact_forces import FREE, HELD, LEAST_SIZE, RIGID, SLIP, STICK, delassus_of_rows
+from .contact_forces import FREE, HELD, SLIP, STICK, delassus_of_rows
 from .dynamics import (
     evaluate_without_contacts,
-    follow_surface,
     invert_mass_matrix,
-    motion_of_contact,
     set_state,
 )
 from .slip import CERTAIN, behind
+from .touching_rows import (
+    determines_forces,
+    forces_on,
+    keep_forces,
+    keeps_sliding,
+    resulting_accelerations,
+    rows_of_touching,
+    speeds_of_rows,
+)
 from .workspace import SceneWorkspace
 
 ROUNDS = 4
@@ -37,14 +43,31 @@ slip and the forces that depend on it."""
 INSIDE = 1.0 - 1e-9
 """Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
 
-ROUNDED, ROUNDED_SHARED = 1e-11, 1e-9
-"""Part of what makes up an acceleration below which it is none, where forces are unique and else. (11.10)"""
-
 SEPARATES, RUBS, KEEPS_SLIDING = 1, 2, 3
 """State of a rejected candidate, see `find_modes`."""
 
 NOTHING = 1e-3
 """Part of the speed of sticking that changes nothing."""
+
+
+class Choice(NamedTuple):
+    """The modes of what touches, and what follows from them.
+
+    Attributes:
+        modes: (n + nl + nv,) modes of contacts, limits and joints.
+        reference: (n, 2) directions of slip where they are known.
+        breaking: (nv,) the force on each joint that its dry friction holds no longer.
+        rejected: (n + nl + nv,) the state of rejected candidates: `SEPARATES` for an open contact or limit
+            that separates, `RUBS` for an open contact that loses a velocity along its surface, both if it
+            stays open; `KEEPS_SLIDING` for a contact whose sticking would accelerate a joint against its
+            force. For a joint that sticking contacts drag against its friction, or that would so accelerate
+            another one, the sign of its velocity. (11.9)
+    """
+
+    modes: Integers
+    reference: FloatRows
+    breaking: Floats
+    rejected: Integers
 
 
 @declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS)
@@ -58,7 +81,7 @@ def set_modes(work, t, q, v, slow):
         candidates[i] = slow[i]
     reference, breaking = np.zeros((work.contacts, 2)), np.zeros(n)
     rejected, before, slid = np.zeros(touching + n, dtype=np.int64), v.copy(), sliding.copy()
-    dragged = np.zeros(n, dtype=np.int64)
+    chosen, dragged = Choice(modes, reference, breaking, rejected), np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, error_of_step(work, v)
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
     while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
@@ -74,9 +97,7 @@ def set_modes(work, t, q, v, slow):
                 sliding[j] = 0.0 if rests else math.copysign(dry[j], way)
         if len(nonzero(candidates)) == 0:
             break
-        jamming, converged, gained, stopped, off = find_modes(
-            work, t, q, v, candidates, certain, modes, reference, breaking, rejected
-        )
+        jamming, converged, gained, stopped, off = find_modes(work, t, q, v, candidates, certain, chosen)
         energy, tried, error = energy + gained, tried + 1, max(error, off)
         released, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
         if jamming >= 0 or work.callback_failed:
@@ -121,9 +142,9 @@ def set_modes(work, t, q, v, slow):
     return jamming, converged, energy
 
 
-@declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, INTEGERS, FLOAT_ROWS, FLOATS, INTEGERS)
+@declared(SceneWorkspace, float, FLOATS, FLOATS, INTEGERS, float, Choice)
 @external
-def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, rejected):
+def find_modes(work, t, q, v, candidates, certain, chosen):
     """Find which of the candidates stay active: contacts, limits, and joints held by dry friction.
 
     Args:
@@ -133,161 +154,157 @@ def find_modes(work, t, q, v, candidates, certain, modes, reference, breaking, r
         v: (nv,) the velocity; what active contacts and joints stop of it is removed.
         candidates: Not zero for what touches, in the order of the modes; as `approach` says, and
             `PRESSED` for joints that their dry friction has held.
-        certain: The speed above which a sliding contact keeps sliding.
-        modes: Takes the modes.
-        reference: (n, 2) takes the directions of slip where they are known.
-        breaking: (nv,) takes the force on each joint that its dry friction holds no longer.
-        rejected: (n + nl + nv,) takes the state of rejected candidates: `SEPARATES` for an open contact or
-            limit that separates, `RUBS` for an open contact that loses a velocity along its surface, both
-            if it stays open; `KEEPS_SLIDING` for a contact whose sticking would accelerate a joint against
-            its force. For a joint that sticking contacts drag against its friction, or that would so
-            accelerate another one, the sign of its velocity. (11.9)
+        certain: The speed above which a sliding contact keeps sliding [m/s].
+        chosen: Takes the `Choice`.
 
     Returns:
         The contact with negative normal acceleration for which no force exists, or −1; whether the forces
         were found to the usual accuracy; the kinetic energy gained; the largest speed that was removed; the
         largest speed of what was active before.
     """
-    for i in range(len(modes)):
-        modes[i] = FREE
-    for i in range(len(reference)):
-        reference[i, 0] = reference[i, 1] = 0.0
-    for j in range(len(v)):
-        breaking[j], rejected[work.contacts + work.limits + j] = 0.0, 0
-    for i in range(work.contacts):
-        rejected[i] = 0 if rejected[i] == KEEPS_SLIDING else rejected[i]
-    contacts = nonzero(candidates[: work.contacts])
-    scalar = candidates[work.contacts :]
-    joints = scalar_rows(work, scalar)
-    nc, ns, n = len(contacts), len(joints), len(v)
-    size = 3 * nc + ns
+    clear(work, chosen)
     set_state(work, q, v)
     evaluate_without_contacts(work, t, np.empty(2))
     if work.callback_failed or not invert_mass_matrix(work):
         return -1, True, 0.0, 0.0, 0.0
-    rows, response, delassus = np.zeros((size, n)), np.empty((size, n)), np.empty((size, size))
-    velocity, free = np.empty((nc, 3)), np.empty(size)
-    surface, mu, held = np.empty(3), np.empty(nc), np.empty(nc, dtype=np.bool_)
-    slip = np.zeros((nc, 2))  # left zero where a contact may stick
-    for i in range(work.contacts):
-        work.slips[i] = 1  # also those that are released
-    for k in range(nc):
-        b, i = 3 * k, contacts[k]
-        follow_surface(work, i)
-        motion_of_contact(work, i, rows[b : b + 3], velocity[k], free[b : b + 3], surface)
-        mu[k], held[k] = work.friction[i], work.bilateral[i] != 0
-        if keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], certain) or candidates[i] == SLIDES:
-            slip[k, 0], slip[k, 1] = velocity[k, 0], velocity[k, 1]
-        work.slips[i] = 0 if slip[k, 0] == 0.0 and slip[k, 1] == 0.0 else 1
-    scalars, lower, upper = np.empty(ns, dtype=np.int64), np.empty(ns), np.empty(ns)
-    for m in range(ns):
-        scalars[m], lower[m], upper[m] = scalar_row(work, joints[m], scalar)
-        rows[3 * nc + m, scalars[m]] = 1.0
-        free[3 * nc + m] = work.acceleration[scalars[m]]
-    delassus_of_rows(rows, work.minverse, response, delassus)
-    force, strength, found, least = np.zeros((nc, 3)), np.zeros(ns), work.found_forces, np.zeros(nc)
-    both, known, unique = np.empty(size), np.empty(size), determines_forces(delassus)
-    forces_of_before(work, contacts, joints, known)
-    pressed = np.empty(nc + ns, dtype=np.bool_)
-    for k in range(nc):
-        pressed[k] = candidates[contacts[k]] == PRESSED
-    for m in range(ns):
-        pressed[nc + m] = scalar[joints[m]] == PRESSED
-    converged = find_forces(delassus, free, slip, mu, least, held, lower, upper, both, pressed, known, unique)
-    for a in range(size):  # if not found, then the nearest to it
-        if a < 3 * nc:
-            force[a // 3, a % 3] = both[a]
-        else:
-            strength[a - 3 * nc] = both[a]
-    jamming = -1 if converged else driven_in(delassus, free, slip, mu, held, both)
+    what = rows_of_touching(work, v, candidates, certain)
+    size = len(what.free)
+    response, delassus, force = np.empty(what.rows.shape), np.empty((size, size)), np.empty(size)
+    delassus_of_rows(what.rows, work.minverse, response, delassus)
+    unique = determines_forces(delassus)
+    converged = forces_on(work, what, delassus, candidates, unique, force)
+    # if not found, then the nearest to it
+    jamming = -1 if converged else driven_in(delassus, what.free, what.slip, what.mu, what.held, force)
     if jamming >= 0:
         b = 3 * jamming + 2
-        gained = stop_along(rows[b : b + 1], velocity[jamming, 2:], work.minverse, v)
-        return contacts[jamming], True, gained, 0.0, 0.0
-    for k in range(nc):
-        assign(found[contacts[k]], force[k])
-    for m in range(ns):
-        found[work.contacts + joints[m], 0] = strength[m]
+        gained = stop_along(what.rows[b : b + 1], what.velocity[jamming, 2:], work.minverse, v)
+        return what.contacts[jamming], True, gained, 0.0, 0.0
+    keep_forces(work, what, force)
     stopped, against = flags(size, False), np.zeros(size)  # rows at rest, and those that leave it, see below
     pace = np.empty(size)
-    resulting_accelerations(delassus, free, force, strength, unique, pace)
-    modes_of_contacts(
-        work, contacts, velocity, slip, mu, held, force, unique, free, pace, stopped, modes, reference
-    )
-    for k in range(nc):
-        i = contacts[k]
+    resulting_accelerations(delassus, what.free, force, len(what.contacts), unique, pace)
+    modes_of_contacts(work, what, force, unique, pace, stopped, chosen)
+    reject_contacts(work, what, stopped, certain, chosen.rejected)
+    scalar = candidates[work.contacts :]
+    modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, against, chosen)
+    start = np.empty(size)
+    off = speeds_of_rows(work, what, v, start)
+    gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
+    return -1, converged, gained, fastest, off
+
+
+@inlined
+def clear(work, chosen):
+    """Clear a `Choice`, but for contacts and limits that separate, or rub, if they stay open."""
+    modes, reference, breaking, rejected = chosen
+    for i in range(len(modes)):
+        modes[i] = FREE
+    for i in range(len(reference)):
+        reference[i, 0] = reference[i, 1] = 0.0
+    for j in range(len(breaking)):
+        breaking[j], rejected[work.contacts + work.limits + j] = 0.0, 0
+    for i in range(work.contacts):
+        rejected[i] = 0 if rejected[i] == KEEPS_SLIDING else rejected[i]
+
+
+@inlined
+def reject_contacts(work, what, stopped, certain, rejected):
+    """Note the open contacts that separate faster than `certain`, or lose so fast a velocity by sticking."""
+    velocity = what.velocity
+    for k in range(len(what.contacts)):
+        i = what.contacts[k]
         if work.modes[i] == FREE and stopped[3 * k + 2]:
             if velocity[k, 2] > certain:
                 rejected[i] = SEPARATES
             elif stopped[3 * k] and math.hypot(velocity[k, 0], velocity[k, 1]) > certain:
                 rejected[i] = RUBS
-    for m in range(ns):
-        a, i = 3 * nc + m, scalars[m]
+
+
+@inlined
+def modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, against, chosen):
+    """Fill the modes of limits and of joints with dry friction from the forces on their rows.
+
+    A force at its bound holds what it does not let move; else the row starts or keeps moving.
+
+    Args:
+        work: The workspace.
+        what: What is `Touching`, with accelerations that include the forces.
+        scalar: (nl + nv,) candidates past the contacts.
+        v: (nv,) velocity.
+        force: (m,) forces.
+        pace: (m,) accelerations that count as none.
+        certain: As in `find_modes`.
+        stopped: (m,) takes whether the velocity of a row becomes zero.
+        against: (m,) takes the sign of the force on a joint that starts moving, else zero.
+        chosen: The `Choice` to be filled.
+    """
+    modes, _, breaking, rejected = chosen
+    free, first = what.free, 3 * len(what.contacts)
+    for m in range(len(what.joints)):
+        a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
         rubs = scalar[work.limits + i] != 0
-        # a force at its bound holds what it does not let move; else the row starts or keeps moving
         closed = not (
-            (free[a] > pace[a] and strength[m] <= INSIDE * lower[m] + work.force_tolerance)
-            or (free[a] < -pace[a] and strength[m] >= INSIDE * upper[m] - work.force_tolerance)
+            (free[a] > pace[a] and strength <= INSIDE * what.lower[m] + work.force_tolerance)
+            or (free[a] < -pace[a] and strength >= INSIDE * what.upper[m] - work.force_tolerance)
         )
         stopped[a] = closed
         if rubs and not closed:
-            breaking[i] = strength[m]
-            against[a] = 0.0 if idles(work, v[i], certain) else math.copysign(1.0, strength[m])
-        limit = joints[m]
+            breaking[i] = strength
+            against[a] = 0.0 if idles(work, v[i], certain) else math.copysign(1.0, strength)
         modes[work.contacts + limit] = 1 if closed else 0
-        parts = limit < work.limits and work.limit_sign[limit] * v[i] > certain
-        if closed and parts and work.modes[work.contacts + limit] == FREE:
+        separates = limit < work.limits and work.limit_sign[limit] * v[i] > certain
+        if closed and separates and work.modes[work.contacts + limit] == FREE:
             rejected[work.contacts + limit] = SEPARATES
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
-    start, off = np.empty(size), 0.0
-    for a in range(size):
-        if a < 3 * nc:
-            mode, start[a] = work.modes[contacts[a // 3]], velocity[a // 3, a % 3]
-            was_active = mode != FREE and (a % 3 == 2 or mode != SLIP)
-        else:
-            start[a] = v[scalars[a - 3 * nc]]
-            was_active = work.modes[work.contacts + joints[a - 3 * nc]] != 0
-        if was_active:
-            off = max(off, abs(start[a]))
+
+
+@inlined
+def stop(work, what, candidates, start, stopped, against, chosen, v):
+    """Stop the rows that come to rest; see `come_to_rest`, whose values it returns.
+
+    Args:
+        work: The workspace.
+        what: What is `Touching`; rows of contacts that begin to slip turn to their directions.
+        candidates: As in `find_modes`.
+        start: (m,) velocities of the rows, which turn likewise.
+        stopped: (m,) which of them vanish.
+        against: (m,) the sign of the force on a joint that starts moving, else zero.
+        chosen: The `Choice`, whose rejected candidates are added.
+        v: (nv,) the velocity, which is changed.
+    """
+    contacts, joints, scalars, rows, velocity, _, slip, mu, held, _, _ = what
+    modes, reference, _, rejected = chosen
+    size, closed = len(start), 3 * len(contacts)
     on, moves = np.zeros(size, dtype=np.int64), flags(size, False)
-    for k in range(nc):
+    for k in range(len(contacts)):
         b, i = 3 * k, contacts[k]
         if stopped[b] and not held[k]:
             moves[b] = moves[b + 1] = keeps_sliding(work, i, velocity[k, 0], velocity[k, 1], 0.0)
         if modes[i] == SLIP and mu[k] > 0.0 and slip[k, 0] == 0.0 and slip[k, 1] == 0.0:
             turn_rows(reference[i], rows[b : b + 2], start[b : b + 2])
             stopped[b], against[b] = False, -1.0
-    for m in range(ns):
-        moves[3 * nc + m] = joints[m] >= work.limits and scalar[joints[m]] == TOUCHES
+    for m in range(len(joints)):
+        touches = candidates[work.contacts + joints[m]] == TOUCHES
+        moves[closed + m] = joints[m] >= work.limits and touches
     limits = CERTAIN * error_of_step(work, v), behind(work), work.stick_speed
     gained, fastest = come_to_rest(
-        work.minverse, rows, start, stopped, against, moves, 3 * nc, *limits, on, v
+        work.minverse, rows, start, stopped, against, moves, closed, *limits, on, v
     )
-    for k in range(nc):
+    for k in range(len(contacts)):
         if on[3 * k] != 0 or on[3 * k + 1] != 0:
             rejected[contacts[k]] = KEEPS_SLIDING
-    for m in range(ns):
-        rejected[work.contacts + work.limits + scalars[m]] = on[3 * nc + m]
-        if stopped[3 * nc + m] and against[3 * nc + m] != 0.0:
+    for m in range(len(joints)):
+        rejected[work.contacts + work.limits + scalars[m]] = on[closed + m]
+        if stopped[closed + m] and against[closed + m] != 0.0:
             v[scalars[m]] = 0.0  # not even a rounding error begins against the force
-    return -1, converged, gained, fastest, off
+    return gained, fastest
 
 
 @inlined
 def error_of_step(work, v):
     """Return the error of a step, in a velocity (nv,)."""
     return work.atol + work.rtol * largest_of(v, 0)
-
-
-@inlined
-def forces_of_before(work, contacts, joints, x):
-    """Fill forces x on contacts and scalar rows with those that modes were last found by."""
-    closed = 3 * len(contacts)
-    for a in range(closed):
-        x[a] = work.found_forces[contacts[a // 3], a % 3]
-    for m in range(len(joints)):
-        x[closed + m] = work.found_forces[work.contacts + joints[m], 0]
 
 
 @inlined
@@ -307,73 +324,24 @@ def idles(work, speed, certain):
     return certain < abs(speed) <= work.certain_speed
 
 
-@declared(FLOAT_ROWS)
-@external
-def determines_forces(delassus):
-    """Return whether no forces but one set have the same effects."""
-    size = len(delassus)
-    rank = factor(delassus.copy(), np.empty(size, dtype=np.int64), np.zeros((size, size)))
-    stiffest = 0.0
-    for a in range(size):
-        stiffest = max(stiffest, delassus[a, a])
-    for a in range(size):
-        rank += delassus[a, a] <= RIGID * stiffest  # nothing moves this way
-    return rank == size
-
-
 @inlined
-def resulting_accelerations(delassus, free, force, scalar_force, unique, pace):
-    """Add to the accelerations of the rows what the forces cause.
+def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
+    """Fill modes and directions of slip, and which velocities vanish, from the forces on the contacts.
 
     Args:
-        delassus: (m, m) of the rows.
-        free: (m,) accelerations without forces, updated.
-        force: (nc, 3) forces of the contacts.
-        scalar_force: (ns,) those of the scalar rows.
+        work: The workspace, with the modes that hold until now.
+        what: What is `Touching`, with accelerations that include the forces.
+        force: (m,) forces.
         unique: Whether no other forces have the same effects.
-        pace: (m,) takes the accelerations that count as none. (11.10)
-    """
-    size, closed = len(free), 3 * len(force)
-    width, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
-    unit = scale(delassus, free, len(force), width, scale_a, scale_f)
-    for a in range(size):
-        pace[a] = abs(free[a])
-        for b in range(size):
-            part = delassus[a, b] * (force[b // 3, b % 3] if b < closed else scalar_force[b - closed])
-            free[a] += part
-            pace[a] += abs(part)
-    for a in range(size):
-        if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
-            pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
-        pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
-        if unit > 0.0:  # forces are no more accurate
-            pace[a] += USABLE / scale_a[a]
-
-
-@inlined
-def modes_of_contacts(
-    work, contacts, velocity, slip, mu, held, force, unique, acceleration, pace, stopped, modes, reference
-):
-    """Fill modes, directions of slip, and which velocities vanish, from the forces on the contacts.
-
-    Args:
-        work: The workspace.
-        contacts: (nc,) their numbers.
-        velocity: (nc, 3) contact velocities.
-        slip: (nc, 2) velocities of slip, zero for a contact that may stick.
-        mu: (nc,) friction coefficients.
-        held: (nc,) True for bilateral contacts.
-        force: (nc, 3) forces.
-        unique: Whether no other forces have the same effects.
-        acceleration: (m,) of the rows, with the forces.
         pace: (m,) accelerations that count as none.
         stopped: (m,) takes whether the velocity of a row becomes zero.
-        modes, reference: As in `find_modes`.
+        chosen: The `Choice` to be filled.
     """
-    before = work.modes
+    contacts, _, _, _, velocity, acceleration, slip, mu, held, _, _ = what
+    before, modes, reference = work.modes, chosen.modes, chosen.reference
     for k in range(len(contacts)):
         b, i = 3 * k, contacts[k]
-        normal, tangent = force[k, 2], math.hypot(force[k, 0], force[k, 1])
+        normal, tangent = force[b + 2], math.hypot(force[b], force[b + 1])
         speed = math.hypot(slip[k, 0], slip[k, 1])
         if held[k]:
             modes[i] = HELD
@@ -402,19 +370,6 @@ def modes_of_contacts(
         if speed > 0.0:
             reference[i, 0], reference[i, 1] = slip[k, 0] / speed, slip[k, 1] / speed
         elif pushes and tangent > 0.0:
-            reference[i, 0], reference[i, 1] = -force[k, 0] / tangent, -force[k, 1] / tangent
+            reference[i, 0], reference[i, 1] = -force[b] / tangent, -force[b + 1] / tangent
         elif begins > 0.0:
             reference[i, 0], reference[i, 1] = acceleration[b] / begins, acceleration[b + 1] / begins
-
-
-@inlined
-def keeps_sliding(work, i, x, y, certain):
-    """Whether a contact of tangential velocity (x, y) slides, or keeps sliding, faster than `certain`."""
-    speed = math.hypot(x, y)
-    if speed > work.stick_speed:
-        return True
-    index, mode = work.active_index, work.active_mode
-    for k in range(len(index)):
-        if index[k] == i and mode[k] == SLIP:
-            return speed > certain  # also where it has turned away from the direction last known
-    return False
