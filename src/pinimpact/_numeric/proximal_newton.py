@@ -14,23 +14,17 @@ whatever the rank of J. The matrix has the size of w, and zeros for bodies that 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
 from .._compile.jit import external, inlined
 from .coulomb_problem import into_cone
 from .loops import assign
 from .products import apply, dot
+from .profile import apply_within, solve_profile
 from .tolerances import BALANCED, STALLED
-
-SYSTEM = (
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
-    *(float, float, FLOATS, FLOATS, FLOATS),
-)
-"""Types: M, its inverse, J in three parts, u_free, friction, bounds, compliances, r, accuracy, begin, w and
-the impulses."""
-
 
 ITERATIONS = 40
 """Largest number of iterations of the proximal point method."""
@@ -40,6 +34,7 @@ STEPS = 40
 
 
 PATIENCE = 3
+"""Iterations without progress after which r is made smaller, or the iteration ends."""
 
 FINER = 0.1
 """Part of r that is used from there on, once: the distribution of loads has converged by then."""
@@ -58,6 +53,54 @@ SLOPE = 0.1
 """Largest slope at the end of a line search, relative to that at its start."""
 
 
+class VelocityProblem(NamedTuple):
+    """The law for nc contacts, three rows (t₁, t₂, n) each, and for ns scalar rows, in m velocities.
+
+    Attributes:
+        mass: (m, m) M.
+        inverse: (m, m) its inverse.
+        values: (n, …) the nonzero entries of each row of J, with the same columns for all rows of a contact.
+        columns: (n, …) their columns, in ascending order.
+        counts: (n,) their numbers.
+        free: (n,) u without impulses.
+        friction: (nc,) coefficients of friction.
+        lower: (ns,) lower bounds of scalar impulses.
+        upper: (ns,) upper bounds of scalar impulses.
+        compliance: (nc,) of the contacts, up to a factor.
+    """
+
+    mass: FloatRows
+    inverse: FloatRows
+    values: FloatRows
+    columns: IntegerRows
+    counts: Integers
+    free: Floats
+    friction: Floats
+    lower: Floats
+    upper: Floats
+    compliance: Floats
+
+
+class Iterate(NamedTuple):
+    """Where the iteration stands.
+
+    Attributes:
+        w: (m,) velocities.
+        u: (n,) u_free + J w.
+        f: (n,) f⁺ of (16.3).
+        shift: (nc,) s.
+        momentum: (m,) M w.
+        off: (m,) M w − Jᵀ f⁺.
+    """
+
+    w: Floats
+    u: Floats
+    f: Floats
+    shift: Floats
+    momentum: Floats
+    off: Floats
+
+
 @inlined
 def rates(values, columns, counts, w, out):
     """Fill out (n,) with J w."""
@@ -74,17 +117,6 @@ def add_transposed(values, columns, counts, x, out):
     for a in range(len(x)):
         for k in range(counts[a]):
             out[columns[a, k]] += values[a, k] * x[a]
-
-
-@inlined
-def apply_within(matrix, start, x, out):
-    """Fill out (m,) with a symmetric matrix times x, whose row a is zero before start[a]."""
-    for a in range(len(out)):
-        total = matrix[a, a] * x[a]
-        for b in range(start[a], a):
-            total += matrix[a, b] * x[b]
-            out[b] += matrix[a, b] * x[a]
-        out[a] = total
 
 
 @inlined
@@ -162,8 +194,19 @@ def cone_derivative(z1, z2, z3, mu, d):
 
 
 @external
-def fill_system(mass, start, values, mu, lower, upper, r, u, shift, before, columns, counts, system):
-    """Fill the upper triangle of the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J."""
+def fill_system(problem, start, r, u, shift, before, system):
+    """Fill the upper triangle of the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
+
+    Args:
+        problem: The `VelocityProblem`.
+        start: (m,) first columns of the rows of M.
+        r: (n,) of (16.3).
+        u: (n,) velocities.
+        shift: (nc,) s.
+        before: (n,) f.
+        system: (m, m) takes the matrix.
+    """
+    mass, _, values, columns, counts, _, mu, lower, upper, _ = problem
     m, nc = len(mass), len(mu)
     d = np.empty((3, 3))
     for a in range(m):
@@ -197,37 +240,13 @@ def fill_system(mass, start, values, mu, lower, upper, r, u, shift, before, colu
 
 
 @external
-def solve_profile(system, last, x):
-    """Replace x by the solution of a definite system, the matrix by its factor U; row a ends at last[a].
+def balance(problem, start, r, before, now):
+    """Fill u, f⁺, M w and M w − Jᵀ f⁺ of an `Iterate`; return the relative size of the last.
 
-    Only the upper triangle is used.
+    Other arguments are those of `fill_system`.
     """
-    m = len(x)
-    for k in range(m):
-        pivot = system[k]
-        root = 1.0 / math.sqrt(max(pivot[k], 1e-300))
-        for b in range(k, last[k] + 1):
-            pivot[b] *= root
-        x[k] /= pivot[k]
-        for a in range(k + 1, last[k] + 1):
-            part = pivot[a]
-            if part != 0.0:
-                row = system[a]
-                for b in range(a, last[k] + 1):
-                    row[b] -= part * pivot[b]
-                x[a] -= part * x[k]
-    for a in range(m - 1, -1, -1):
-        total = x[a]
-        for b in range(a + 1, last[a] + 1):
-            total -= system[a, b] * x[b]
-        x[a] = total / system[a, a]
-
-
-@external
-def balance(
-    mass, start, values, free, mu, lower, upper, r, columns, counts, before, w, shift, u, f, momentum, out
-):
-    """Fill u, f⁺, M w and M w − Jᵀ f⁺; return the relative size of the last."""
+    mass, _, values, columns, counts, free, mu, lower, upper, _ = problem
+    w, u, f, shift, momentum, out = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
@@ -249,12 +268,19 @@ def balance(
 
 
 @external
-def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvature):
+def length_of_step(problem, r, before, now, du, slope, curvature):
     """Return the length of a step, at most one, that minimizes the convex function.
 
-    u (n,) changes by du over the whole step d; `slope` is dᵀM w at its start, `curvature` dᵀM d. f (n,) are
-    the impulses at the start, and take those at the end.
+    Args:
+        problem: The `VelocityProblem`.
+        r: (n,) of (16.3).
+        before: (n,) f.
+        now: The `Iterate` at its start; its f takes the impulses at the end.
+        du: (n,) change of u over the whole step d.
+        slope: dᵀM w at its start.
+        curvature: dᵀM d.
     """
+    mu, lower, upper, u, f, shift = problem.friction, problem.lower, problem.upper, now.u, now.f, now.shift
     trial = np.empty(len(u))
     start = slope - dot(du, f)
     low, high, at_low, at_high, share, side = 0.0, 1.0, start, 0.0, 1.0, 0
@@ -262,23 +288,24 @@ def length_of_step(mu, lower, upper, r, before, shift, u, du, f, slope, curvatur
         for a in range(len(u)):
             trial[a] = u[a] + share * du[a]
         impulses(trial, shift, before, mu, lower, upper, r, f)
-        now = slope + share * curvature - dot(du, f)
-        if abs(now) <= SLOPE * abs(start) or (k == 0 and now <= 0.0):
+        here = slope + share * curvature - dot(du, f)
+        if abs(here) <= SLOPE * abs(start) or (k == 0 and here <= 0.0):
             break
         # Illinois: the end that stays counts half
-        if now > 0.0:
-            high, at_high, at_low = share, now, (0.5 * at_low if side > 0 else at_low)
+        if here > 0.0:
+            high, at_high, at_low = share, here, (0.5 * at_low if side > 0 else at_low)
             side = 1
         else:
-            low, at_low, at_high = share, now, (0.5 * at_high if side < 0 else at_high)
+            low, at_low, at_high = share, here, (0.5 * at_high if side < 0 else at_high)
             side = -1
         share = low - (high - low) * at_low / (at_high - at_low)
     return share
 
 
 @external
-def find_profile(mass, columns, counts, start, last):
+def find_profile(problem, start, last):
     """Fill the first columns of the rows of M (m,), and the last ones of the factor of M + JᵀJ (m,)."""
+    mass, columns, counts = problem.mass, problem.columns, problem.counts
     m = len(mass)
     for a in range(m):
         start[a], last[a] = a, a
@@ -297,8 +324,9 @@ def find_profile(mass, columns, counts, start, last):
 
 
 @external
-def fill_compliances(inverse, values, columns, counts, compliance, proximal, diagonal, given):
+def fill_compliances(problem, proximal, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
+    _, inverse, values, columns, counts, _, _, _, _, compliance = problem
     nc, softest, largest = len(compliance), 0.0, 0.0
     for a in range(len(given)):
         diagonal[a] = 0.0
@@ -317,39 +345,101 @@ def fill_compliances(inverse, values, columns, counts, compliance, proximal, dia
             given[a] = proximal * largest * compliance[i] / softest
 
 
-@declared(*SYSTEM, result=float)
+@inlined
+def minimize(problem, profile, r, before, least, now, system):
+    """Bring w to the minimum of the convex function for given s and f, by Newton's method.
+
+    Its gradient is M w − Jᵀ f⁺, its second derivative M + Jᵀ (∂P/r) J.
+
+    Args:
+        problem: The `VelocityProblem`.
+        profile: First columns (m,) and last ones (m,), see `find_profile`.
+        r: (n,) of (16.3).
+        before: (n,) f.
+        least: Relative sizes of the gradient: at which rounding may stop the steps, and which is enough.
+        now: The `Iterate`; all but its s changes.
+        system: (m, m) is overwritten.
+    """
+    start, last = profile
+    rounded, enough = least
+    w, momentum, off = now.w, now.momentum, now.off
+    m, reached = len(w), math.inf
+    d, md, du = np.empty(m), np.empty(m), np.empty(len(r))
+    for step in range(STEPS + 1):
+        left = balance(problem, start, r, before, now)
+        if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
+            break
+        reached = left
+        fill_system(problem, start, r, now.u, now.shift, before, system)
+        for a in range(m):
+            d[a] = -off[a]
+        solve_profile(system, last, d)
+        rates(problem.values, problem.columns, problem.counts, d, du)
+        apply_within(problem.mass, start, d, md)
+        share = length_of_step(problem, r, before, now, du, dot(d, momentum), dot(d, md))
+        for a in range(m):
+            w[a] += share * d[a]
+
+
+@inlined
+def changes(mu, r, before, u, f, shift):
+    """Return by how much an iteration changes impulses and s, and what an inaccurate s does to impulses.
+
+    Args:
+        mu: (nc,) coefficients of friction.
+        r: (n,) of (16.3).
+        before: (n,) f.
+        u: (n,) velocities.
+        f: (n,) f⁺.
+        shift: (nc,) s.
+
+    Returns:
+        the largest of r|f⁺ − f| and of |μ|u_t| − s| [m/s]; whether the latter, over r, is too large a part of
+        the largest impulse.
+    """
+    change = swing = pushed = drift = 0.0
+    for a in range(len(f)):
+        change, pushed = max(change, r[a] * abs(f[a] - before[a])), max(pushed, abs(f[a]))
+    for i in range(len(mu)):
+        lag = abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i])
+        swing = max(swing, lag)
+        if f[3 * i + 2] > 0.0:
+            drift = max(drift, lag / r[3 * i + 2])
+    return max(change, swing), drift > DRIFT * pushed
+
+
+@inlined
+def residual_of(problem, diagonal, x, now):
+    """Fill w = M⁻¹ Jᵀ x of an `Iterate` and what follows from it; return the residual of the law [m/s].
+
+    It is W_aa|f⁺ − f|, with the diagonal (n,) of W as r; infinite if x (n,) is not finite.
+    """
+    w, u, f, shift, momentum, _ = now
+    values, columns, counts, mu = problem.values, problem.columns, problem.counts, problem.friction
+    for a in range(len(w)):
+        momentum[a] = 0.0
+    add_transposed(values, columns, counts, x, momentum)
+    apply(problem.inverse, momentum, w)
+    rates(values, columns, counts, w, u)
+    for a in range(len(u)):
+        u[a] += problem.free[a]
+    slip(u, mu, shift)
+    impulses(u, shift, x, mu, problem.lower, problem.upper, diagonal, f)
+    missed = total = 0.0
+    for a in range(len(u)):
+        part = diagonal[a] * abs(f[a] - x[a])
+        missed = max(missed, part)
+        total += part
+    return missed if math.isfinite(total) else math.inf
+
+
+@declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def solve_velocities(
-    mass,
-    inverse,
-    values,
-    columns,
-    counts,
-    free,
-    mu,
-    lower,
-    upper,
-    compliance,
-    proximal,
-    accuracy,
-    begin,
-    w,
-    x,
-):
+def solve_velocities(problem, proximal, accuracy, begin, w, x):
     """Fill x with impulses that satisfy the law.
 
     Args:
-        mass: (m, m) M.
-        inverse: (m, m) its inverse.
-        values: (n, …) J of nc contacts, three rows (t₁, t₂, n) each, then of ns scalar rows: the nonzero
-            entries of each row, with the same columns for all rows of a contact.
-        columns: (n, …) their columns, in ascending order.
-        counts: (n,) their numbers.
-        free: (n,) u without impulses.
-        mu: (nc,) coefficients of friction.
-        lower: (ns,) lower bounds of scalar impulses.
-        upper: (ns,) upper bounds of scalar impulses.
-        compliance: (nc,) of the contacts, up to a factor.
+        problem: The `VelocityProblem`.
         proximal: The largest r, relative to the largest of W, see `tolerances.PROXIMAL`.
         accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
         begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
@@ -361,16 +451,8 @@ def solve_velocities(
     Returns:
         The residual of the law, relative to u_free; infinite if the iteration has diverged.
     """
-    n, m, nc = len(free), len(mass), len(mu)
-    start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    find_profile(mass, columns, counts, start, last)
-    diagonal, r = np.empty(n), np.empty(n)
-    fill_compliances(inverse, values, columns, counts, compliance, proximal, diagonal, r)
-    u, f, du, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros(nc)
-    slipped, gain = np.zeros(nc), np.zeros(nc)
-    off, d, md = np.empty(m), np.empty(m), np.empty(m)
-    momentum, system = np.empty(m), np.empty((m, m))
-    size, balanced = 0.0, max(BALANCED, 0.1 * accuracy)
+    free, mu = problem.free, problem.friction
+    n, m, nc, size = len(free), len(w), len(mu), 0.0
     for a in range(n):
         x[a] = 0.0
         size = max(size, abs(free[a]))
@@ -378,45 +460,26 @@ def solve_velocities(
         for a in range(m):
             w[a] = begin[a] = 0.0
         return 0.0
+    start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    find_profile(problem, start, last)
+    diagonal, r, system = np.empty(n), np.empty(n), np.empty((m, m))
+    fill_compliances(problem, proximal, diagonal, r)
+    u, f, shift, slipped, gain = np.empty(n), np.empty(n), np.zeros(nc), np.zeros(nc), np.zeros(nc)
+    now = Iterate(w, u, f, shift, np.empty(m), np.empty(m))
     assign(w, begin)
-    rates(values, columns, counts, w, u)
+    rates(problem.values, problem.columns, problem.counts, w, u)
     for a in range(n):
         u[a] += free[a]
+    balanced = max(BALANCED, 0.1 * accuracy)
     lowest, since, reached, waited, finer = math.inf, 0, 1.0, 0, False
     for iteration in range(ITERATIONS):
         extrapolate(u, mu, iteration, shift, slipped, gain)
-        before = math.inf
-        for step in range(STEPS + 1):
-            now = balance(
-                *(mass, start, values, free, mu, lower, upper, r, columns, counts, x),
-                *(w, shift, u, f, momentum, off),
-            )
-            if step == STEPS or now <= max(balanced, INEXACT * reached):
-                break
-            if now < 1e3 * balanced and now > 0.5 * before:
-                break
-            before = now
-            fill_system(mass, start, values, mu, lower, upper, r, u, shift, x, columns, counts, system)
-            for a in range(m):
-                d[a] = -off[a]
-            solve_profile(system, last, d)
-            rates(values, columns, counts, d, du)
-            apply_within(mass, start, d, md)
-            share = length_of_step(mu, lower, upper, r, x, shift, u, du, f, dot(d, momentum), dot(d, md))
-            for a in range(m):
-                w[a] += share * d[a]
+        minimize(problem, (start, last), r, x, (balanced, max(balanced, INEXACT * reached)), now, system)
         if iteration == 0:
             assign(begin, w)
-        change = swing = pushed = drift = 0.0
-        for a in range(n):
-            change, pushed = max(change, r[a] * abs(f[a] - x[a])), max(pushed, abs(f[a]))
-        for i in range(nc):
-            lag = abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i])
-            swing = max(swing, lag)
-            if f[3 * i + 2] > 0.0:
-                drift = max(drift, lag / r[3 * i + 2])
-        reached = max(change, swing) / size
-        if drift > DRIFT * pushed and waited < WAITS:
+        change, drifts = changes(mu, r, x, u, f, shift)
+        reached = change / size
+        if drifts and waited < WAITS:
             waited += 1
             continue
         waited = 0
@@ -431,18 +494,4 @@ def solve_velocities(
             finer, lowest, since = True, math.inf, 0
             for a in range(n):
                 r[a] *= FINER
-    for a in range(m):
-        momentum[a] = 0.0
-    add_transposed(values, columns, counts, x, momentum)
-    apply(inverse, momentum, w)
-    rates(values, columns, counts, w, u)
-    for a in range(n):
-        u[a] += free[a]
-    slip(u, mu, shift)
-    impulses(u, shift, x, mu, lower, upper, diagonal, f)
-    missed = total = 0.0
-    for a in range(n):
-        part = diagonal[a] * abs(f[a] - x[a])
-        missed = max(missed, part)
-        total += part
-    return missed / size if math.isfinite(total) else math.inf
+    return residual_of(problem, diagonal, x, now) / size

@@ -8,18 +8,21 @@ within the step. (theory.md, section 16)
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.proximal_newton import VelocityProblem
 from ..errors import IrregularMotionError
 from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
-from ._kernels.midpoint_step import midpoint_step, near_rows, report_step
+from ._kernels.midpoint_step import midpoint_step, near_rows
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
+from ._kernels.step_report import report_step
+from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -62,48 +65,6 @@ REST = 1e-5
 """Part of the resting speed up to which velocities are none: what the contact problem leaves at rest."""
 
 _NONE = np.empty(0)
-
-
-class _Rows(NamedTuple):
-    """What a step's contact problem is about: three rows of each contact, then scalar rows.
-
-    The scalar rows are those of held contacts (three each), of joint limits, and of joints with dry friction.
-
-    Attributes:
-        contacts: (nc,) numbers of the contacts.
-        held: (nh,) numbers of the held ones.
-        limits: (nl,) numbers of the limits.
-        dry: (nd,) velocities of the joints with dry friction.
-        values, columns, counts: The Jacobian, see `midpoint_step`.
-        surface: (nc + nh, 3) velocities of the surfaces [m/s].
-        gaps: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m or rad].
-    """
-
-    contacts: Integers
-    held: Integers
-    limits: Integers
-    dry: Integers
-    values: Array
-    columns: Integers
-    counts: Integers
-    surface: Array
-    gaps: Array
-
-    @property
-    def normals(self) -> Integers:
-        """(nc + nl,) The rows along the normals of contacts, and those of limits."""
-        nc, nh = len(self.contacts), len(self.held)
-        return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
-
-    @property
-    def held_normals(self) -> Integers:
-        """(nh,) The rows along the normals of held contacts."""
-        return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
-
-    @property
-    def off(self) -> Array:
-        """(nh,) By how much the held contacts are off their surfaces."""
-        return self.gaps[len(self.contacts) : len(self.contacts) + len(self.held)]
 
 
 class TimeStepping(Integrator):
@@ -199,24 +160,15 @@ class TimeStepping(Integrator):
         rows = self._rows(middle, v, h)
         softened = self._softening(h)
         self._invert(middle, softened)
-        impulse, u_start, u_end = np.empty((3, len(rows.counts)))
-        v_end, predicted = np.empty((2, len(v)))
+        system = StepSystem(
+            *(self._mass, self._inverse, softened, self._tree),
+            *(self._rest.joints, self._bounces, self._compliances),
+        )
+        found = _empty_result(rows, len(v))
         state.warm_start, state.pushed = np.array(state.warm_start), np.array(state.pushed)
-        gap_end, numbers = np.empty(len(rows.contacts) + len(rows.limits)), np.empty(3)
-        arrives = np.empty(len(gap_end), dtype=bool)
-        off = midpoint_step(
-            *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf, self._bounces),
-            *(
-                self._compliances,
-                softened,
-                self._mass,
-                self._inverse,
-                self._tree,
-                self._rest.joints,
-                *rows[:4],
-            ),
-            *(state.warm_start, state.pushed, *rows[4:], impulse, u_start, u_end, arrives, predicted, v_end),
-            *(gap_end, numbers),
+        off, share, lost, overlap = midpoint_step(
+            *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf),
+            *(system, rows, state.warm_start, state.pushed, found),
         )
         self.dynamics.check()
         if off > FAILED:
@@ -229,8 +181,7 @@ class TimeStepping(Integrator):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
             state.unsolved = off
-        share, lost, overlap = numbers.tolist()
-        step = self._dense(t, h, rows, (v_end, softened, predicted), (impulse, u_start, u_end))
+        step = self._dense(t, h, system, rows, found)
         step.end = t + share * h
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
@@ -243,23 +194,27 @@ class TimeStepping(Integrator):
         state.impact_energy += lost
         state.t = step.end
         state.q, state.v = step.at(step.end)
-        closing = arrives & (gap_end < 0.0)
+        closing = found.arrives & (found.gap_end < 0.0)
         if closing.any():
             self._sample()
-            rates = -(u_start + share * (u_end - u_start))[rows.normals[closing]]
+            rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
             self._collide(0.5 * float(rates.min()), TOGETHER * h * float(rates.max()))
             return True
-        active = ~arrives
+        active = ~found.arrives
         moved = self._no_change
         if overlap > self._touching:
-            moved = self._project(step, rows, active, gap_end)
+            moved = self._project(step, rows, active, found.gap_end)
         if self._continuous is None:
-            self._let_rest(step, rows, active, (v, v_end, moved / h))
-        state.v = v_end
+            self._let_rest(step, rows, active, (v, found.v_end, moved / h))
+        state.v = found.v_end
         return False
 
     def _let_rest(
-        self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], velocities: tuple[Array, Array, Array]
+        self,
+        step: DenseStep,
+        rows: StepRows,
+        active: NDArray[np.bool_],
+        velocities: tuple[Array, Array, Array],
     ) -> None:
         """Let what has come to rest in a step rest.
 
@@ -281,7 +236,7 @@ class TimeStepping(Integrator):
         if step.closed is not None and self._rest.begin(islands, step.closed):
             velocities[1][islands[self._tree] >= 0] = 0.0
 
-    def _rows(self, q: Array, v: Array, h: float) -> _Rows:
+    def _rows(self, q: Array, v: Array, h: float) -> StepRows:
         """Return the rows of what may close within a step, not filled as yet."""
         work = self.work
         slack = SLACK * h * h * self._gravity
@@ -302,7 +257,7 @@ class TimeStepping(Integrator):
             rest.wake(met)
         every = len(contacts) + len(held)
         shape = 3 * every + len(limits) + len(dry), self._widest
-        return _Rows(
+        return StepRows(
             *(contacts, held, limits, dry),
             *(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(shape[0], dtype=np.int64)),
             *(np.empty((every, 3)), np.empty(every + len(limits))),
@@ -326,32 +281,22 @@ class TimeStepping(Integrator):
         self._added = added
         invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
-    def _dense(
-        self,
-        t: float,
-        h: float,
-        rows: _Rows,
-        velocities: tuple[Array, Array, Array],
-        of_rows: tuple[Array, Array, Array],
-    ) -> DenseStep:
+    def _dense(self, t: float, h: float, system: StepSystem, rows: StepRows, found: StepResult) -> DenseStep:
         """Return the step with its forces, and record its modes; see `report_step`."""
-        work = self.work
+        work, state = self.work, self.state
         coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
         contacts = np.concatenate([rows.contacts, rows.held])
         world, points, normals = np.zeros((3, len(contacts), 3))
-        joints = np.zeros(work.nv)
+        mean = MeanForces(world, points, normals, np.zeros(work.nv))
         still = STILL * (work.resting_speed or 1.0)
-        acts = report_step(
-            *(work, h, still, self.state.v, *velocities, self._rest.joints, *rows[:8], *of_rows),
-            *(coefficients, world, points, normals, joints),
-        )
-        step = DenseStep(t, h, self.state.q, self.state.v, self.state.works, coefficients, work.joint_charts)
+        acts = report_step(work, h, still, state.v, system, rows, found, coefficients, mean)
+        step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:
-            step.closed = StepForces(contacts, world, points, normals, joints, resting)
+            step.closed = StepForces(contacts, *mean, resting)
         return step
 
-    def _project(self, step: DenseStep, rows: _Rows, active: NDArray[np.bool_], gap: Array) -> Array:
+    def _project(self, step: DenseStep, rows: StepRows, active: NDArray[np.bool_], gap: Array) -> Array:
         """Take away what overlaps at the end of a step, by the least displacement (nv,) in the metric of M.
 
         Args:
@@ -367,9 +312,9 @@ class TimeStepping(Integrator):
         upper = np.full(len(free), math.inf)
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
         jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
+        problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
         step_impulses(
-            *(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE),
-            *(np.ones(len(free), dtype=bool), self._tree, ROUGH, np.zeros(self.model.nv)),
+            *(problem, np.ones(len(free), dtype=bool), self._tree, ROUGH, np.zeros(self.model.nv)),
             *(correction, np.empty(len(free))),
         )
         before = self._energy(self.state.q, self.state.v)
@@ -400,6 +345,14 @@ class TimeStepping(Integrator):
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
             self._sample()
+
+
+def _empty_result(rows: StepRows, nv: int) -> StepResult:
+    """Return room for what a step leads to."""
+    impulse, u_start, u_end = np.empty((3, len(rows.counts)))
+    predicted, v_end = np.empty((2, nv))
+    items = len(rows.contacts) + len(rows.limits)
+    return StepResult(impulse, u_start, u_end, np.empty(items, dtype=bool), predicted, v_end, np.empty(items))
 
 
 def _widest(before: Integers) -> int:

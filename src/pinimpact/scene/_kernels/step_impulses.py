@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
+from ..._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Integers, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.coulomb_problem import solve_compliant, solve_coulomb
 from ..._numeric.loops import assign, flags
 from ..._numeric.lu import factorize
 from ..._numeric.lu import substitute as solve_factored
 from ..._numeric.products import products
-from ..._numeric.proximal_newton import solve_velocities
+from ..._numeric.proximal_newton import VelocityProblem, solve_velocities
 from ..._numeric.tolerances import PROXIMAL
 
 USABLE = 1e-5
@@ -87,42 +88,41 @@ def label_trees(columns, counts, contacts, active, tree, label, first):
 
 
 @external
-def solve_island(
-    mass,
-    inverse,
-    values,
-    columns,
-    counts,
-    free,
-    friction,
-    lower,
-    upper,
-    compliance,
-    accuracy,
-    begin,
-    change,
-    found,
-):
-    """Find the impulses of an island; arguments as of `solve_velocities`."""
-    n, m, nc = len(free), len(mass), len(friction)
+def solve_island(problem, accuracy, begin, change, found):
+    """Find the impulses of an island; return how far they are from Coulomb's law, in parts of u_free.
+
+    Args:
+        problem: Its `VelocityProblem`.
+        accuracy: Part of u_free to which to find them.
+        begin: (m,) change of the velocities with which to begin; takes a better one, see `solve_velocities`.
+        change: (m,) takes that by the impulses.
+        found: (n,) takes the impulses.
+    """
+    n, m = len(found), len(change)
     off, other, moved, proximal = math.inf, np.zeros(n), np.empty(m), PROXIMAL
     for attempt in range(ATTEMPTS):
         if attempt > 0:  # with less at a time, from nothing
             proximal *= LESS
             for c in range(m):
                 begin[c] = 0.0
-        left = solve_velocities(
-            *(mass, inverse, values, columns, counts, free, friction, lower, upper, compliance),
-            *(proximal, accuracy, begin, moved, other),
-        )
+        left = solve_velocities(problem, proximal, accuracy, begin, moved, other)
         if left < off:
             off = left
             assign(change, moved)
             assign(found, other)
         if off <= USABLE:
             return off
-    if off <= TOLERABLE:
-        return off
+    return off if off <= TOLERABLE else solve_in_impulses(problem, off, change, found)
+
+
+@external
+def solve_in_impulses(problem, off, change, found):
+    """Find the impulses of an island with its Delassus matrix, and keep them where they are better.
+
+    Arguments and value are those of `solve_island`; `off` is how far those in `found` are from the law.
+    """
+    _, inverse, values, columns, counts, free, friction, lower, upper, compliance = problem
+    n, m, nc = len(found), len(change), len(friction)
     jacobian, response, delassus = np.zeros((n, m)), np.empty((n, m)), np.empty((n, n))
     for a in range(n):
         for k in range(counts[a]):
@@ -132,15 +132,9 @@ def solve_island(
     for a in range(n):
         for b in range(a):
             delassus[b, a] = delassus[a, b]
-    velocity, least, held = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False)
-    for a in range(n):
-        other[a] = 0.0
-    if n > m and nc > 0:
-        left = solve_compliant(
-            delassus, free, velocity, friction, least, held, lower, upper, other, compliance
-        )
-    else:
-        left = solve_coulomb(delassus, free, velocity, friction, least, held, lower, upper, other)
+    velocity, least, held, other = np.zeros((nc, 2)), np.zeros(nc), flags(nc, False), np.zeros(n)
+    system = delassus, free, velocity, friction, least, held, lower, upper, other
+    left = solve_compliant(*system, compliance) if n > m and nc > 0 else solve_coulomb(*system)
     if not left < off:
         return off
     assign(found, other)
@@ -151,113 +145,127 @@ def solve_island(
     return left
 
 
-@declared(
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, INTEGER_ROWS, INTEGERS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS),
-    *(FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS),
-    result=float,
-)
+class Island(NamedTuple):
+    """What belongs to an island, by its numbers among all.
+
+    Attributes:
+        items: Contacts, then scalar rows past those, in the order of their numbers.
+        contacts: How many of them are contacts.
+        rows: Their rows.
+        moves: The velocities of its trees.
+        place: (nv,) places of velocities among those of their islands.
+    """
+
+    items: Integers
+    contacts: int
+    rows: Integers
+    moves: Integers
+    place: Integers
+
+
+@inlined
+def members(nc, number, label, first, tree, place):
+    """Return an `Island` by its number, and fill in its velocities' places.
+
+    Args:
+        nc: How many contacts there are.
+        number: The label of its trees.
+        label: (trees,) see `label_trees`.
+        first: (items,) likewise.
+        tree: (nv,) number of the tree that each velocity belongs to.
+        place: (nv,) see `Island`.
+    """
+    items, rows = np.empty(len(first), dtype=np.int64), np.empty(2 * nc + len(first), dtype=np.int64)
+    moves = np.empty(len(tree), dtype=np.int64)
+    m = n = contacts = count = 0
+    for i in range(len(first)):
+        if first[i] >= 0 and label[first[i]] == number:
+            items[count] = i
+            count += 1
+            if i < nc:
+                contacts += 1
+                for a in range(3 * i, 3 * i + 3):
+                    rows[n] = a
+                    n += 1
+            else:
+                rows[n] = 2 * nc + i
+                n += 1
+    for c in range(len(tree)):
+        if label[tree[c]] == number:
+            place[c] = m
+            moves[m] = c
+            m += 1
+    return Island(items[:count], contacts, rows[:n], moves[:m], place)
+
+
+@inlined
+def problem_of(problem, island):
+    """Return the `VelocityProblem` of an island, from that of all."""
+    items, contacts, rows, moves, place = island
+    mass, inverse, values, columns, counts, free, friction, lower, upper, compliance = problem
+    m, n, scalars, widest = len(moves), len(rows), len(items) - contacts, 0
+    for a in range(n):
+        widest = max(widest, counts[rows[a]])
+    own_mass, own_inverse = np.empty((m, m)), np.empty((m, m))
+    own, where = np.empty((n, widest)), np.empty((n, widest), dtype=np.int64)
+    lengths, given = np.empty(n, dtype=np.int64), np.empty(n)
+    mu, soft = np.empty(contacts), np.empty(contacts)
+    low, high = np.empty(scalars), np.empty(scalars)
+    for a in range(m):
+        for b in range(m):
+            own_mass[a, b] = mass[moves[a], moves[b]]
+            own_inverse[a, b] = inverse[moves[a], moves[b]]
+    for a in range(n):
+        given[a], lengths[a] = free[rows[a]], counts[rows[a]]
+        for k in range(lengths[a]):
+            own[a, k], where[a, k] = values[rows[a], k], place[columns[rows[a], k]]
+    for k in range(contacts):
+        mu[k], soft[k] = friction[items[k]], compliance[items[k]]
+    for k in range(scalars):
+        i = items[contacts + k] - len(friction)
+        low[k], high[k] = lower[i], upper[i]
+    return VelocityProblem(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft)
+
+
+@declared(VelocityProblem, FLAGS, INTEGERS, float, FLOATS, FLOATS, FLOATS, result=float)
 @jit
-def step_impulses(
-    mass,
-    inverse,
-    values,
-    columns,
-    counts,
-    free,
-    friction,
-    lower,
-    upper,
-    compliance,
-    active,
-    tree,
-    accuracy,
-    begin,
-    change,
-    impulse,
-):
-    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of `free`.
+def step_impulses(problem, active, tree, accuracy, begin, change, impulse):
+    """Find the impulses of a step; return how far they are from Coulomb's law, in parts of u_free.
 
     Of several solutions nearly the limit of small compliances is taken. (11.5)
 
     Args:
-        mass: (nv, nv) M, zero between trees of joints.
-        inverse: (nv, nv) M⁻¹.
-        values, columns, counts: J as of `solve_velocities`.
-        free: (n,) velocities at the end of the step without impulses, and what gaps leave of them.
-        friction: (nc,) coefficients of friction.
-        lower, upper: (ns,) bounds of the scalar rows.
-        compliance: (nc,) relative compliances of the contacts.
+        problem: The `VelocityProblem`; M is zero between trees of joints, u_free [m/s] the velocities at the
+            end of the step without impulses, and what gaps leave of them.
         active: (nc + ns,) what takes part.
         tree: (nv,) number of the tree that each velocity belongs to.
-        accuracy: Part of `free` to which to find them.
+        accuracy: Part of u_free to which to find them.
         begin: (nv,) change of the velocities with which to begin; takes that with which a problem that is
             nearly the same begins best.
         change: (nv,) takes that by the impulses.
         impulse: (n,) takes the impulses.
     """
-    nc, nv = len(friction), len(tree)
-    trees = 0
+    nc, nv, trees = len(problem.friction), len(tree), 0
     for c in range(nv):
         trees = max(trees, tree[c] + 1)
-    label, moves = np.empty(trees, dtype=np.int64), np.empty(nv, dtype=np.int64)
-    first, items = np.empty(len(active), dtype=np.int64), np.empty(len(active), dtype=np.int64)
-    rows, place = np.empty(len(free), dtype=np.int64), np.empty(nv, dtype=np.int64)
-    label_trees(columns, counts, nc, active, tree, label, first)
+    label, first = np.empty(trees, dtype=np.int64), np.empty(len(active), dtype=np.int64)
+    label_trees(problem.columns, problem.counts, nc, active, tree, label, first)
     for a in range(len(impulse)):
         impulse[a] = 0.0
-    worst = 0.0
-    for island in range(trees):
-        m = n = contacts = count = 0
-        for i in range(len(active)):
-            if first[i] >= 0 and label[first[i]] == island:
-                items[count] = i
-                count += 1
-                if i < nc:
-                    contacts += 1
-                    for a in range(3 * i, 3 * i + 3):
-                        rows[n] = a
-                        n += 1
-                else:
-                    rows[n] = 2 * nc + i
-                    n += 1
-        for c in range(nv):
-            if label[tree[c]] == island:
-                place[c] = m
-                moves[m] = c
-                m += 1
-        if count == 0:
-            for k in range(m):
+    worst, place = 0.0, np.empty(nv, dtype=np.int64)
+    for number in range(trees):
+        island = members(nc, number, label, first, tree, place)
+        rows, moves = island.rows, island.moves
+        if len(rows) == 0:
+            for k in range(len(moves)):
                 change[moves[k]] = begin[moves[k]] = 0.0
             continue
-        widest = 0
-        for a in range(n):
-            widest = max(widest, counts[rows[a]])
-        own_mass, own_inverse = np.empty((m, m)), np.empty((m, m))
-        own, where = np.empty((n, widest)), np.empty((n, widest), dtype=np.int64)
-        lengths = np.empty(n, dtype=np.int64)
-        start, moved, given, found = np.empty(m), np.empty(m), np.empty(n), np.empty(n)
-        mu, soft = np.empty(contacts), np.empty(contacts)
-        low, high = np.empty(count - contacts), np.empty(count - contacts)
-        for a in range(m):
+        start, moved, found = np.empty(len(moves)), np.empty(len(moves)), np.empty(len(rows))
+        for a in range(len(moves)):
             start[a] = begin[moves[a]]
-            for b in range(m):
-                own_mass[a, b] = mass[moves[a], moves[b]]
-                own_inverse[a, b] = inverse[moves[a], moves[b]]
-        for a in range(n):
-            given[a], lengths[a] = free[rows[a]], counts[rows[a]]
-            for k in range(lengths[a]):
-                own[a, k], where[a, k] = values[rows[a], k], place[columns[rows[a], k]]
-        for k in range(contacts):
-            mu[k], soft[k] = friction[items[k]], compliance[items[k]]
-        for k in range(contacts, count):
-            low[k - contacts], high[k - contacts] = lower[items[k] - nc], upper[items[k] - nc]
-        off = solve_island(
-            *(own_mass, own_inverse, own, where, lengths, given, mu, low, high, soft),
-            *(accuracy, start, moved, found),
-        )
-        worst = max(worst, off)
-        for a in range(n):
+        worst = max(worst, solve_island(problem_of(problem, island), accuracy, start, moved, found))
+        for a in range(len(rows)):
             impulse[rows[a]] = found[a]
-        for a in range(m):
+        for a in range(len(moves)):
             begin[moves[a]], change[moves[a]] = start[a], moved[a]
     return worst

@@ -1,0 +1,155 @@
+"""What is reported of a time step: dense output, powers, modes and mean forces. (theory.md, 16)"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.jit import inlined, jit
+from .contact_forces import FREE, HELD, SLIP, STICK
+from .force_evaluation import places_of_contacts
+from .lie_charts import chart_rate
+from .step_rows import MeanForces, StepResult, StepRows, StepSystem
+from .workspace import SceneWorkspace
+
+
+@inlined
+def free_modes(work, rests):
+    """Set all modes to `FREE` but those of what rests, `rests` (nj,)."""
+    modes = work.modes
+    for i in range(work.contacts):
+        if not (rests[work.contact_joints[i, 0]] and rests[work.contact_joints[i, 1]]):
+            modes[i] = FREE
+    for k in range(work.limits):
+        if not rests[work.velocity_joint[work.limit_v[k]]]:
+            modes[work.contacts + k] = FREE
+    for c in range(len(work.velocity_joint)):
+        if not rests[work.velocity_joint[c]]:
+            modes[work.contacts + work.limits + c] = FREE
+
+
+@inlined
+def scalar_modes(work, still, rows, found, dried):
+    """Set the modes of joint limits and dry joints, and fill in the impulses of dry friction (nv,)."""
+    modes, limits, dry, impulse = work.modes, rows.limits, rows.dry, found.impulse
+    first = 3 * (len(rows.contacts) + len(rows.held))
+    for k in range(len(dry)):
+        row = first + len(limits) + k
+        dried[dry[k]] = impulse[row]
+        modes[work.contacts + work.limits + dry[k]] = 1 if abs(found.u_end[row]) <= still else 0
+    for k in range(len(limits)):
+        modes[work.contacts + limits[k]] = 1 if impulse[first + k] > 0.0 else 0
+
+
+@inlined
+def joint_motion(work, h, v, softened, found, dried, powers, coefficients):
+    """Fill the dense output of q and v, and the powers, times h, of control and drives and of joints.
+
+    Args:
+        work: The workspace.
+        h: Length of the step [s].
+        v: (nv,) velocity at the start.
+        softened: (nv,) see `StepSystem`.
+        found: The `StepResult`.
+        dried: (nv,) impulses of dry friction.
+        powers: (2, 2) takes those at the start and at the end.
+        coefficients: (terms, ≥ 2 nv) takes the dense output.
+    """
+    v_end, predicted, nv = found.v_end, found.predicted, len(v)
+    turn, rate, mean = np.empty(nv), np.empty(nv), np.empty(nv)
+    for c in range(nv):
+        mean[c] = 0.5 * (v[c] + v_end[c])
+        turn[c] = 0.5 * h * mean[c]
+    chart_rate(work.joint_charts, turn, mean, rate)
+    for c in range(nv):
+        coefficients[0, c] = h * rate[c]
+        coefficients[1, c] = -0.5 * h * (v_end[c] - v[c])
+        coefficients[0, nv + c] = v_end[c] - v[c]
+        follows = (softened[c] - 0.5 * h * work.damping[c]) * (v_end[c] - predicted[c])
+        pushed, lost = h * work.control_force[c] - follows, dried[c] - h * work.damping[c] * mean[c]
+        for e in range(2):
+            speed = v[c] if e == 0 else v_end[c]
+            powers[0, e] += pushed * speed
+            powers[1, e] += lost * speed
+
+
+@inlined
+def contact_motion(work, h, still, rows, found, powers, forces):
+    """Fill the mean forces of contacts, their modes, and the powers, times h, of friction and of surfaces.
+
+    Args:
+        work: The workspace; modes of contacts without impulse stay.
+        h: Length of the step [s].
+        still: Speed up to which nothing slips [m/s].
+        rows: The `StepRows`.
+        found: The `StepResult`.
+        powers: (2, 2) takes those at the start and at the end.
+        forces: The `MeanForces`.
+    """
+    contacts, held, surface = rows.contacts, rows.held, rows.surface
+    impulse, u_start, u_end = found.impulse, found.u_start, found.u_end
+    world, points, normals, _ = forces
+    nc, every, modes = len(contacts), len(contacts) + len(held), work.modes
+    index, axes = np.empty(every, dtype=np.int64), np.empty((every, 3, 3))
+    for k in range(every):
+        index[k] = contacts[k] if k < nc else held[k - nc]
+    places_of_contacts(work, index, axes, points)
+    for k in range(every):
+        i, a = index[k], 3 * k
+        for e in range(3):
+            normals[k, e] = axes[k, 2, e]
+            for o in range(3):
+                world[k, e] += impulse[a + o] / h * axes[k, o, e]
+            for o in range(2):
+                powers[1, o] += impulse[a + e] * surface[k, e]
+        if k >= nc:
+            modes[i] = HELD
+            continue
+        for e in range(2):
+            powers[0, 0] += impulse[a + e] * u_start[a + e]
+            powers[0, 1] += impulse[a + e] * u_end[a + e]
+        if impulse[a + 2] > 0.0:
+            slips = math.hypot(u_end[a], u_end[a + 1]) > still or work.friction[i] == 0.0
+            modes[i] = SLIP if slips else STICK
+
+
+@declared(
+    *(SceneWorkspace, float, float, FLOATS),
+    *(StepSystem, StepRows, StepResult, FLOAT_ROWS, MeanForces),
+    result=bool,
+)
+@jit
+def report_step(work, h, still, v, system, rows, found, coefficients, forces):
+    """Fill dense output, modes and mean forces of a step just taken; return whether any force acts.
+
+    The velocity is linear in time, and so are the powers.
+
+    Args:
+        work: The workspace; its modes are set, but those of what rests.
+        h: Length of the step [s].
+        still: Speed up to which nothing slips [m/s].
+        v: (nv,) velocity at the start.
+        system: The `StepSystem`.
+        rows: The `StepRows`.
+        found: The `StepResult`.
+        coefficients: (terms, 2 nv + works) takes the dense output; zero before.
+        forces: Takes the `MeanForces`; zero before.
+    """
+    dried, impulse, joints, nv = np.zeros(len(v)), found.impulse, forces.joints, len(v)
+    powers = np.zeros((4, 2))  # of control and drives, of joints, of sliding friction, of surfaces
+    free_modes(work, system.rests)
+    scalar_modes(work, still, rows, found, dried)
+    joint_motion(work, h, v, system.softened, found, dried, powers[:2], coefficients)
+    contact_motion(work, h, still, rows, found, powers[2:], forces)
+    for k in range(4):
+        coefficients[0, 2 * nv + k] = 0.5 * (powers[k, 0] + powers[k, 1])
+        coefficients[1, 2 * nv + k] = 0.5 * (powers[k, 0] - powers[k, 1])
+    acts, scalars = False, 3 * (len(rows.contacts) + len(rows.held))
+    for a in range(len(impulse)):
+        acts = acts or impulse[a] != 0.0
+        if a >= scalars and impulse[a] != 0.0:
+            for k in range(rows.counts[a]):
+                joints[rows.columns[a, k]] += impulse[a] / h * rows.values[a, k]
+    return acts

@@ -1,0 +1,123 @@
+"""What a time step starts from and leads to: rows, matrices, velocities, forces. (theory.md, 16)"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
+from ..._compile.jit import inlined
+
+
+class StepRows(NamedTuple):
+    """The rows of a step: three of each contact, three of each held one, then those of scalar rows.
+
+    Attributes:
+        contacts: (nc,) numbers of the contacts that are near.
+        held: (nh,) numbers of the held ones.
+        limits: (nl,) numbers of the joint limits that are near.
+        dry: (nd,) velocities of the joints with dry friction.
+        values: (rows, …) nonzero entries of each row of the Jacobian.
+        columns: (rows, …) their columns, in ascending order.
+        counts: (rows,) their numbers.
+        surface: (nc + nh, 3) velocities of the surfaces [m/s].
+        gap: (nc + nh + nl,) of contacts, held contacts and limits at the midpoint [m or rad].
+    """
+
+    contacts: Integers
+    held: Integers
+    limits: Integers
+    dry: Integers
+    values: FloatRows
+    columns: IntegerRows
+    counts: Integers
+    surface: FloatRows
+    gap: Floats
+
+    @property
+    def normals(self) -> Integers:
+        """(nc + nl,) The rows along the normals of contacts, and those of limits."""
+        nc, nh = len(self.contacts), len(self.held)
+        return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
+
+    @property
+    def held_normals(self) -> Integers:
+        """(nh,) The rows along the normals of held contacts."""
+        return 3 * (len(self.contacts) + np.arange(len(self.held))) + 2
+
+    @property
+    def off(self) -> Floats:
+        """(nh,) By how much the held contacts are off their surfaces."""
+        return self.gap[len(self.contacts) : len(self.contacts) + len(self.held)]
+
+
+class StepSystem(NamedTuple):
+    """What is the same in all steps of a length, or follows from the configuration at the midpoint.
+
+    Attributes:
+        mass: (nv, nv) M with what damping and drives add.
+        inverse: (nv, nv) its inverse.
+        softened: (nv,) what they add.
+        tree: (nv,) number of the tree that each velocity belongs to.
+        rests: (nj,) joints that are at rest, the world among them; their velocity is zero and stays so.
+        bounces: (n + nl,) which contacts and limits have restitution.
+        compliances: (n,) of all contacts.
+    """
+
+    mass: FloatRows
+    inverse: FloatRows
+    softened: Floats
+    tree: Integers
+    rests: Flags
+    bounces: Flags
+    compliances: Floats
+
+
+class StepResult(NamedTuple):
+    """What a step leads to.
+
+    Attributes:
+        impulse: (rows,) the impulses [N s or N m s].
+        u_start: (rows,) velocities of the rows at the start [m/s or rad/s].
+        u_end: (rows,) those at the end.
+        arrives: (nc + nl,) what closes so fast that it collides: it has no impulse here.
+        predicted: (nv,) the velocity with which forces were evaluated at the end.
+        v_end: (nv,) the velocity at the end.
+        gap_end: (nc + nl,) the gaps at the end [m or rad].
+    """
+
+    impulse: Floats
+    u_start: Floats
+    u_end: Floats
+    arrives: Flags
+    predicted: Floats
+    v_end: Floats
+    gap_end: Floats
+
+
+class MeanForces(NamedTuple):
+    """The mean forces of a step.
+
+    Attributes:
+        world: (nc + nh, 3) forces of contacts and held ones in world axes [N].
+        points: (nc + nh, 3) where they act [m].
+        normals: (nc + nh, 3) normals there.
+        joints: (nv,) forces of limits and dry friction [N or N m].
+    """
+
+    world: FloatRows
+    points: FloatRows
+    normals: FloatRows
+    joints: Floats
+
+
+@inlined
+def normal_row(nc, every, i):
+    """Return the row along the normal of contact i < nc, or of limit i − nc, and the place of its gap.
+
+    `every` is the number of all contacts, held ones among them.
+    """
+    if i < nc:
+        return 3 * i + 2, i
+    return 3 * every + i - nc, every + i - nc
