@@ -127,11 +127,12 @@ def fit(
         reason: Clause on why a parameter is not determined, for its name and the solution.
         trial: The residuals, where they are cheaper without preparing derivatives, or fewer.
         tolerance: Of `scipy.optimize.least_squares`, for cost, parameters and gradient.
-        start: Parameters from which the fit begins; None: the best of `STARTS` points.
+        start: Parameters near the solution, from which the fit begins; None: the best of `STARTS` points.
         **known: Further attributes of the result.
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
+    near = start is not None  # then residuals at the start tell their scale
     if start is None:
         starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
         start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
@@ -150,11 +151,14 @@ def fit(
             gtol=tolerance,
         )
 
-    result, scale = run(start, "linear", 1.0), 1.0
+    scale = 1.0
+    if loss == "linear" or not near:
+        result = run(start, "linear", scale)
+        start = result.x
     if loss != "linear":
-        scale = ROBUST_SCALE * MAD * float(np.median(np.abs(result.fun)))
-        if scale > 0.0:  # else more than half of the residuals are zero, and there is nothing to bound
-            result = run(result.x, rho, scale)
+        scale = ROBUST_SCALE * MAD * float(np.median(np.abs(residual(start))))
+        # without scale, more than half of the residuals are zero, and there is nothing to bound
+        result = run(start, rho, scale) if scale > 0.0 else run(start, "linear", 1.0)
     names = tuple(free)
     slopes, residuals = jacobian(result.x), residual(result.x)
     parts = _by_group(slopes, residuals, rho, scale if scale > 0.0 else 1.0, group)

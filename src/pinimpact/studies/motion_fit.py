@@ -61,6 +61,7 @@ def fit_motions(
 
     def fitted(starts: list[Start], first: Array | None) -> Identified:
         known: dict[bytes, Array] = {}
+        slopes: dict[bytes, Array] = {}
 
         def residual(x: Array, some: list[Start] = starts) -> Array:
             one = partial(_residual, Identified(about | {"x": x}).apply(scene), root)
@@ -75,10 +76,13 @@ def fit_motions(
             return known[x.tobytes()]
 
         def jacobian(x: Array) -> Array:
-            here, steps = all_of(x), STEP * (high - low)
-            steps[x + steps > high] *= -1.0
-            moved = x + np.diag(steps)
-            return np.stack([(residual(x) - here) / h for x, h in zip(moved, steps, strict=True)], axis=2)
+            if x.tobytes() not in slopes:
+                slopes.clear()
+                here, steps = all_of(x), STEP * (high - low)
+                steps[x + steps > high] *= -1.0
+                moved = zip(x + np.diag(steps), steps, strict=True)
+                slopes[x.tobytes()] = np.stack([(residual(y) - here) / h for y, h in moved], axis=2)
+            return slopes[x.tobytes()]
 
         group = group_numbers([start.label for start in starts], len(starts))
         trial = partial(residual, some=starts[:: -(-len(starts) // FIRST)])
