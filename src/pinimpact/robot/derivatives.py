@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -35,7 +34,24 @@ _SHARES = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 _UPPER = np.triu_indices(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class _View:
+    """Some columns of what `assemble` fills, in the rows of q̇⁺ or of P."""
+
+    def __init__(self, of_impulse: bool, columns: Callable[[int], slice | int]) -> None:
+        self._of_impulse, self._columns = of_impulse, columns
+
+    def __get__(self, found: ImpactDerivatives | None, kind: type) -> Any:
+        if found is None:
+            return self
+        nv = len(found.block) - 3
+        return found.block[slice(nv, None) if self._of_impulse else slice(nv), self._columns(nv)]
+
+
+def _views(columns: Callable[[int], slice | int]) -> tuple[_View, _View]:
+    """Return views in the rows of q̇⁺ and of P."""
+    return _View(False, columns), _View(True, columns)
+
+
 class ImpactDerivatives:
     """How q̇⁺ and the impulse P of an impact change; by q in the tangent space, as Pinocchio integrates.
 
@@ -50,20 +66,20 @@ class ImpactDerivatives:
         dP_dfriction, dP_drestitution: (3,) ∂P/∂μ and ∂P/∂e.
         dP_dsurface: (3, 6) ∂P by the surface's velocity and angular velocity.
         boundary: Flags of `Boundary`.
+        block: (nv + 3, 2 nv + 9), of which all these are views.
     """
 
-    v: Array
-    dv_dq: Array
-    dv_dv: Array
-    dv_dfriction: Array
-    dv_drestitution: Array
-    dv_dsurface: Array
-    dP_dq: Array
-    dP_dv: Array
-    dP_dfriction: Array
-    dP_drestitution: Array
-    dP_dsurface: Array
-    boundary: Boundary
+    __slots__ = ("block", "boundary")
+
+    def __init__(self, block: Array, boundary: Boundary) -> None:
+        self.block, self.boundary = block, boundary
+
+    dv_dq, dP_dq = _views(lambda nv: slice(nv))
+    dv_dv, dP_dv = _views(lambda nv: slice(nv, 2 * nv))
+    dv_dsurface, dP_dsurface = _views(lambda nv: slice(2 * nv + kernel.SURFACE, 2 * nv + kernel.FRICTION))
+    dv_dfriction, dP_dfriction = _views(lambda nv: 2 * nv + kernel.FRICTION)
+    dv_drestitution, dP_drestitution = _views(lambda nv: 2 * nv + kernel.RESTITUTION)
+    v = _View(False, lambda nv: 2 * nv + kernel.VALUE)
 
     def __repr__(self) -> str:
         return f"ImpactDerivatives(nv={len(self.v)}, boundary={self.boundary!r})"
@@ -149,13 +165,7 @@ def impact_derivatives(
     for one in (contact, *held):
         check_differentiable(one)
     block, boundary = _differentiated(model, data, q, v, contact, held, locked, True)
-    nv = len(block) - 3
-    of_v, of_impulse, surface, mu = block[:nv], block[nv:], 2 * nv, 2 * nv + kernel.FRICTION
-    return ImpactDerivatives(
-        *(of_v[:, mu + 2], of_v[:, :nv], of_v[:, nv:surface], of_v[:, mu], of_v[:, mu + 1]),
-        *(of_v[:, surface:mu], of_impulse[:, :nv], of_impulse[:, nv:surface], of_impulse[:, mu]),
-        *(of_impulse[:, mu + 1], of_impulse[:, surface:mu], Boundary(boundary)),
-    )
+    return ImpactDerivatives(block, Boundary(boundary))
 
 
 def impact_rows(
@@ -213,9 +223,9 @@ def _differentiated(
             block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))
             q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
             status, boundary = kernel.robot_slopes(work, q_now, v_now, contact.restitution, 0.0, by_q, block)
-            if not 0 <= status <= LOCKED:
-                impact(model, data, q, v, contact)  # which raises the error
-            return block, boundary
+            if 0 <= status <= LOCKED:
+                return block, boundary
+            impact(model, data, q, v, contact)  # raises the error
     return _by_pinocchio(model, data, q, v, contact, held, locked, by_q)
 
 

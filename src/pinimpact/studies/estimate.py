@@ -132,7 +132,7 @@ def fit(
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
-    near = start is not None  # then residuals at the start tell their scale
+    near = start is not None  # residuals at the start have the scale of the solution's then
     if start is None:
         starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
         start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
