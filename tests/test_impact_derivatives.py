@@ -203,7 +203,7 @@ def test_joints_that_the_kernels_of_trees_do_not_support():
 def test_results_keep_their_numbers():
     contact = replace(CONTACTS["point on floor"], frame=FRAMES["panda"])
     q, v, first = struck(MODEL, DATA, contact, 7)
-    names = [name for name in first.__dataclass_fields__ if name != "boundary"]
+    names = ("v", "dv_dq", "dP_dv", "dv_dsurface", "dP_dfriction", "dv_drestitution")
     kept = {name: getattr(first, name).copy() for name in names}
     other = pinimpact.impact_derivatives(MODEL, DATA, q, 2.0 * v, contact)
     assert not np.array_equal(other.v, first.v)
