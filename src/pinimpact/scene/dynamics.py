@@ -16,7 +16,7 @@ from ..robot._kernels import contact_kinematics, responses, robot_impact, tree_m
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.joint_limits import JointLimit
-from ..robot.pinocchio_bridge import Call, call_addresses
+from ..robot.pinocchio_bridge import Call, RobotDynamics, call_addresses
 from ._kernels import (
     active_set,
     approach,
@@ -33,8 +33,9 @@ from ._kernels import (
 )
 from ._kernels.events import force_bound
 from ._kernels.workspace import CALLS, SceneWorkspace
-from .controls import ContinuousControl, JointPD, no_drives
+from .controls import ContinuousControl, Drives, JointPD, no_drives
 from .dense_step import WORKS, DenseStep
+from .layout import SceneLayout
 from .scene import Scene
 
 STIFF = 1e3
@@ -84,7 +85,6 @@ class SceneDynamics:
         limits: Sequence[JointLimit],
     ) -> None:
         without = scene.without
-        nv = model.nv
         self.contacts = [*contacts, *held]
         self.limits = tuple(limits)
         layout = scene.layout()
@@ -92,15 +92,13 @@ class SceneDynamics:
         # by address from the kernels, so these must live as long as this
         self._calls = [robot.forward_dynamics, robot.inverse_mass, robot.forward_kinematics]
         control = None
-        motors = no_drives(nv)
+        motors = no_drives(model.nv)
         if scene.control is not None and scene.period is None and "control" not in without:
             if isinstance(scene.control, JointPD):
                 motors = scene.control.drives(model)
             else:
                 control = ContinuousControl(scene.control)
                 self._calls.append(Call(control, ()))
-        calls = np.zeros(CALLS, dtype=np.int64)
-        calls[: 2 * len(self._calls)] = call_addresses(self._calls)
         dry = scene.joint_friction * ("joint friction" not in without)
         damping = scene.joint_damping * ("joint damping" not in without)
         self.driven = len(motors.velocity) > 0
@@ -108,11 +106,31 @@ class SceneDynamics:
         rough = any(contact.sustained_friction != 0.0 for contact in self.contacts)
         alone = len(contacts) + len(limits) < 2
         _compile(rough, stiff, None if alone else scene.simultaneous)  # before anything else calls kernels
-        charts = layout.joint_charts
-        count = len(self.contacts)
-        tables = layout.tables(tuple(self.contacts))
-        closable = min(count, len(held) + CLOSABLE)
-        self.work = SceneWorkspace(
+        self.work = self._workspace(layout, robot, model, motors, damping, dry, len(held))
+        if control is not None:
+            control.work = self.work
+        self.work.stiff_joints = stiff
+        self.work.force_margin = math.inf
+        active_set.close_held(self.work)
+
+    def _workspace(
+        self,
+        layout: SceneLayout,
+        robot: RobotDynamics,
+        model: pin.Model,
+        motors: Drives,
+        damping: Array,
+        dry: Array,
+        held: int,
+    ) -> SceneWorkspace:
+        """Return the workspace of the kernels, of which the last `held` contacts are bilateral."""
+        contacts, limits, nv = self.contacts, self.limits, model.nv
+        charts, tables = layout.joint_charts, layout.tables(tuple(contacts))
+        count, scalars = len(contacts), len(limits) + int(np.count_nonzero(dry))
+        closable = min(count, held + CLOSABLE)
+        calls = np.zeros(CALLS, dtype=np.int64)
+        calls[: 2 * len(self._calls)] = call_addresses(self._calls)
+        work = SceneWorkspace(
             {
                 "nq": model.nq,
                 "nv": nv,
@@ -125,9 +143,9 @@ class SceneDynamics:
                 "spheres": len(tables.spheres),
                 "limits": len(limits),
                 "sources": count + len(limits) + nv,
-                "scalars": len(limits) + int(np.count_nonzero(dry)),
+                "scalars": scalars,
                 "driven": len(motors.velocity),
-                "rows": 3 * closable + len(limits) + int(np.count_nonzero(dry)),
+                "rows": 3 * closable + scalars,
             },
             {
                 "calls": calls,
@@ -156,19 +174,15 @@ class SceneDynamics:
                 "contact_blocks": tables.blocks,
                 "sphere_constants": tables.spheres,
                 "friction": tables.friction,
-                "bilateral": np.array([0] * len(contacts) + [1] * len(held), dtype=np.int64),
+                "bilateral": (np.arange(count) >= count - held).astype(np.int64),
                 "limit_q": np.array([limit.index_q for limit in limits], dtype=np.int64),
                 "limit_v": np.array([limit.index_v for limit in limits], dtype=np.int64),
                 "limit_sign": np.array([limit.sign for limit in limits], dtype=float),
                 "limit_bound": np.array([limit.bound for limit in limits], dtype=float),
             },
         )
-        self.work.contact_constants[:], self.work.contact_joints[:] = tables.constants, tables.joints
-        if control is not None:
-            control.work = self.work
-        self.work.stiff_joints = stiff
-        self.work.force_margin = math.inf
-        active_set.close_held(self.work)
+        work.contact_constants[:], work.contact_joints[:] = tables.constants, tables.joints
+        return work
 
     # ---- calls from kernels
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, counted, in_short, near_matches, real_number, real_numbers
-from ..contact_space.solution import CAUSES
 from ..display import html_lines, html_table
 from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
 from ..tables import AXES, by_component, data_frame
+from .columns import impact_columns, mode_columns, modes_at
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
 from .records import (
@@ -337,10 +337,10 @@ class Trajectory:
         Raises:
             UnknownNameError: Unknown rows.
         """
-        tables = {
+        tables: dict[str, Callable[[], dict[str, NDArray[Any]]]] = {
             "samples": self._sample_columns,
-            "impacts": self._impact_columns,
-            "modes": self._mode_columns,
+            "impacts": lambda: impact_columns(self.impacts, self.coordinates[1]),
+            "modes": lambda: mode_columns(self.modes),
         }
         return tables[choice("rows", rows, tables, "a table")]()
 
@@ -369,51 +369,10 @@ class Trajectory:
                 if chosen.any():
                     forces[chosen] = self._of_times(t[chosen], side, in_axes)
         for k, label in enumerate(labels):
-            found[f"{label}.mode"] = self._modes_of(label, before)
+            found[f"{label}.mode"] = modes_at(self.modes, label, t, before)
             if self.has_forces:
                 found |= by_component(f"{label}.force", AXES, forces[:, k])
         return found
-
-    def _modes_of(self, source: str, before: NDArray[np.bool_]) -> NDArray[Any]:
-        """Return the mode (m,) of a contact at the samples, of which some are `before` a jump."""
-        found = np.full(len(self.t), "free", dtype=object)
-        for interval in self.modes:
-            if interval.source == source:
-                start, end, t = interval.start, interval.end, self.t
-                inside = np.where(before, (start < t) & (t <= end), (start <= t) & (t < end))
-                inside[-1] |= end == t[-1]
-                found[inside] = interval.mode
-        return found
-
-    def _impact_columns(self) -> dict[str, NDArray[Any]]:
-        rows, nv = self.impacts, self.v.shape[1]
-
-        def stack(values: Sequence[Any], *shape: int) -> Array:
-            return np.array(values, dtype=float).reshape(len(rows), *shape)
-
-        works = [i.solution.work for i in rows]
-        found: dict[str, NDArray[Any]] = {
-            "time": stack([i.time for i in rows]),
-            "source": np.array([i.source for i in rows], dtype=object),
-            "approach": stack([-np.asarray(i.problem.velocity)[2] for i in rows]),
-        }
-        found |= by_component("impulse", AXES, stack([i.solution.impulse for i in rows], 3))
-        for cause in (*CAUSES, "total"):
-            found[f"work.{cause}"] = stack([getattr(work, cause) for work in works])
-        for name in ("friction", "restitution"):
-            found[name] = stack([getattr(i.problem, name) for i in rows])
-        for name in ("v_before", "v_after"):
-            found |= by_component(name, self.coordinates[1], stack([getattr(i, name) for i in rows], nv))
-        return found
-
-    def _mode_columns(self) -> dict[str, NDArray[Any]]:
-        rows = self.modes
-        texts = {
-            name: np.array([getattr(m, name) for m in rows], dtype=object) for name in ("source", "mode")
-        }
-        return texts | {
-            name: np.array([getattr(m, name) for m in rows], dtype=float) for name in ("start", "end")
-        }
 
     def save(self, path: str | Path) -> None:
         """Write the trajectory to one .npz file of numbers and text."""
