@@ -30,6 +30,9 @@ FIRST = 16
 STEP = 1e-3
 """Of differences by a parameter, in parts of its range: motions that turn over elsewhere are averaged."""
 
+CHUNKS = 32
+"""Of the motions, for an executor: the scene is sent with each, and prepared anew."""
+
 TOLERANCE = 1e-4
 """Of the fit: where a motion comes to rest on another face, the sum of squares jumps by more."""
 
@@ -65,9 +68,9 @@ def fit_motions(
 
         def residual(x: Array, some: list[Start] = starts) -> Array:
             one = partial(_residual, Identified(about | {"x": x}).apply(scene), root)
-            return np.array(
-                list(map(one, some) if executor is None else executor.map(one, some, chunksize=4))
-            )
+            if executor is None:
+                return np.array(list(map(one, some)))
+            return np.array(list(executor.map(one, some, chunksize=-(-len(some) // CHUNKS))))
 
         def all_of(x: Array) -> Array:
             if x.tobytes() not in known:

@@ -28,6 +28,7 @@ def fit_figure(result: Any) -> Figure:
         ax.plot(value, 0, "o", color=COMPRESSION)
         margin = 0.5 * (high - low) or 0.1
         ax.set(xlim=(low - margin, high + margin), yticks=[], xlabel=f"{name} = {value:.4g} ± {error:.2g}")
+        ax.locator_params(axis="x", nbins=4)
         if row == 0:
             ax.set_title("Parameters, with 95 % intervals")
     right = figure.add_subplot(columns[:, 1])
