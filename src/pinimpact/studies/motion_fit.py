@@ -31,7 +31,7 @@ STEP = 1e-3
 """Of differences by a parameter, in parts of its range: motions that turn over elsewhere are averaged."""
 
 CHUNKS = 32
-"""Of the motions, for an executor: the scene is sent with each, and prepared anew."""
+"""Of the motions, for an executor: the scene is sent with each and has to be prepared there."""
 
 TOLERANCE = 1e-4
 """Of the fit: where a motion comes to rest on another face, the sum of squares jumps by more."""
