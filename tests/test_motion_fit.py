@@ -73,7 +73,7 @@ def test_bad_input(motions, changed, message) -> None:
     assert message in str(caught.value)
 
 
-def test_parameters_of_one_contact_override(motions) -> None:
+def test_a_parameter_of_one_contact_is_set_for_that_contact() -> None:
     scene = box_scene()
     fit = studies.Identified(
         names=("friction:corner 2",), x=np.array([0.9]), law=None, setters={"friction": _set}

@@ -153,6 +153,14 @@ def _finite(name: str, value: Any) -> float:
     return number
 
 
+def level(value: Any) -> float:
+    """Return the level of an interval as a float above 0 and below 1, or raise `InputError`."""
+    number = _finite("level", value)
+    if not 0.0 < number < 1.0:
+        raise InputError(f"level: {number} given, between 0 and 1 expected", field="level", value=value)
+    return number
+
+
 def counted(number: int, what: str) -> str:
     """Return a number of things in words: "1 impact", "2 impacts", "2 velocities"."""
     if number == 1:

@@ -222,7 +222,7 @@ def _differentiated(
         if work is not None:
             block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))
             q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
-            status, boundary = kernel.robot_slopes(work, q_now, v_now, contact.restitution, 0.0, by_q, block)
+            status, boundary = kernel.robot_slopes(work, q_now, v_now, contact.restitution, by_q, block)
             if 0 <= status <= LOCKED:
                 return block, boundary
             impact(model, data, q, v, contact)  # raises the error

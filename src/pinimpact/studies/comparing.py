@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from ..checks import above_zero, in_short, truth_value
+from .. import checks
+from ..checks import in_short, truth_value
 from ..errors import InputError
 from .estimate import Identified
 from .rolling_out import RollOuts
@@ -58,9 +59,7 @@ def compare(
     Raises:
         InputError: Paired roll-outs or fits of different data, or fewer than two groups.
     """
-    level = above_zero("level", level)
-    if not level < 1.0:
-        raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
+    level = checks.level(level)
     (one, rows), (two, others) = _by_group("test", test), _by_group("other", other)
     if type(test) is not type(other) or (truth_value("paired", paired) and rows != others):
         raise InputError("other: its errors are not of the data of test", field="other", value=other)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc, t
 
+from .. import checks
 from ..checks import choice, finite_array, in_short, real_numbers
 from ..errors import InputError
 
@@ -64,10 +65,7 @@ class Identified(OptimizeResult):
 
     def interval(self, level: float = 0.95) -> Array:
         """Return the (p, 2) confidence intervals at a level, by Student's t, within the bounds. (I5)"""
-        level = float(finite_array("level", level, (1,))[0])
-        if not 0.0 < level < 1.0:
-            raise InputError(f"level: {level} given, between 0 and 1 expected", field="level", value=level)
-        half = t.ppf(0.5 + 0.5 * level, self.degrees) * self.standard_errors
+        half = t.ppf(0.5 + 0.5 * checks.level(level), self.degrees) * self.standard_errors
         low, high = self.bounds
         return np.clip(np.column_stack([self.x - half, self.x + half]), low[:, None], high[:, None])
 
