@@ -153,6 +153,15 @@ def test_a_bouncing_motion_is_as_stable_as_in_closed_form(tmp_path, monkeypatch,
     assert (tmp_path / "bouncing_stability.png").is_file()
 
 
+def test_passes_that_bounce_reach_their_target_as_in_closed_form(tmp_path, monkeypatch, capsys) -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    out = printed_by("bounce_pass", tmp_path, monkeypatch, capsys)
+    first, second, _ = out.splitlines()
+    assert float(first.split(": ")[1].split()[0]) < 1e-12
+    assert float(second.split(" by ")[1].split()[0]) < 1e-8
+    assert (tmp_path / "bounce_pass.png").is_file()
+
+
 def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
     kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])
