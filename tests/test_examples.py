@@ -162,6 +162,22 @@ def test_passes_that_bounce_reach_their_target_as_in_closed_form(tmp_path, monke
     assert (tmp_path / "bounce_pass.png").is_file()
 
 
+def test_a_fast_strike_keeps_joint_velocities_within_limits(tmp_path, monkeypatch, capsys) -> None:
+    pytest.importorskip("daqp", reason="the solver daqp is not installed")
+    pytest.importorskip("qpsolvers", reason="qpsolvers is not installed")
+    out = printed_by("fast_strike", tmp_path, monkeypatch, capsys)
+    fast, within, _ = (
+        float(line.split("most ")[1].split()[0]) if "most" in line else 0 for line in out.splitlines()
+    )
+    assert fast > 1.2
+    assert 0.98 < within < 1.0  # as fast as they permit
+    assert (tmp_path / "fast_strike.png").is_file()
+    module = example("fast_strike")
+    _, q, v = module.strike(careful=True)
+    ends = np.abs(module.after(q, v, (module.LEAST, module.MOST))).max(axis=1)
+    assert (ends > 0.98).all()  # either end limits the speed
+
+
 def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
     kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])
