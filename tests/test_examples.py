@@ -178,6 +178,28 @@ def test_a_fast_strike_keeps_joint_velocities_within_limits(tmp_path, monkeypatc
     assert (ends > 0.98).all()  # either end limits the speed
 
 
+@pytest.mark.slow
+def test_a_quadruped_lands_where_asked(tmp_path, monkeypatch, capsys) -> None:
+    out = printed_by("jump_to_place", tmp_path, monkeypatch, capsys)
+    assert "impacts of 4 feet" in out
+    assert float(out.split("replay is ")[1].split(" m")[0]) < 1e-6
+    assert (tmp_path / "jump_to_place.png").is_file()
+    module = example("jump_to_place")
+    push, errors = module.aim()
+    assert errors[-1][-1] < 1e-9
+    end, place = module.ASKED[-1]
+    found, slope = module.jump(push, end)
+    assert found == pytest.approx([*place, 0.0, 0.0], abs=1e-9)
+
+    def replayed(push):
+        q, _ = module.replay(push, end).at(end)
+        return np.r_[q[:3], pin.Quaternion(q[3:7]).matrix()[:2, 2]]
+
+    for k, step in enumerate(1e-5 * np.eye(5)):
+        differences = (replayed(push + step) - replayed(push - step)) / 2e-5
+        assert slope[:, k] == pytest.approx(differences, abs=2e-6)
+
+
 def test_newtons_law_creates_energy_where_the_others_do_not(tmp_path, monkeypatch, capsys) -> None:
     out = printed_by("comparing_laws", tmp_path, monkeypatch, capsys)
     kept = {line.split(": ")[1].split()[0]: float(line.split("keeps ")[1].split(" %")[0])
