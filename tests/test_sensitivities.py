@@ -305,6 +305,45 @@ def test_linearize_where_a_contact_is_closed():
     assert np.allclose(B[3, [0, 2]], [0.1, 0.05], atol=1e-12)
 
 
+def same_steps(one, other, tau, dt):
+    """Take a step in two steppers, which are to come to the same."""
+    for each in (one, other):
+        each.step(tau, dt)
+    assert np.array_equal(one.q, other.q)
+    assert np.array_equal(one.v, other.v)
+    found, expected = one.trajectory, other.trajectory
+    assert len(found.impacts) == len(expected.impacts)
+    assert found.modes == expected.modes
+    assert found.statistics == expected.statistics
+    return found
+
+
+def test_linearize_leaves_the_motion_as_it_is():
+    model, q, v, contact = panda(1)
+    scene = Scene(model, [replace(contact, restitution=0.0, friction=0.2)], **FREE)
+    tau = np.random.default_rng(0).normal(size=9)
+    one, other = (Stepper(scene, q, v) for _ in range(2))
+    for _ in range(4):
+        one.linearize(-tau, 0.06)
+        run = same_steps(one, other, tau, 0.03)
+    assert run.impacts
+    assert {("hand", "slip"), ("hand", "stick")} <= modes(run)
+
+
+def test_linearize_leaves_the_motion_as_it_is_where_it_is_refused():
+    # bounces that accumulate are crossed by time steps
+    ball = Contact("ball centre", Plane(), 0.0, 0.7, name="ball")
+    scene = Scene(point("ball"), [ball], resting_speed=1e-60)
+    one, other = (Stepper(scene, [0.0, 0.0, 0.1], np.zeros(3)) for _ in range(2))
+    for _ in range(2):
+        for _ in range(3):
+            with pytest.warns(pinimpact.SteppedWarning), pytest.raises(pinimpact.InputError, match="crossed"):
+                one.linearize(np.zeros(3), 1.0)
+        run = same_steps(one, other, np.zeros(3), 0.3)
+    assert run.impacts
+    assert not run.stepped
+
+
 # ---- boundaries and refusals
 
 

@@ -283,12 +283,15 @@ class Workspace(array.array):
             return
         made = [field for field, _ in self._declared if field.name in self._places]
         before = [self.whole(field).ravel(order="K") for field in made]
-        for field in made:
-            del self.arrays[field.name]
-        self.used.clear()
-        self._lay_out(self._sizes | grown)
+        self._lay_out_again(self._sizes | grown)
         for field, old in zip(made, before, strict=True):
             self.whole(field).ravel(order="K")[: old.size] = old
+
+    def _lay_out_again(self, sizes: dict[str, int]) -> None:
+        for name in self._places:
+            self.arrays.pop(name, None)
+        self.used.clear()
+        self._lay_out(sizes)
 
     def values(self) -> tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]:
         """Return a copy of all values, without those of arrays that were given."""
@@ -297,7 +300,8 @@ class Workspace(array.array):
     def set_values(self, values: tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]) -> None:
         """Set all to the `values` of another one, of the same sizes except for those that `enlarge` grows."""
         sizes, numbers, made = values
-        self.enlarge(sizes)
+        if sizes != self._sizes:
+            self._lay_out_again(sizes)
         self.integers[self._numbers] = numbers
         self._made[:] = made
 

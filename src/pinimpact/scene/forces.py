@@ -169,6 +169,19 @@ class Dynamics(Protocol):
         """Raise what went wrong in a call from a kernel."""
 
 
+def set_closed(dynamics: Dynamics, closed: ClosedSet) -> NDArray[np.int64]:
+    """Let dynamics have the modes of what was closed; return which contacts that were."""
+    work = dynamics.work
+    dynamics.make_room(closed.modes[: work.contacts])
+    index = np.flatnonzero(closed.modes[: work.contacts])
+    work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
+    work.drive_side[:], work.control_force[:] = closed.sides, closed.control
+    work.contact_constants[index] = closed.constants
+    work.contact_joints[index] = closed.joints
+    work.direction_speed = closed.direction_speed
+    return index
+
+
 class EvaluatedForces:
     """Forces that are evaluated at the state of the motion itself, when they are asked for.
 
@@ -194,13 +207,7 @@ class EvaluatedForces:
             return closed.of_all(len(self.contacts))
         dynamics = self._dynamics
         work = dynamics.work
-        dynamics.make_room(closed.modes[: work.contacts])
-        index = np.flatnonzero(closed.modes[: work.contacts])
-        work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
-        work.drive_side[:], work.control_force[:] = closed.sides, closed.control
-        work.contact_constants[index] = closed.constants
-        work.contact_joints[index] = closed.joints
-        work.direction_speed = closed.direction_speed
+        index = set_closed(dynamics, closed)
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
         if step.directions is not None:

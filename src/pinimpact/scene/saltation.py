@@ -100,7 +100,7 @@ class Saltation:
             return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
         if first.closed is None:
             return x
-        after = self.slopes.at(first, first.start, moving=False)
+        after = self.slopes.at(first, first.start)
         if not (len(after.rows_q) or self._bilateral.any()):
             return x
         self.boundary |= Boundary.CLOSED
@@ -149,10 +149,10 @@ class Saltation:
             return x
         t, work = before.end, self._dynamics.work
         modes, later = self._modes(before), self._modes(after)
-        minus = self.slopes.at(before, t, moving=False)
+        minus = self.slopes.at(before, t)
         dry = before.closed.sliding if before.closed is not None else np.zeros(work.nv)
         sliding = after.closed.sliding if after.closed is not None else np.zeros(work.nv)
-        plus = self.slopes.at(after, after.start, moving=False)
+        plus = self.slopes.at(after, after.start)
         count = work.contacts + work.limits
         closes = (modes[:count] == 0) & (later[:count] != 0)
         rates = np.append(before.at(t)[1], minus.acceleration), np.append(after.v, plus.acceleration)

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
+from ._kernels.variations import stage_equations
 from .controls import JointPD
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .events import as_events
 from .forces import StepForces
-from .mode_slopes import ModeSlopes
+from .mode_slopes import SlopesWithin
 from .records import ImpactRecord, Sensitivity, SteppedInterval
 from .saltation import Parameter, Saltation
 from .scene import Scene
@@ -155,7 +156,6 @@ class MotionSlopes:
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
         self._nv = nv
-        self._turned = self.saltation.slopes.turned
         self._given = 0 if tau is None else nv
         self._coefficients = [
             k for k, p in enumerate(found) if p.kind == "friction" and dynamics_friction(dynamics, p.contact)
@@ -176,7 +176,7 @@ class MotionSlopes:
     def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
         """Return changes at the end of an interval, which is halved down to the tolerance."""
         h = end - start
-        nodes = [self.saltation.slopes.at(step, start + c * h) for c in NODES]
+        nodes = self.saltation.slopes.within(step, start + h * NODES)
         found, error = self._collocate(nodes, h, x)
         if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
             return found
@@ -194,8 +194,7 @@ class MotionSlopes:
         found: list[tuple[float, float]] = []
 
         def speeds(t: float) -> Array:
-            slips = self.saltation.slopes.at(step, t, moving=False).slips
-            return np.array([slip.speed for slip in slips])
+            return self.saltation.slopes.speeds(step, t)
 
         def split(start: float, at_start: Array, end: float, at_end: Array) -> None:
             low, high = np.minimum(at_start, at_end), np.maximum(at_start, at_end)
@@ -210,40 +209,36 @@ class MotionSlopes:
         split(step.start, speeds(step.start), until, speeds(until))
         return found
 
-    def _collocate(self, nodes: Sequence[ModeSlopes], h: float, x: Array) -> tuple[Array, float]:
+    def _collocate(self, nodes: SlopesWithin, h: float, x: Array) -> tuple[Array, float]:
         """Return changes after a time h, by the slopes at the nodes, and their relative error. (D23, D24)"""
-        nv, n, m = self._nv, len(x), len(nodes[0].rows_q)
-        by_q, by_v = np.empty((2, STAGES, nv + m, nv))
-        for i, node in enumerate(nodes):
-            by_q[i, :nv], by_q[i, nv:] = node.by_q, node.rows_q / -h
-            by_v[i, :nv], by_v[i, nv:] = node.by_v, node.rows_v / -h
-        start, turned = x[:nv] + (h * NODES)[:, None, None] * x[nv:], self._turned
-        system = np.zeros((STAGES, nv + m, STAGES, nv + m))
-        system[..., :nv] = -(h * h * TWICE)[:, None, :, None] * by_q[:, :, None, :]
-        if turned.any():
-            turning = np.array([node.turning for node in nodes])
-            start[:, turned], moved = _in_turning_axes(turning, h, start[:, turned])
-            system[:, :, :, :nv][..., turned] = -np.einsum("ira,iakb->irkb", by_q[:, :, turned], moved)
-        system[..., :nv] -= h * WEIGHTS[:, None, :, None] * by_v[:, :, None, :]
-        right = by_q @ start + by_v @ x[nv:]
-        for i, node in enumerate(nodes):
-            system[i, range(nv), i, range(nv)] += 1.0
-            system[i, :nv, i, nv:] -= node.response
-            right[i, :nv, n : n + self._given] += node.inverse[:, : self._given]
-            for column, k in enumerate(self._friction):
-                if k in self._coefficients:
-                    right[i, :nv, n + self._given + k] += node.by_friction[:, column]
-        flat, right = system.reshape(STAGES * (nv + m), -1), right.reshape(STAGES * (nv + m), -1)
-        if all(node.unique for node in nodes):
-            rates = np.linalg.solve(flat, right)
+        nv, n, turned = self._nv, len(x), self.saltation.slopes.turned
+        matrix, vanishing, start, moved = stage_equations(
+            *(h, NODES, WEIGHTS, TWICE, turned, nodes.turning, nodes.by_q, nodes.by_v, x)
+        )
+        right = nodes.by_q @ start + nodes.by_v @ x[nv:]
+        right[:, :nv, n : n + self._given] += nodes.inverse[..., : self._given]
+        for column, k in enumerate(self._friction):
+            if k in self._coefficients:
+                right[:, :nv, n + self._given + k] += nodes.by_friction[..., column]
+        rates = right[:, :nv].reshape(STAGES * nv, -1)
+        if len(vanishing) == 0:
+            rates = np.linalg.solve(matrix, rates)
         else:
-            rates = _least_norm(flat, right)
-        rates = rates.reshape(STAGES, nv + m, -1)[:, :nv]
+            m = nodes.response.shape[2]
+            pushes = np.zeros((STAGES, nv, STAGES, m))
+            for i in range(STAGES):
+                pushes[i, :, i] = nodes.response[i]
+            found = np.linalg.solve(matrix, np.hstack([rates, pushes.reshape(STAGES * nv, -1)]))
+            rates, by_force = np.split(found, [right.shape[2]], axis=1)
+            missed = vanishing @ rates + right[:, nv:].reshape(len(vanishing), -1)
+            solve = np.linalg.solve if nodes.unique else _least_norm
+            rates = rates - by_force @ solve(vanishing @ by_force, missed)
+        rates = rates.reshape(STAGES, nv, -1)
         flown, gained = np.tensordot((h * h * TWICE[-1], h * WEIGHTS[-1]), rates, 1)
         end = np.concatenate([start[-1] + flown, x[nv:] + gained])
-        if turned.any():
-            end[:nv][turned] = start[-1, turned] + np.tensordot(moved[-1], rates[:, turned], 2)
-        free = h * max(float(np.abs(node.inverse).max()) for node in nodes)
+        if len(turned) > 0:
+            end[turned] = start[-1, turned] + np.tensordot(moved[-1], rates[:, turned], 2)
+        free = h * float(np.abs(nodes.inverse).max())
         return end, _relative_error(rates, h, end, (n, n + self._given), free)
 
 
@@ -265,22 +260,6 @@ def _relative_error(rates: Array, h: float, end: Array, ends: tuple[int, int], f
     first, last, size = first[sure], last[sure], size[sure]
     error = h * DECAY * last * (last / np.maximum(first, np.finfo(float).tiny)) ** 2
     return float((error / np.maximum(size, np.finfo(float).tiny)).max(initial=0.0))
-
-
-def _in_turning_axes(turning: Array, h: float, start: Array) -> tuple[Array, Array]:
-    """Return changes of q at the stages where joints turn, and what rates of velocities change of them. (D22)
-
-    Args:
-        turning: (stages, k, k) N.
-        h: Length of the interval [s].
-        start: (stages, k, n) the changes without rates of velocities, if nothing turned.
-    """
-    stages, k = turning.shape[:2]
-    matrix = h * WEIGHTS[:, None, :, None] * turning.transpose(1, 0, 2)[None]
-    matrix = np.eye(stages * k) + matrix.reshape(stages * k, -1)
-    inverse = np.linalg.inv(matrix).reshape(stages, k, stages, k)
-    moved = h * h * np.einsum("iajb,jl->ialb", inverse, TWICE)
-    return np.tensordot(inverse, start, 2), moved
 
 
 def dynamics_friction(dynamics: SceneDynamics, contact: int) -> bool:

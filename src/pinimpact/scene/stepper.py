@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError, PinimpactError, SimulationError
+from .integrator import Integrator
 from .options import Options, check_numbers
 from .scene import Scene
 from .sensitivities import Linearization, MotionSlopes, Sensitivities, check_supported
@@ -18,7 +19,7 @@ from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-_SLOPES: WeakKeyDictionary[Stepper, MotionSlopes] = WeakKeyDictionary()
+_SLOPES: WeakKeyDictionary[Integrator, MotionSlopes] = WeakKeyDictionary()
 
 
 class Stepper:
@@ -140,34 +141,29 @@ class Stepper:
             InputError: As in `step`; a motion by time steps, impacts at several contacts.
             SimulationError: As in `step`.
         """
-        slopes = self._slopes()
-        ahead = self.copy()
-        integrator, record = ahead._integrator, ahead._integrator.record
+        slopes, integrator, before = self._slopes(), self._integrator, (self._begun, self._failed)
+        record = integrator.record
         steps, impacts = len(record.dense_steps), len(record.impacts)
-        ahead.step(tau, dt)
-        slopes.saltation.slopes.tau[:] = tau
-        found = Sensitivities(
-            slopes,
-            ("state",),
-            record.dense_steps[steps:],
-            record.impacts[impacts:],
-            integrator.state.stepped,
-        )
-        last = len(record.dense_steps) - steps - 1
-        x, boundary = found.changes(last, integrator.state.t)
+        try:
+            with integrator.kept():
+                self.step(tau, dt)
+                slopes.saltation.slopes.tau[:] = tau
+                taken = record.dense_steps[steps:], record.impacts[impacts:], integrator.state.stepped
+                found = Sensitivities(slopes, ("state",), *taken)
+                x, boundary = found.changes(len(taken[0]) - 1, integrator.state.t)
+        finally:
+            self._begun, self._failed = before
         n = len(x)
         return Linearization(x[:, :n], x[:, n:], boundary)
 
     def _slopes(self) -> MotionSlopes:
-        """Return what differentiates the motion, with dynamics of its own, kept for the next time."""
-        found = _SLOPES.get(self)
+        """Return what differentiates the motion, kept for the next time."""
+        integrator = self._integrator
+        found = _SLOPES.get(integrator)
         if found is None:
             check_supported(self._scene, self._scheme)
-            own = self.copy()._integrator
-            slopes = MotionSlopes(
-                self._scene, own.dynamics, own.model, (), np.zeros(own.model.nv), self._options.rtol
-            )
-            found = _SLOPES[self] = slopes
+            given = self._scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv)
+            found = _SLOPES[integrator] = MotionSlopes(*given, self._options.rtol)
         return found
 
     def __repr__(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
-from ..._compile.jit import jit
+from ..._compile.jit import external, jit
 from ..._numeric.loops import assign
 from ...robot._kernels import contact_kinematics
 from ...robot._kernels.placement import rotate
@@ -14,6 +14,24 @@ from .contact_forces import apply_forces
 from .dynamics import evaluate, set_state
 from .widest_margin import least_admissible
 from .workspace import SceneWorkspace
+
+
+@declared(SceneWorkspace, float, FLOATS, FLOATS, FLOAT_ROWS, bool, FLOATS)
+@external
+def evaluate_closed(work, t, q, v, directions, unique, known):
+    """Leave the motion and the forces of what is closed in the modes of `work.modes`; see `forces_at`."""
+    close(work, directions)
+    work.forces_unique = unique
+    for a in range(len(known)):
+        work.inner_forces[a] = known[a]
+    set_state(work, q, v)
+    out = np.empty(len(v) + 4)
+    evaluate(work, t, out)
+    if not (work.callback_failed or work.forces_unique) and work.force_margin < 0.0:
+        admissible = work.solution.copy()
+        least_admissible(work, admissible)
+        assign(work.solution, admissible)
+        apply_forces(work, out[: len(v)], out[len(v) + 2 :])
 
 
 @declared(
@@ -41,20 +59,9 @@ def forces_at(work, t, q, v, directions, unique, known, forces, points, normals,
     Returns:
         Whether the motion determines the forces.
     """
-    close(work, directions)
-    work.forces_unique = unique
-    for a in range(len(known)):
-        work.inner_forces[a] = known[a]
-    set_state(work, q, v)
-    out = np.empty(len(v) + 4)
-    evaluate(work, t, out)
+    evaluate_closed(work, t, q, v, directions, unique, known)
     if work.callback_failed:
         return False
-    if not work.forces_unique and work.force_margin < 0.0:
-        admissible = work.solution.copy()
-        least_admissible(work, admissible)
-        assign(work.solution, admissible)
-        apply_forces(work, out[: len(v)], out[len(v) + 2 :])
     index, found = work.active_index, work.contact_force
     axes = np.empty((len(index), 3, 3))
     place = np.empty((len(index), 3))

@@ -1,19 +1,26 @@
-"""How velocities and forces of closed contacts change with the configuration. (derivatives.md, 9)"""
+"""How v̇, velocities and forces of what is closed change with the state, along a step. (derivatives.md, 9)"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, INTEGERS, declared
-from ..._compile.jit import jit
+from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
+from ..._compile.jit import external, inlined, jit
+from ..._numeric.loops import assign
 from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
-from .force_evaluation import places_of_contacts
+from ...robot._kernels.python_calls import call
+from .active_set import close
+from .contact_forces import SLIP
+from .dense_output import state
+from .drives import set_saturation
+from .force_evaluation import evaluate_closed, places_of_contacts
+from .lie_charts import PLANAR, RIGID, ROTATION
 from .workspace import SceneWorkspace
 
 
 @declared(SceneWorkspace, INTEGERS, FLOAT_ROWS, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS)
-@jit
+@external
 def closed_slopes(work, parent, scratch, axes, velocities, forces):
     """Fill how contact velocities change with q, and Jᵀf at the forces that `forces_at` has left. (D19, D20)
 
@@ -40,3 +47,231 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
         slopes.velocity_slopes(columns, joint, parent, tip, base, at, scratch, True, velocities[m])
         f1, f2, f3 = rotate(at, force[m, 0], force[m, 1], force[m, 2])
         slopes.force_slopes(columns, joint, parent, tip, base, at, f1, f2, f3, forces)
+
+
+@declared(
+    *(SceneWorkspace, INTEGERS, FLOATS, FLOAT_STACK, INTEGERS, INTEGERS),
+    *(FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS),
+    *(FLOAT_STACK, bool, FLOATS, bool, bool),
+)
+@jit
+def slopes_along(
+    work,
+    derive,
+    total,
+    smooth,
+    parent,
+    friction,
+    coefficients,
+    q0,
+    v0,
+    start,
+    h,
+    times,
+    ends,
+    unique,
+    known,
+    free,
+    moving,
+):
+    """Return how v̇ and the velocities that vanish change with the state, at some times within a step. (D23)
+
+    Args:
+        work: The workspace, with the modes, constants of the contacts, signs of dry friction and control.
+        derive: Addresses of a function that fills `smooth` for the forces `total`, and of its arguments.
+        total: (nv,) takes all generalized forces.
+        smooth: (3, nv, nv) ∂v̇/∂q, ∂v̇/∂v and M⁻¹ under these.
+        parent: (joints,) the joint that each stands on; the first is the world.
+        friction: Numbers of the contacts by whose friction v̇ is differentiated.
+        coefficients, q0, v0, start, h: The step, see `DenseStep`.
+        times: (s,) [s].
+        ends: (2, k, 2) directions of slip of what is closed, at the start and at the end of the step.
+        unique, known: As of `forces_at`.
+        free: Whether nothing is closed, so that drives may come to their bounds.
+        moving: Whether what slips has a speed, by which the direction of friction changes.
+
+    Returns:
+        ∂v̇/∂q, ∂v̇/∂v (s, nv + m, nv), followed by the rows of the m velocities that vanish; v̇ by their forces
+        (s, nv, m); M⁻¹ (s, nv, nv); N of the joints that turn (s, k, k); v̇ by friction (s, nv, n); and
+        ∂(contact velocity)/∂q (k, 3, nv) at the last time.
+    """
+    close(work, np.zeros((work.contacts, 2)))
+    nv, stages, rows, index = len(v0), len(times), work.active_rows, work.active_index
+    turns = 0
+    for k in range(len(work.joint_charts)):
+        if work.joint_charts[k, 0] in (PLANAR, RIGID, ROTATION):
+            turns += work.joint_charts[k, 3]
+    q, v, forces, reference = (
+        np.empty(len(q0)),
+        np.empty(nv),
+        np.empty((nv, nv)),
+        np.zeros((work.contacts, 2)),
+    )
+    scratch, axes, moved = (
+        np.empty((len(parent), 6)),
+        np.empty((len(index), 3, 3)),
+        np.empty((len(index), 3, nv)),
+    )
+    by_q, by_v = np.zeros((stages, nv + rows, nv)), np.zeros((stages, nv + rows, nv))
+    response, inverse = np.empty((stages, nv, rows)), np.empty((stages, nv, nv))
+    turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
+    for i in range(stages):
+        part = (times[i] - start) / h
+        state(coefficients, part, work.joint_charts, q0, v0, q, v)
+        for k in range(len(index)):
+            x = (1.0 - part) * ends[0, k, 0] + part * ends[1, k, 0]
+            y = (1.0 - part) * ends[0, k, 1] + part * ends[1, k, 1]
+            size = np.sqrt(x * x + y * y)
+            if size > 0.0:
+                reference[index[k], 0], reference[index[k], 1] = x / size, y / size
+        if free:
+            set_saturation(work, q, v)
+        evaluate_closed(work, times[i], q, v, reference, unique, known)
+        _add_forces(work, total)
+        if work.callback_failed or not call(derive[0], derive[1]):
+            work.callback_failed = True
+            break
+        closed_slopes(work, parent, scratch, axes, moved, forces)
+        _fill_smooth(work, smooth, by_q[i], by_v[i], inverse[i])
+        _fill_closed(work, moved, moving, forces, by_q[i], by_v[i], inverse[i], response[i])
+        _fill_friction(work, friction, inverse[i], by_friction[i])
+        _add_product(inverse[i], forces, by_q[i])
+        _fill_turning(work, v, turning[i])
+    return by_q, by_v, response, inverse, turning, by_friction, moved
+
+
+@inlined
+def _add_forces(work, total):
+    """Fill all generalized forces at the state last evaluated."""
+    jacobian, force = work.contact_jacobian, work.contact_force
+    assign(total, work.tau)
+    for k in range(len(force)):
+        for d in range(3):
+            for j in range(len(total)):
+                total[j] += force[k, d] * jacobian[k, d, j]
+    for k in range(len(work.scalar_velocity)):
+        total[work.scalar_velocity[k]] += work.scalar_force[k]
+
+
+@inlined
+def _fill_smooth(work, smooth, by_q, by_v, inverse):
+    """Fill the slopes of v̇ under a generalized force, with damping and drives."""
+    damping, n = work.damping, work.nv
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] = smooth[2, i, j]
+            by_q[i, j], by_v[i, j] = smooth[0, i, j], smooth[1, i, j] - inverse[i, j] * damping[j]
+    for j in work.drive_velocity:
+        if work.drive_side[j] == 0:
+            for i in range(n):
+                by_q[i, j] -= inverse[i, j] * work.drive_stiffness[j]
+                by_v[i, j] -= inverse[i, j] * work.drive_damping[j]
+
+
+@inlined
+def _fill_closed(work, moved, moving, forces, by_q, by_v, inverse, response):
+    """Fill the rows of the velocities that vanish, v̇ by their forces, and what the turning of slip changes.
+
+    It changes `forces`, ∂(Jᵀf)/∂q, and `by_v`.
+    """
+    jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
+    row, nv = work.nv, work.nv
+    push, turn = np.empty(nv), np.empty(nv)
+    for k in range(len(force)):
+        if work.active_mode[k] != SLIP:
+            for d in range(3):
+                assign(by_q[row], moved[k, d])
+                assign(by_v[row], jacobian[k, d])
+                _respond(inverse, jacobian[k, d], response, row - nv)
+                row += 1
+            continue
+        mu, s1, s2 = work.active_friction[k], work.slip_direction[k, 0], work.slip_direction[k, 1]
+        assign(by_q[row], moved[k, 2])
+        assign(by_v[row], jacobian[k, 2])
+        for j in range(nv):
+            push[j] = jacobian[k, 2, j] - mu * (s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j])
+        _respond(inverse, push, response, row - nv)
+        row += 1
+        if not (moving and mu > 0.0):
+            continue
+        speed = np.sqrt(velocity[k, 0] ** 2 + velocity[k, 1] ** 2)
+        for j in range(nv):
+            push[j] = -mu * force[k, 2] * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j])
+            turn[j] = (s1 * moved[k, 1, j] - s2 * moved[k, 0, j]) / speed
+        for i in range(nv):
+            for j in range(nv):
+                forces[i, j] += push[i] * turn[j]
+        for i in range(nv):
+            total = 0.0
+            for j in range(nv):
+                total += inverse[i, j] * push[j]
+            for j in range(nv):
+                by_v[i, j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
+    for j in work.scalar_velocity:
+        by_v[row, j] = 1.0
+        for i in range(nv):
+            response[i, row - nv] = inverse[i, j]
+        row += 1
+
+
+@inlined
+def _respond(inverse, push, response, row):
+    """Fill a column of the response, v̇ by a force along `push` (nv,)."""
+    for i in range(len(push)):
+        total = 0.0
+        for j in range(len(push)):
+            total += inverse[i, j] * push[j]
+        response[i, row] = total
+
+
+@inlined
+def _fill_friction(work, friction, inverse, by_friction):
+    """Fill v̇ by the friction of contacts of which that many slip."""
+    jacobian, force = work.contact_jacobian, work.contact_force
+    for column in range(len(friction)):
+        for k in range(len(force)):
+            if work.active_index[k] == friction[column] and work.active_mode[k] == SLIP:
+                s1, s2 = work.slip_direction[k, 0], work.slip_direction[k, 1]
+                for i in range(len(inverse)):
+                    for j in range(len(inverse)):
+                        rubs = s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j]
+                        by_friction[i, column] -= force[k, 2] * inverse[i, j] * rubs
+
+
+@inlined
+def _add_product(inverse, forces, out):
+    """Add M⁻¹ times forces (nv, nv), of which many are zero."""
+    for j in range(len(forces)):
+        for k in range(len(forces)):
+            if forces[j, k] != 0.0:
+                for i in range(len(forces)):
+                    out[i, k] += inverse[i, j] * forces[j, k]
+
+
+@inlined
+def _fill_turning(work, v, turning):
+    """Fill N of the joints that turn, zero before. (D22)"""
+    a = 0
+    for c in range(len(work.joint_charts)):
+        kind, j = work.joint_charts[c, 0], work.joint_charts[c, 2]
+        if kind == PLANAR:
+            turning[a, a + 1], turning[a, a + 2] = -v[j + 2], v[j + 1]
+            turning[a + 1, a], turning[a + 1, a + 2] = v[j + 2], -v[j]
+            a += 3
+        elif kind == ROTATION:
+            _fill_cross(v, j, turning, a, a)
+            a += 3
+        elif kind == RIGID:
+            _fill_cross(v, j, turning, a, a + 3)
+            _fill_cross(v, j + 3, turning, a, a)
+            _fill_cross(v, j + 3, turning, a + 3, a + 3)
+            a += 6
+
+
+@inlined
+def _fill_cross(v, j, out, row, column):
+    """Fill the matrix of the cross product with three components of v, from the j-th on."""
+    x, y, z = v[j], v[j + 1], v[j + 2]
+    out[row, column + 1], out[row, column + 2] = -z, y
+    out[row + 1, column], out[row + 1, column + 2] = z, -x
+    out[row + 2, column], out[row + 2, column + 1] = -y, x
