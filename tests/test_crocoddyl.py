@@ -140,6 +140,27 @@ def test_a_step_from_below_the_surface_is_nan(leg):
     assert np.isnan(data.Fx).all()
 
 
+def test_a_step_with_impacts_of_two_feet_has_nan_derivatives():
+    """Derivatives are those of impacts of one contact; an error would end the process."""
+    model, joint = pin.Model(), 0
+    for kind, name in ((pin.JointModelPX(), "x"), (pin.JointModelPZ(), "z")):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    for name, x in (("left", -0.2), ("right", 0.2)):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        model.addFrame(pin.Frame(name, joint, place, pin.FrameType.OP_FRAME))
+    scene = Scene(model, [Contact(name, Plane(), 0.3, 0.5) for name in ("left", "right")])
+    state = crocoddyl.StateMultibody(model)
+    action = actions.ActionModelStep(scene, 0.02, crocoddyl.CostModelSum(state, 2))
+    x, u = np.array([0.0, 0.01, 0.3, -1.0]), np.zeros(2)
+    problem = crocoddyl.ShootingProblem(x, [action], action)
+    problem.calc([x, x], [u])
+    problem.calcDiff([x, x], [u])
+    found = problem.runningDatas[0]
+    assert np.isfinite(found.xnext).all()
+    assert np.isnan(found.Fx).all()
+
+
 def test_bad_input_is_named(leg):
     model, q, v, contact = leg
     state = crocoddyl.StateMultibody(model)

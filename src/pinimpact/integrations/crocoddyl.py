@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..checks import above_zero, as_tuple
-from ..errors import InputError, LawError, SimulationError, UnstoppableApproachError
+from ..errors import InputError, LawError, PinimpactError, SimulationError, UnstoppableApproachError
 from ..robot.batch import impacts
 from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
@@ -155,7 +155,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
                 if stepper is None:
                     raise SimulationError("scene: no motion starts there")
                 data.xnext = np.concatenate(stepper.step(self._forces(u), self.dt))
-            except SimulationError:
+            except PinimpactError:  # in Crocoddyl it would end the process
                 data.xnext = np.full(len(x), np.nan)
         data.cost = data.costs.cost
 
@@ -176,7 +176,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
                     raise SimulationError("scene: no motion starts there")
                 by_x, by_tau = stepper.linearize(self._forces(u), self.dt)
                 data.Fx, data.Fu = np.array(by_x), np.array(by_tau[:, nv - self.nu :])
-            except SimulationError:
+            except PinimpactError:  # in Crocoddyl it would end the process
                 data.Fx, data.Fu = np.full((2 * nv, 2 * nv), np.nan), np.full((2 * nv, self.nu), np.nan)
             data.Lu, data.Luu, data.Lxu = (np.array(getattr(data.costs, n)) for n in ("Lu", "Luu", "Lxu"))
         data.Lx, data.Lxx = np.array(data.costs.Lx), np.array(data.costs.Lxx)
