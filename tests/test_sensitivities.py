@@ -169,6 +169,22 @@ def test_a_block_slides_up_and_back():
     assert np.isclose(up @ found[:3, 3:] @ up, top + fall / rise * (0.6 - top), rtol=1e-7)
 
 
+def test_a_planar_block_sticks():
+    # nothing moves across the plane, so that this force of the contact is none
+    model = pin.Model()
+    x = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    z = model.addJoint(x, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+    model.appendBodyToJoint(z, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.addFrame(pin.Frame("block centre", z, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    scene = Scene(model, [Contact("block centre", Plane(), 0.2, name="block")])
+    run = simulate(scene, np.zeros(2), [1.5, 0.0], 1.0, sensitivities="state")
+    assert ("block", "stick") in modes(run)
+    expected = np.zeros((4, 4))
+    expected[0, 0], expected[0, 2] = 1.0, 1.5 / (0.2 * 9.81)
+    found = run.sensitivity(1.0).state
+    assert np.allclose(found[:, [0, 2]], expected[:, [0, 2]], atol=1e-9)
+
+
 # ---- robots
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ._kernels import force_evaluation
+from ._kernels import active_set, force_evaluation
 from ._kernels.contact_forces import SLIP
 from ._kernels.workspace import SceneWorkspace
 from .dense_step import DenseStep
@@ -169,17 +169,14 @@ class Dynamics(Protocol):
         """Raise what went wrong in a call from a kernel."""
 
 
-def set_closed(dynamics: Dynamics, closed: ClosedSet) -> NDArray[np.int64]:
-    """Let dynamics have the modes of what was closed; return which contacts that were."""
+def set_closed(dynamics: Dynamics, closed: ClosedSet) -> None:
+    """Let dynamics have the modes of what was closed."""
     work = dynamics.work
     dynamics.make_room(closed.modes[: work.contacts])
-    index = np.flatnonzero(closed.modes[: work.contacts])
-    work.modes[:], work.sliding_friction[:] = closed.modes, closed.sliding
-    work.drive_side[:], work.control_force[:] = closed.sides, closed.control
-    work.contact_constants[index] = closed.constants
-    work.contact_joints[index] = closed.joints
+    active_set.take_over(
+        *(work, closed.modes, closed.sliding, closed.sides, closed.control, closed.constants, closed.joints)
+    )
     work.direction_speed = closed.direction_speed
-    return index
 
 
 class EvaluatedForces:
@@ -207,11 +204,11 @@ class EvaluatedForces:
             return closed.of_all(len(self.contacts))
         dynamics = self._dynamics
         work = dynamics.work
-        index = set_closed(dynamics, closed)
+        set_closed(dynamics, closed)
         share = (t - step.start) / step.h
         directions = np.zeros((work.contacts, 2))
         if step.directions is not None:
-            directions[index] = _between(step.directions, share)
+            directions[np.flatnonzero(closed.modes[: work.contacts])] = _between(step.directions, share)
         n = work.contacts
         world, points, normals = np.zeros((3, n, 3))
         joints = np.zeros(work.nv)

@@ -17,6 +17,7 @@ from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
 from ..robot.matrices import contact_matrices
 from ._kernels.contact_forces import SLIP, STICK
+from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .forces import ClosedSet
@@ -80,7 +81,8 @@ class Saltation:
         parameters: Sequence[Parameter],
         tau: Array,
     ) -> None:
-        friction = [p.contact for p in parameters if p.kind == "friction"]
+        own = [contact.sliding_friction is not None for contact in dynamics.contacts]
+        friction = [-1 if p.kind != "friction" or own[p.contact] else p.contact for p in parameters]
         self.slopes = SlopesOfModes(dynamics, model, friction, tau)
         self.parameters = tuple(parameters)
         self.boundary = Boundary.NONE
@@ -100,20 +102,26 @@ class Saltation:
             return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
         if first.closed is None:
             return x
-        after = self.slopes.at(first, first.start)
-        if not (len(after.rows_q) or self._bilateral.any()):
+        after = self.slopes.within(first, np.array([first.start]), inside=False)
+        rows, response, inverse = after.by_state[0, len(x) // 2 :], after.response[0], after.inverse[0]
+        if len(rows) == 0:
             return x
         self.boundary |= Boundary.CLOSED
-        nv, work = len(x) // 2, self._dynamics.work
-        rows = [np.zeros((0, nv)), np.eye(nv)[work.scalar_velocity[work.scalar_lower == 0.0]]]
-        rows += [
-            J if self._bilateral[i] else J[2:]
-            for i, J in zip(work.active_index, work.contact_jacobian, strict=True)
-        ]
-        place = np.vstack(rows)
-        x = x.copy()
-        x[:nv] -= after.inverse @ place.T @ _solve(place @ after.inverse @ place.T, place @ x[:nv])
-        return _onto(after, x)
+        nv, gaps = len(x) // 2, self._gaps()
+        place = np.zeros((len(gaps), 2 * nv))
+        place[:, :nv] = rows[gaps, nv:]
+        x = stop(place, inverse @ place[:, :nv].T, 0, x)
+        return np.asarray(stop(rows, response, nv, x))
+
+    def _gaps(self) -> list[int]:
+        """Return which of the velocities that vanish are rates of gaps that remain closed."""
+        work, row = self._dynamics.work, 0
+        found: list[int] = []
+        for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
+            end = row + (1 if mode == SLIP else 3)
+            found += range(row if self._bilateral[i] else end - 1, end)
+            row = end
+        return found + (row + np.flatnonzero(work.scalar_lower == 0.0)).tolist()
 
     def before(self, record: ImpactRecord, closed: ClosedSet | None) -> DenseStep:
         """Return a step that ends at an impact where a motion starts, nothing closed but what is held."""
@@ -184,9 +192,7 @@ class Saltation:
 
     def _checked(self, plus: ModeSlopes, x: Array) -> Array:
         """Return changes without what rounding leaves of the velocities that vanish; undefined if more."""
-        nv = len(x) // 2
-        missed = plus.rows_q @ x[:nv] + plus.rows_v @ x[nv:]
-        size = np.abs(plus.rows_q) @ np.abs(x[:nv]) + np.abs(plus.rows_v) @ np.abs(x[nv:])
+        missed, size = plus.rows @ x, np.abs(plus.rows) @ np.abs(x)
         known = np.isfinite(x).all(axis=0)
         if (np.abs(missed) > 1e-4 * (size + 1.0))[:, known].any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
@@ -315,11 +321,10 @@ def _through_rest(
     rate = float(minus.acceleration[joints].sum())
     for slip in stops:
         across = np.array([-slip.direction[1], slip.direction[0]])
-        rows_q = np.vstack([minus.rows_q, across @ slip.by_q])
-        rows_v = np.vstack([minus.rows_v, across @ slip.by_v])
-        response = np.hstack([minus.response, minus.inverse @ (across @ slip.by_v)[:, None]])
-        x = _onto(minus._replace(rows_q=rows_q, rows_v=rows_v, response=response), x)
-        guard = np.concatenate([slip.direction @ slip.by_q, slip.direction @ slip.by_v])
+        row = across @ slip.rows
+        response = np.hstack([minus.response, minus.inverse @ row[nv:, None]])
+        x = _onto(minus._replace(rows=np.vstack([minus.rows, row]), response=response), x)
+        guard = slip.direction @ slip.rows
         rate = float(slip.direction @ slip.rate)
         if abs(across @ slip.rate) > CONTINUOUS * abs(rate):
             return np.full_like(x, np.nan)
@@ -336,19 +341,7 @@ def _reversed(slip: Slip, plus: ModeSlopes, later: NDArray[np.int64]) -> bool:
 
 def _onto(slopes: ModeSlopes, x: Array) -> Array:
     """Return changes (2nv, n) after the impulses of what is closed that let its velocities vanish."""
-    nv = len(x) // 2
-    missed = slopes.rows_q @ x[:nv] + slopes.rows_v @ x[nv:]
-    x = x.copy()
-    x[nv:] -= slopes.response @ _solve(slopes.rows_v @ slopes.response, missed)
-    return x
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Solve, in the least norm where rows depend on others; columns with NaN stay so."""
-    known = np.isfinite(right).all(axis=0)
-    found = np.full_like(right, np.nan)
-    found[:, known] = np.linalg.lstsq(matrix, right[:, known], rcond=1e-10)[0]
-    return found
+    return np.asarray(stop(slopes.rows, slopes.response, len(x) // 2, x))
 
 
 def saltation_matrix(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
-from ._kernels.variations import stage_equations
+from ._kernels.contact_forces import RIGID
+from ._kernels.variations import changes_at_end, stage_equations
 from .controls import JointPD
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
@@ -28,9 +29,6 @@ from .scene import Scene
 
 Array = NDArray[np.float64]
 
-STAGES = 4
-"""Stages of the method of Radau (IIA), of order 7 for what constraints tie as well."""
-
 STEEP = 0.4
 """Where the speed of slip falls below this part of what it is elsewhere in an interval, it is halved."""
 
@@ -38,21 +36,37 @@ SHORTEST = 1e-7
 """Part of a step next to where slip begins or ends in which nothing changes but by the event itself."""
 
 
-def _radau(stages: int) -> tuple[Array, Array]:
-    """Return nodes in [0, 1] and the matrix of the collocation method of Radau (IIA)."""
+class Radau(NamedTuple):
+    """A collocation method of Radau (IIA).
+
+    Attributes:
+        nodes: (s,) c, in [0, 1].
+        weights, twice: (s, s) A and A².
+        modes: (s, s) coefficients in Legendre polynomials of values at the nodes.
+        decay, power: The first coefficient whose error counts is the last one of these, times `decay` and a
+            power of the ratio of the last to the first: those of e^{zt} for z → 0. (D24)
+    """
+
+    nodes: Array
+    weights: Array
+    twice: Array
+    modes: Array
+    decay: float
+    power: float
+
+
+def _radau(stages: int, decay: float, power: float) -> Radau:
+    """Return the method of so many stages, of order 2 s − 1 for what constraints tie as well."""
     nodes = np.real((Legendre.basis(stages - 1) - Legendre.basis(stages)).roots()) / 2.0 + 0.5
     powers = np.arange(1, stages + 1)
     integrals = nodes[:, None] ** powers / powers
-    return nodes, integrals @ np.linalg.inv(nodes[:, None] ** (powers - 1))
+    weights = integrals @ np.linalg.inv(nodes[:, None] ** (powers - 1))
+    modes = np.asarray(np.linalg.inv(legvander(2.0 * nodes - 1.0, stages - 1)), dtype=float)
+    return Radau(nodes, weights, weights @ weights, modes, decay, power)
 
 
-NODES, WEIGHTS = _radau(STAGES)
-TWICE = WEIGHTS @ WEIGHTS
-MODES = np.linalg.inv(legvander(2.0 * NODES - 1.0, STAGES - 1))
-"""Coefficients in Legendre polynomials of degree 0 to 3, by the values at the nodes."""
-
-DECAY = 1.0 / 385.0
-"""c₆/c₂ of e^{zt} by (c₂/c₀)², for z → 0: its coefficients are (2n + 1) (zh/2)ⁿ/(2n + 1)!!. (D24)"""
+RULES = _radau(3, 3.0 / 35.0, 1.0), _radau(4, 1.0 / 385.0, 2.0)
+"""Tried in this order: three stages do for the short steps of a control, four take fewer intervals else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,10 +171,6 @@ class MotionSlopes:
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
         self._nv = nv
         self._given = 0 if tau is None else nv
-        self._coefficients = [
-            k for k, p in enumerate(found) if p.kind == "friction" and dynamics_friction(dynamics, p.contact)
-        ]
-        self._friction = [k for k, p in enumerate(found) if p.kind == "friction"]
         self._count = len(found)
 
     def initial(self) -> Array:
@@ -176,10 +186,11 @@ class MotionSlopes:
     def _across(self, x: Array, step: DenseStep, start: float, end: float) -> Array:
         """Return changes at the end of an interval, which is halved down to the tolerance."""
         h = end - start
-        nodes = self.saltation.slopes.within(step, start + h * NODES)
-        found, error = self._collocate(nodes, h, x)
-        if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
-            return found
+        for rule in RULES:
+            nodes = self.saltation.slopes.within(step, start + h * rule.nodes)
+            found, error = self._collocate(rule, nodes, h, x)
+            if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
+                return found
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
 
@@ -192,9 +203,7 @@ class MotionSlopes:
             return [(step.start, until)]
         shortest = SHORTEST * (step.end - step.start)
         found: list[tuple[float, float]] = []
-
-        def speeds(t: float) -> Array:
-            return self.saltation.slopes.speeds(step, t)
+        speeds = self.saltation.slopes.speeds
 
         def split(start: float, at_start: Array, end: float, at_end: Array) -> None:
             low, high = np.minimum(at_start, at_end), np.maximum(at_start, at_end)
@@ -202,73 +211,49 @@ class MotionSlopes:
                 found.append((start, end))
             elif end - start > shortest:
                 middle = 0.5 * (start + end)
-                between = speeds(middle)
+                (between,) = speeds(step, np.array([middle]))
                 split(start, at_start, middle, between)
                 split(middle, between, end, at_end)
 
-        split(step.start, speeds(step.start), until, speeds(until))
+        at_start, at_end = speeds(step, np.array([step.start, until]))
+        split(step.start, at_start, until, at_end)
         return found
 
-    def _collocate(self, nodes: SlopesWithin, h: float, x: Array) -> tuple[Array, float]:
+    def _collocate(self, rule: Radau, nodes: SlopesWithin, h: float, x: Array) -> tuple[Array, float]:
         """Return changes after a time h, by the slopes at the nodes, and their relative error. (D23, D24)"""
-        nv, n, turned = self._nv, len(x), self.saltation.slopes.turned
-        matrix, vanishing, start, moved = stage_equations(
-            *(h, NODES, WEIGHTS, TWICE, turned, nodes.turning, nodes.by_q, nodes.by_v, x)
+        nv, turned, slopes = self._nv, self.saltation.slopes.turned, nodes[:5]
+        matrix, right, vanishing, start, moved = stage_equations(
+            *(h, *rule[:3], turned, self._given, *slopes, x)
         )
-        right = nodes.by_q @ start + nodes.by_v @ x[nv:]
-        right[:, :nv, n : n + self._given] += nodes.inverse[..., : self._given]
-        for column, k in enumerate(self._friction):
-            if k in self._coefficients:
-                right[:, :nv, n + self._given + k] += nodes.by_friction[..., column]
-        rates = right[:, :nv].reshape(STAGES * nv, -1)
-        if len(vanishing) == 0:
-            rates = np.linalg.solve(matrix, rates)
-        else:
-            m = nodes.response.shape[2]
-            pushes = np.zeros((STAGES, nv, STAGES, m))
-            for i in range(STAGES):
-                pushes[i, :, i] = nodes.response[i]
-            found = np.linalg.solve(matrix, np.hstack([rates, pushes.reshape(STAGES * nv, -1)]))
-            rates, by_force = np.split(found, [right.shape[2]], axis=1)
-            missed = vanishing @ rates + right[:, nv:].reshape(len(vanishing), -1)
-            solve = np.linalg.solve if nodes.unique else _least_norm
-            rates = rates - by_force @ solve(vanishing @ by_force, missed)
-        rates = rates.reshape(STAGES, nv, -1)
-        flown, gained = np.tensordot((h * h * TWICE[-1], h * WEIGHTS[-1]), rates, 1)
-        end = np.concatenate([start[-1] + flown, x[nv:] + gained])
-        if len(turned) > 0:
-            end[turned] = start[-1, turned] + np.tensordot(moved[-1], rates[:, turned], 2)
-        free = h * float(np.abs(nodes.inverse).max())
-        return end, _relative_error(rates, h, end, (n, n + self._given), free)
+        n, m = x.shape[1], len(vanishing)
+        right[..., :n] += nodes.by_state[:, :nv] @ start
+        rates = np.linalg.solve(matrix, right.reshape(len(matrix), -1))
+        if m > 0:
+            stopped = vanishing @ rates
+            stopped[:, :n] += (nodes.by_state[:, nv:] @ start).reshape(m, n)
+            forces = _forces_that_stop(stopped[:, n:], stopped[:, :n], nodes.unique)
+            rates = rates[:, :n] - rates[:, n:] @ forces
+        return changes_at_end(
+            *(h, *rule[1:], turned, len(x), self._given),
+            *(nodes.inverse, start, moved, rates),
+        )
 
 
-def _relative_error(rates: Array, h: float, end: Array, ends: tuple[int, int], free: float) -> float:
-    """Return an estimate of the error of changes by what their rates (stages, nv, n) leave out. (D24)
+def _forces_that_stop(matrix: Array, velocities: Array, unique: bool) -> Array:
+    """Return the forces of what is closed that stop its velocities; the least ones where they are not unique.
 
-    The coefficients of the rates in Legendre polynomials are taken to decay as those of an exponential.
-    Errors by the state and by forces, the columns up to the two ends, are relative to the largest change, or
-    to the `free` one by a force: of what is held or has stopped only rounding is left.
+    Args:
+        matrix: (m, m) the velocities by the forces.
+        velocities: (m, n); columns with NaN stay so.
+        unique: Whether the motion determines the forces, but for those by which nothing moves.
     """
-    nv = rates.shape[1]
-    sizes = np.abs(np.tensordot(MODES, rates, 1)).max(axis=1)
-    first, last = sizes[:2].max(axis=0), sizes[2:].max(axis=0)
-    size = np.abs(end[nv:]).max(axis=0) + np.abs(end[:nv]).max(axis=0) / h
-    states, forces = ends
-    size[:states] = size[:states].max()
-    size[states:forces] = max(free, size[states:forces].max(initial=0.0))
-    sure = last > 0.0  # not NaN either, which no shorter interval mends
-    first, last, size = first[sure], last[sure], size[sure]
-    error = h * DECAY * last * (last / np.maximum(first, np.finfo(float).tiny)) ** 2
-    return float((error / np.maximum(size, np.finfo(float).tiny)).max(initial=0.0))
-
-
-def dynamics_friction(dynamics: SceneDynamics, contact: int) -> bool:
-    """Whether the friction of a contact is that of its sustained contact too."""
-    return dynamics.contacts[contact].sliding_friction is None
-
-
-def _least_norm(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-11)[0])
+    moved = matrix.diagonal()
+    if unique and moved.min() > RIGID * moved.max():
+        return np.asarray(np.linalg.solve(matrix, velocities))
+    known = np.isfinite(velocities).all(axis=0)
+    found = np.full_like(velocities, np.nan)
+    found[:, known] = np.linalg.lstsq(matrix, velocities[:, known], rcond=1e-11)[0]
+    return found
 
 
 class Sensitivities:

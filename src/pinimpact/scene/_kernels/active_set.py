@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, INTEGER_ROWS, INTEGERS, declared
 from ..._compile.jit import external, inlined, jit
 from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
@@ -79,6 +79,20 @@ def close(work, reference):
     known = work.inner_forces
     for m in range(len(known)):
         known[m] = 0.0
+
+
+@declared(SceneWorkspace, INTEGERS, FLOATS, INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS)
+@jit
+def take_over(work, modes, sliding, sides, control, constants, joints):
+    """Set the modes of what was closed elsewhere, see `forces.ClosedSet`."""
+    assign(work.modes, modes)
+    assign(work.sliding_friction, sliding)
+    assign(work.drive_side, sides)
+    assign(work.control_force, control)
+    index = nonzero(modes[: work.contacts])
+    for k in range(len(index)):
+        assign(work.contact_constants[index[k]], constants[k])
+        assign(work.contact_joints[index[k]], joints[k])
 
 
 @declared(SceneWorkspace)

@@ -11,9 +11,10 @@ from ...robot._kernels import configuration_slopes as slopes
 from ...robot._kernels.placement import rotate
 from ...robot._kernels.python_calls import call
 from .active_set import close
-from .contact_forces import SLIP
+from .contact_forces import FREE, SLIP
 from .dense_output import state
 from .drives import set_saturation
+from .dynamics import invert_mass_matrix
 from .force_evaluation import evaluate_closed, places_of_contacts
 from .lie_charts import PLANAR, RIGID, ROTATION
 from .workspace import SceneWorkspace
@@ -72,7 +73,7 @@ def slopes_along(
     unique,
     known,
     free,
-    moving,
+    inside,
 ):
     """Return how v̇ and the velocities that vanish change with the state, at some times within a step. (D23)
 
@@ -82,17 +83,17 @@ def slopes_along(
         total: (nv,) takes all generalized forces.
         smooth: (3, nv, nv) ∂v̇/∂q, ∂v̇/∂v and M⁻¹ under these.
         parent: (joints,) the joint that each stands on; the first is the world.
-        friction: Numbers of the contacts by whose friction v̇ is differentiated.
+        friction: Numbers of the contacts by whose friction v̇ is differentiated; −1 for none.
         coefficients, q0, v0, start, h: The step, see `DenseStep`.
         times: (s,) [s].
         ends: (2, k, 2) directions of slip of what is closed, at the start and at the end of the step.
         unique, known: As of `forces_at`.
         free: Whether nothing is closed, so that drives may come to their bounds.
-        moving: Whether what slips has a speed, by which the direction of friction changes.
+        inside: Whether v̇ is differentiated: not at an end of a step, where slip may have no speed.
 
     Returns:
-        ∂v̇/∂q, ∂v̇/∂v (s, nv + m, nv), followed by the rows of the m velocities that vanish; v̇ by their forces
-        (s, nv, m); M⁻¹ (s, nv, nv); N of the joints that turn (s, k, k); v̇ by friction (s, nv, n); and
+        ∂v̇/∂(q, v) (s, nv + m, 2 nv), followed by the rows of the m velocities that vanish; v̇ by their forces
+        (s, nv, m); M⁻¹ (s, nv, nv); v̇ by friction (s, nv, n); N of the joints that turn (s, k, k); and
         ∂(contact velocity)/∂q (k, 3, nv) at the last time.
     """
     close(work, np.zeros((work.contacts, 2)))
@@ -101,43 +102,70 @@ def slopes_along(
     for k in range(len(work.joint_charts)):
         if work.joint_charts[k, 0] in (PLANAR, RIGID, ROTATION):
             turns += work.joint_charts[k, 3]
-    q, v, forces, reference = (
-        np.empty(len(q0)),
-        np.empty(nv),
-        np.empty((nv, nv)),
-        np.zeros((work.contacts, 2)),
-    )
-    scratch, axes, moved = (
-        np.empty((len(parent), 6)),
-        np.empty((len(index), 3, 3)),
-        np.empty((len(index), 3, nv)),
-    )
-    by_q, by_v = np.zeros((stages, nv + rows, nv)), np.zeros((stages, nv + rows, nv))
+    q, v, forces = np.empty(len(q0)), np.empty(nv), np.empty((nv, nv))
+    scratch, axes = np.empty((len(parent), 6)), np.empty((len(index), 3, 3))
+    moved = np.empty((len(index), 3, nv))
+    by_state = np.zeros((stages, nv + rows, 2 * nv))
     response, inverse = np.empty((stages, nv, rows)), np.empty((stages, nv, nv))
     turning, by_friction = np.zeros((stages, turns, turns)), np.zeros((stages, nv, len(friction)))
     for i in range(stages):
-        part = (times[i] - start) / h
-        state(coefficients, part, work.joint_charts, q0, v0, q, v)
-        for k in range(len(index)):
-            x = (1.0 - part) * ends[0, k, 0] + part * ends[1, k, 0]
-            y = (1.0 - part) * ends[0, k, 1] + part * ends[1, k, 1]
+        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, known, free, q, v)
+        closed_slopes(work, parent, scratch, axes, moved, forces)
+        if inside and not work.callback_failed:
+            _add_forces(work, total)
+            work.callback_failed = not call(derive[0], derive[1])
+            _fill_smooth(work, smooth, by_state[i], inverse[i])
+        elif not free or invert_mass_matrix(work):
+            for r in range(nv):
+                assign(inverse[i, r], work.minverse[r])
+        _fill_closed(work, moved, inside, forces, by_state[i], inverse[i], response[i])
+        if inside:
+            _fill_friction(work, friction, inverse[i], by_friction[i])
+            _add_product(inverse[i], forces, by_state[i])
+            _fill_turning(work, v, turning[i])
+        if work.callback_failed:
+            break
+    return by_state, response, inverse, by_friction, turning, moved
+
+
+@declared(
+    *(SceneWorkspace, FLOAT_ROWS, FLOATS, FLOATS, float, float, FLOATS),
+    *(FLOAT_STACK, bool, FLOATS),
+)
+@jit
+def speeds_along(work, coefficients, q0, v0, start, h, times, ends, unique, known):
+    """Return the speeds (s, k) of what is closed at some times within a step, zero where it does not slip.
+
+    Arguments are those of `slopes_along`.
+    """
+    close(work, np.zeros((work.contacts, 2)))
+    speeds = np.empty((len(times), len(work.active_index)))
+    q, v = np.empty(len(q0)), np.empty(len(v0))
+    for i in range(len(times)):
+        _evaluate(work, times[i], coefficients, q0, v0, start, h, ends, unique, known, False, q, v)
+        for k in range(speeds.shape[1]):
+            x, y = work.contact_velocity[k, 0], work.contact_velocity[k, 1]
+            speeds[i, k] = np.sqrt(x * x + y * y) if work.active_mode[k] == SLIP else 0.0
+    return speeds
+
+
+@inlined
+def _evaluate(work, t, coefficients, q0, v0, start, h, ends, unique, known, free, q, v):
+    """Leave the motion and the forces of what is closed at a time within a step, and its state in q and v."""
+    part, reference = (t - start) / h, np.zeros((work.contacts, 2))
+    state(coefficients, part, work.joint_charts, q0, v0, q, v)
+    row = 0
+    for k in range(work.contacts):
+        if work.modes[k] != FREE:
+            x = (1.0 - part) * ends[0, row, 0] + part * ends[1, row, 0]
+            y = (1.0 - part) * ends[0, row, 1] + part * ends[1, row, 1]
             size = np.sqrt(x * x + y * y)
             if size > 0.0:
-                reference[index[k], 0], reference[index[k], 1] = x / size, y / size
-        if free:
-            set_saturation(work, q, v)
-        evaluate_closed(work, times[i], q, v, reference, unique, known)
-        _add_forces(work, total)
-        if work.callback_failed or not call(derive[0], derive[1]):
-            work.callback_failed = True
-            break
-        closed_slopes(work, parent, scratch, axes, moved, forces)
-        _fill_smooth(work, smooth, by_q[i], by_v[i], inverse[i])
-        _fill_closed(work, moved, moving, forces, by_q[i], by_v[i], inverse[i], response[i])
-        _fill_friction(work, friction, inverse[i], by_friction[i])
-        _add_product(inverse[i], forces, by_q[i])
-        _fill_turning(work, v, turning[i])
-    return by_q, by_v, response, inverse, turning, by_friction, moved
+                reference[k, 0], reference[k, 1] = x / size, y / size
+            row += 1
+    if free:
+        set_saturation(work, q, v)
+    evaluate_closed(work, t, q, v, reference, unique, known)
 
 
 @inlined
@@ -154,25 +182,26 @@ def _add_forces(work, total):
 
 
 @inlined
-def _fill_smooth(work, smooth, by_q, by_v, inverse):
+def _fill_smooth(work, smooth, by_state, inverse):
     """Fill the slopes of v̇ under a generalized force, with damping and drives."""
     damping, n = work.damping, work.nv
     for i in range(n):
         for j in range(n):
             inverse[i, j] = smooth[2, i, j]
-            by_q[i, j], by_v[i, j] = smooth[0, i, j], smooth[1, i, j] - inverse[i, j] * damping[j]
+            by_state[i, j] = smooth[0, i, j]
+            by_state[i, n + j] = smooth[1, i, j] - inverse[i, j] * damping[j]
     for j in work.drive_velocity:
         if work.drive_side[j] == 0:
             for i in range(n):
-                by_q[i, j] -= inverse[i, j] * work.drive_stiffness[j]
-                by_v[i, j] -= inverse[i, j] * work.drive_damping[j]
+                by_state[i, j] -= inverse[i, j] * work.drive_stiffness[j]
+                by_state[i, n + j] -= inverse[i, j] * work.drive_damping[j]
 
 
 @inlined
-def _fill_closed(work, moved, moving, forces, by_q, by_v, inverse, response):
+def _fill_closed(work, moved, moving, forces, by_state, inverse, response):
     """Fill the rows of the velocities that vanish, v̇ by their forces, and what the turning of slip changes.
 
-    It changes `forces`, ∂(Jᵀf)/∂q, and `by_v`.
+    It changes `forces`, ∂(Jᵀf)/∂q, and ∂v̇/∂v.
     """
     jacobian, force, velocity = work.contact_jacobian, work.contact_force, work.contact_velocity
     row, nv = work.nv, work.nv
@@ -180,14 +209,14 @@ def _fill_closed(work, moved, moving, forces, by_q, by_v, inverse, response):
     for k in range(len(force)):
         if work.active_mode[k] != SLIP:
             for d in range(3):
-                assign(by_q[row], moved[k, d])
-                assign(by_v[row], jacobian[k, d])
+                assign(by_state[row, :nv], moved[k, d])
+                assign(by_state[row, nv:], jacobian[k, d])
                 _respond(inverse, jacobian[k, d], response, row - nv)
                 row += 1
             continue
         mu, s1, s2 = work.active_friction[k], work.slip_direction[k, 0], work.slip_direction[k, 1]
-        assign(by_q[row], moved[k, 2])
-        assign(by_v[row], jacobian[k, 2])
+        assign(by_state[row, :nv], moved[k, 2])
+        assign(by_state[row, nv:], jacobian[k, 2])
         for j in range(nv):
             push[j] = jacobian[k, 2, j] - mu * (s1 * jacobian[k, 0, j] + s2 * jacobian[k, 1, j])
         _respond(inverse, push, response, row - nv)
@@ -206,9 +235,9 @@ def _fill_closed(work, moved, moving, forces, by_q, by_v, inverse, response):
             for j in range(nv):
                 total += inverse[i, j] * push[j]
             for j in range(nv):
-                by_v[i, j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
+                by_state[i, nv + j] += total * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j]) / speed
     for j in work.scalar_velocity:
-        by_v[row, j] = 1.0
+        by_state[row, nv + j] = 1.0
         for i in range(nv):
             response[i, row - nv] = inverse[i, j]
         row += 1

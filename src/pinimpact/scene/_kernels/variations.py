@@ -3,62 +3,189 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import types
 
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.least_norm import least_norms
+from ..._numeric.loops import assign, ones
 from ..._numeric.lu import factorize, substitute
+
+FLOAT_STACK4 = types.float64[:, :, :, ::1]
+
+RANK = 1e-10
+"""Part of the largest pivot below which impulses do the same as others."""
+
+TINY = np.finfo(np.float64).tiny
 
 
 @declared(
-    *(float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, INTEGERS),
-    *(FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS),
+    *(float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, INTEGERS, int),
+    *(FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS),
 )
 @jit
-def stage_equations(h, nodes, weights, twice, turned, turning, by_q, by_v, x):
+def stage_equations(
+    h, nodes, weights, twice, turned, given, by_state, response, inverse, by_friction, turning, x
+):
     """Return the equations of the rates of δv at the stages. (D24)
 
     Args:
         h: Length of the interval [s].
         nodes, weights, twice: c (s,), A and A² (s, s) of the method.
         turned: (k,) the velocities of joints that turn.
-        turning: (s, k, k) N.
-        by_q, by_v: (s, nv + m, nv) see `slopes_along`.
-        x: (2 nv, n) changes at the start.
+        given: By how many generalized forces the motion is differentiated.
+        by_state, response, inverse, by_friction, turning: See `slopes_along`.
+        x: (2 nv, n) changes at the start: by states, forces and parameters.
 
     Returns:
-        The matrix of the rates (s nv, s nv); the velocities that vanish by the rates (s m, s nv); δq at the
-        stages without rates (s, nv, n); and what rates add to it where joints turn (s, k, s, k).
+        The matrix of the rates (s nv, s nv); their right-hand sides without those of the state, and for each
+        force of what is closed (s, nv, n + s m); the velocities that vanish by the rates (s m, s nv); the
+        changes at the stages without rates (s, 2 nv, n); and what rates add to δq where joints turn
+        (s, k, s, k).
     """
-    stages, rows, nv = by_q.shape
-    start = np.empty((stages, nv, x.shape[1]))
+    stages, rows, nv = by_state.shape[0], by_state.shape[1], len(x) // 2
+    m, n, first = rows - nv, x.shape[1], x.shape[1] - by_friction.shape[2] - given
+    start, right = np.empty((stages, 2 * nv, n)), np.zeros((stages, nv, n + stages * m))
     for i in range(stages):
         for r in range(nv):
-            for c in range(x.shape[1]):
+            for c in range(n):
                 start[i, r, c] = x[r, c] + h * nodes[i] * x[nv + r, c]
+                start[i, nv + r, c] = x[nv + r, c]
+            for c in range(given):
+                right[i, r, first + c] = inverse[i, r, c]
+            for c in range(by_friction.shape[2]):
+                right[i, r, first + given + c] = by_friction[i, r, c]
+            for c in range(m):
+                right[i, r, n + i * m + c] = response[i, r, c]
     moved = _turn(h, weights, twice, turned, turning, start)
-    straight = np.ones(nv)
+    straight = ones(nv)
     for k in turned:
         straight[k] = 0.0
-    matrix, vanishing = np.empty((stages * nv, stages * nv)), np.empty((stages * (rows - nv), stages * nv))
+    matrix, vanishing = np.empty((stages * nv, stages * nv)), np.empty((stages * m, stages * nv))
     line = np.empty(nv)
     for i in range(stages):
         for r in range(rows):
             for j in range(stages):
                 once, second = h * weights[i, j], h * h * twice[i, j]
                 for k in range(nv):
-                    line[k] = once * by_v[i, r, k] + second * straight[k] * by_q[i, r, k]
+                    line[k] = once * by_state[i, r, nv + k] + second * straight[k] * by_state[i, r, k]
                 for a in range(len(turned)):
                     for b in range(len(turned)):
-                        line[turned[b]] += by_q[i, r, turned[a]] * moved[i, a, j, b]
+                        line[turned[b]] += by_state[i, r, turned[a]] * moved[i, a, j, b]
                 if r < nv:
                     for k in range(nv):
                         matrix[i * nv + r, j * nv + k] = -line[k]
                 else:
                     for k in range(nv):
-                        vanishing[i * (rows - nv) + r - nv, j * nv + k] = line[k]
+                        vanishing[i * m + r - nv, j * nv + k] = line[k]
     for k in range(stages * nv):
         matrix[k, k] += 1.0
-    return matrix, vanishing, start, moved
+    return matrix, right, vanishing, start, moved
+
+
+@declared(
+    *(float, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, float, float, INTEGERS, int, int),
+    *(FLOAT_STACK, FLOAT_STACK, FLOAT_STACK4, FLOAT_ROWS),
+)
+@jit
+def changes_at_end(
+    h, weights, twice, modes, decay, power, turned, states, forces, inverse, start, moved, rates
+):
+    """Return the changes (2 nv, n) after an interval, and an estimate of their relative error. (D24)
+
+    The coefficients of the rates in Legendre polynomials are taken to decay as those of an exponential.
+    Errors by the state and by forces, the first columns, are relative to the largest change, or to that of a
+    free motion by a force: of what is held or has stopped only rounding is left.
+
+    Args:
+        h, weights, twice, turned, inverse, start, moved: As in `stage_equations`.
+        modes: (s, s) these coefficients by values at the nodes.
+        decay, power: What follows from the last ones, see `sensitivities.Radau`.
+        states, forces: Numbers of columns by states and by forces.
+        rates: (s nv, n).
+    """
+    stages, nv, n = len(weights), start.shape[1] // 2, start.shape[2]
+    half = (stages + 1) // 2
+    end, last, part = start[stages - 1].copy(), stages - 1, np.empty(n)
+    for a in range(len(turned)):
+        for i in range(stages):
+            for b in range(len(turned)):
+                add(end[turned[a]], moved[last, a, i, b], rates[i * nv + turned[b]])
+    straight, sizes, by_q = ones(nv), np.zeros(n), np.zeros(n)
+    low, high = np.zeros(n), np.zeros(n)
+    for k in turned:
+        straight[k] = 0.0
+    for r in range(nv):
+        for i in range(stages):
+            add(end[r], h * h * twice[last, i] * straight[r], rates[i * nv + r])
+            add(end[nv + r], h * weights[last, i], rates[i * nv + r])
+        larger(by_q, end[r])
+        larger(sizes, end[nv + r])
+        for k in range(stages):
+            for c in range(n):
+                part[c] = 0.0
+            for i in range(stages):
+                add(part, modes[k, i], rates[i * nv + r])
+            larger(low if k < half else high, part)
+    add(sizes, 1.0 / h, by_q)
+    by_states = by_forces = 0.0
+    for i in range(len(inverse)):
+        for r in range(nv):
+            for c in range(nv):
+                by_forces = max(by_forces, h * abs(inverse[i, r, c]))
+    for c in range(states):
+        by_states = max(by_states, sizes[c])
+    for c in range(states, states + forces):
+        by_forces = max(by_forces, sizes[c])
+    error = 0.0
+    for c in range(n):
+        size = by_states if c < states else by_forces if c < states + forces else sizes[c]
+        if high[c] > 0.0:  # not NaN either, which no shorter interval mends
+            found = h * decay * high[c] * (high[c] / max(low[c], TINY)) ** power
+            error = max(error, found / max(size, TINY))
+    return end, error
+
+
+@declared(FLOAT_ROWS, FLOAT_ROWS, int, FLOAT_ROWS)
+@jit
+def stop(rows, response, first, x):
+    """Return changes after the least impulses that let some velocities vanish. (D26)
+
+    Args:
+        rows: (m, 2 nv) the velocities by the changes.
+        response: (nv, m) what impulses change,
+        first: and of which row on.
+        x: (2 nv, n) the changes; where a velocity is NaN they become so.
+    """
+    m, n = len(rows), x.shape[1]
+    matrix, missed, forces = np.zeros((m, m)), np.zeros((m, n)), np.zeros((n, m))
+    for a in range(m):
+        for k in range(len(x)):
+            if rows[a, k] != 0.0:
+                add(missed[a], rows[a, k], x[k])
+                if first <= k < first + len(response):
+                    add(matrix[a], rows[a, k], response[k - first])
+    least_norms(matrix, missed.T.copy(), RANK, forces, np.empty((0, m)))
+    end = x.copy()
+    for j in range(len(response)):
+        for a in range(m):
+            for c in range(n):
+                end[first + j, c] -= response[j, a] * forces[c, a]
+    return end
+
+
+@inlined
+def add(to, factor, values):
+    """Add a multiple of values (n,)."""
+    for i in range(len(to)):
+        to[i] += factor * values[i]
+
+
+@inlined
+def larger(to, values):
+    """Take magnitudes of values (n,) where they are larger."""
+    for i in range(len(to)):
+        to[i] = max(to[i], abs(values[i]))
 
 
 @inlined
@@ -74,23 +201,25 @@ def _turn(h, weights, twice, turned, turning, start):
     for k in range(len(matrix)):
         matrix[k, k] += 1.0
     factorize(matrix, order)
-    column, moved = np.empty(len(matrix)), np.empty((stages, size, stages, size))
-    for c in range(start.shape[2]):
-        for i in range(stages):
-            for a in range(size):
-                column[i * size + a] = start[i, turned[a], c]
-        substitute(matrix, order, column)
-        for i in range(stages):
-            for a in range(size):
-                start[i, turned[a], c] = column[i * size + a]
+    column, inverse = np.empty(len(matrix)), np.empty((stages, size, stages, size))
+    moved, straight = np.zeros((stages, size, stages, size)), np.empty((stages, size, start.shape[2]))
     for j in range(stages):
         for b in range(size):
             for k in range(len(column)):
                 column[k] = 0.0
-            for i in range(stages):
-                column[i * size + b] = h * h * twice[i, j]
+            column[j * size + b] = 1.0
             substitute(matrix, order, column)
             for i in range(stages):
                 for a in range(size):
-                    moved[i, a, j, b] = column[i * size + a]
+                    inverse[i, a, j, b] = column[i * size + a]
+            assign(straight[j, b], start[j, turned[b]])
+    for i in range(stages):
+        for a in range(size):
+            for c in range(start.shape[2]):
+                start[i, turned[a], c] = 0.0
+            for j in range(stages):
+                for b in range(size):
+                    add(start[i, turned[a]], inverse[i, a, j, b], straight[j, b])
+                    for k in range(stages):
+                        moved[i, a, k, b] += inverse[i, a, j, b] * h * h * twice[j, k]
     return moved
