@@ -321,6 +321,32 @@ def test_linearize_where_a_contact_is_closed():
     assert np.allclose(B[3, [0, 2]], [0.1, 0.05], atol=1e-12)
 
 
+def test_linearize_a_box_that_slides_on_four_corners():
+    # its forces are those of equally stiff contacts, on which friction depends
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.4, 0.3, 0.2), pin.SE3.Identity())
+    corners = [f"{x:+g} {y:+g}" for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
+    for corner in corners:
+        place = pin.SE3(np.eye(3), np.array([*map(float, corner.split()), -0.1]))
+        model.addFrame(pin.Frame(corner, joint, place, pin.FrameType.OP_FRAME))
+    scene = Scene(model, [Contact(corner, Plane(), 0.3) for corner in corners])
+    q, v = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.2, 0.0, 0.0, 0.0, 0.5])
+    tau, rng = np.array([0.3, 0.1, 0.0, 0.0, 0.0, 0.05]), np.random.default_rng(0)
+    A, B = Stepper(scene, q, v, **EXACT).linearize(tau, 0.05)
+    along = np.array([1, 1, 0, 0, 0, 1, 1, 1, 0, 0, 0, 1])  # on the floor
+    dx, du = along * rng.normal(size=12), rng.normal(size=6)
+
+    def after(h):
+        other = Stepper(scene, pin.integrate(model, q, h * dx[:6]), v + h * dx[6:], **EXACT)
+        return other.step(tau + h * du, 0.05)
+
+    steps = [after(k * 1e-4) for k in (-2, -1, 1, 2)]
+    a, b, c, d = (np.concatenate([pin.difference(model, steps[0][0], x), y]) for x, y in steps)
+    expected = (a - 8 * b + 8 * c - d) / 12e-4
+    assert np.linalg.norm(A @ dx + B @ du - expected) < 1e-8 * np.linalg.norm(expected)
+
+
 def same_steps(one, other, tau, dt):
     """Take a step in two steppers, which are to come to the same."""
     for each in (one, other):

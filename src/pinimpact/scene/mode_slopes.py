@@ -48,7 +48,6 @@ class ModeSlopes(NamedTuple):
         rows: (m, 2nv) of the velocities that vanish.
         inverse: (nv, nv) M⁻¹.
         slips: The contacts that slip.
-        unique: Whether the motion determines λ.
     """
 
     acceleration: Array
@@ -56,11 +55,15 @@ class ModeSlopes(NamedTuple):
     rows: Array
     inverse: Array
     slips: tuple[Slip, ...]
-    unique: bool
 
 
 class SlopesWithin(NamedTuple):
-    """The slopes of a mode at some times within a step, see `slopes_along`; `unique` as in `ModeSlopes`."""
+    """The slopes of a mode at some times within a step, see `slopes_along`.
+
+    Attributes:
+        unique: Whether the motion determines λ.
+        touching: How many components of λ are those of contacts; they are the first ones.
+    """
 
     by_state: Array
     response: Array
@@ -69,6 +72,7 @@ class SlopesWithin(NamedTuple):
     turning: Array
     moved: Array
     unique: bool
+    touching: int
 
 
 class SlopesOfModes:
@@ -128,7 +132,8 @@ class SlopesOfModes:
             *(*known, step.closed is None, inside),
         )
         self.dynamics.check()
-        return SlopesWithin(*(*found, known[1]))
+        work = self.dynamics.work
+        return SlopesWithin(*(*found, known[1], work.active_rows - work.active_scalars))
 
     def _set(self, step: DenseStep) -> tuple[Array, bool, Array]:
         """Set the modes of a step; return directions of slip at its ends, and what is known of its forces."""
@@ -159,4 +164,4 @@ class SlopesOfModes:
             rate, direction = work.contact_acceleration[k] + J @ change, work.slip_direction[k].copy()
             slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
-        return ModeSlopes(acceleration, *at_once, tuple(slips), found.unique)
+        return ModeSlopes(acceleration, *at_once, tuple(slips))

@@ -69,6 +69,10 @@ RULES = _radau(3, 3.0 / 35.0, 1.0), _radau(4, 1.0 / 385.0, 2.0)
 """Tried in this order: three stages do for the short steps of a control, four take fewer intervals else."""
 
 
+SINGULAR = 1e-11
+"""Part of the largest singular value below which forces do the same as others."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearization:
     """The derivatives of a step, see `Stepper.linearize`; unpacks as A, B.
@@ -231,7 +235,7 @@ class MotionSlopes:
         if m > 0:
             stopped = vanishing @ rates
             stopped[:, :n] += (nodes.by_state[:, nv:] @ start).reshape(m, n)
-            forces = _forces_that_stop(stopped[:, n:], stopped[:, :n], nodes.unique)
+            forces = _forces_that_stop(stopped[:, n:], stopped[:, :n], nodes)
             rates = rates[:, :n] - rates[:, n:] @ forces
         return changes_at_end(
             *(h, *rule[1:], turned, len(x), self._given),
@@ -239,20 +243,28 @@ class MotionSlopes:
         )
 
 
-def _forces_that_stop(matrix: Array, velocities: Array, unique: bool) -> Array:
-    """Return the forces of what is closed that stop its velocities; the least ones where they are not unique.
+def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> Array:
+    """Return the forces of what is closed that stop its velocities, those of equally stiff contacts. (11.12)
 
     Args:
-        matrix: (m, m) the velocities by the forces.
-        velocities: (m, n); columns with NaN stay so.
-        unique: Whether the motion determines the forces, but for those by which nothing moves.
+        matrix: (s m, s m) the velocities by the forces.
+        velocities: (s m, n); columns with NaN stay so.
+        nodes: The slopes at the nodes.
     """
     moved = matrix.diagonal()
-    if unique and moved.min() > RIGID * moved.max():
+    if nodes.unique and moved.min() > RIGID * moved.max():
         return np.asarray(np.linalg.solve(matrix, velocities))
+    (stages, nv, m), size = nodes.response.shape, len(matrix)
+    shares = np.zeros((stages, m, stages, m))
+    for i in range(stages):
+        left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv:, nv:] @ nodes.response[i])
+        null = left[:, sizes <= SINGULAR * sizes[0]]
+        shares[i, :, i, : nodes.touching] = moved.max() * (null @ null.T)[:, : nodes.touching]
     known = np.isfinite(velocities).all(axis=0)
-    found = np.full_like(velocities, np.nan)
-    found[:, known] = np.linalg.lstsq(matrix, velocities[:, known], rcond=1e-11)[0]
+    found, right = np.full_like(velocities, np.nan), np.zeros((2 * size, int(known.sum())))
+    right[:size] = velocities[:, known]
+    matrix = np.concatenate([matrix, shares.reshape(size, size)])
+    found[:, known] = np.linalg.lstsq(matrix, right, rcond=SINGULAR)[0]
     return found
 
 
