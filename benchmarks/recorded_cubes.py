@@ -28,7 +28,9 @@ WIDTH = 0.1017
 
 def row(what: str, fit: studies.Identified, index: int, unit: str = "") -> str:
     """Return a line with a parameter and its standard error."""
-    return f"{what:<52}{fit.x[index]:>9.4f} ± {fit.standard_errors[index]:.4f}{unit}"
+    error = fit.standard_errors[index]
+    interval = f"± {error:.4f}" if np.isfinite(error) else "no interval"
+    return f"{what:<52}{fit.x[index]:>9.4f} {interval}{unit}"
 
 
 def other_laws(given: studies.FoundImpacts, scene: Scene) -> list[str]:
@@ -63,11 +65,16 @@ def whole_motions(scene: Scene, motions: list[studies.Motion]) -> list[str]:
     board = Plane(point=(0.0, 0.0, height))
     scene = replace(scene, contacts=[replace(contact, plane=board) for contact in scene.contacts])
     free = {"friction": (0.05, 0.4), "restitution": (0.05, 0.6), "sliding_friction": (0.1, 0.4)}
-    fit = studies.identify(scene=scene, free=free, trajectories=motions[::6])
+    flights, fit = (
+        studies.identify(scene=scene, free=free, trajectories=motions[::6], restart=restart)
+        for restart in (True, False)
+    )
     held_out = [motion for k, motion in enumerate(motions) if k % 6]
     errors = studies.rollouts(fit.apply(scene), held_out).mean()
-    lines = [f"coefficients from {fit.groups} whole tosses, with the board at {1e3 * height:.2f} mm"]
-    lines += [row(f"  {name.replace('_', ' ')}", fit, j) for j, name in enumerate(fit.names)]
+    lines = []
+    for one, what in ((flights, "the flights of"), (fit, "all of")):
+        lines.append(f"coefficients from {what} {one.groups} tosses, with the board at {1e3 * height:.2f} mm")
+        lines += [row(f"  {name.replace('_', ' ')}", one, j) for j, name in enumerate(one.names)]
     return [*lines, f"errors of the other {len(held_out)} tosses, averaged over time", *averages(errors)]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinimpact import InputError, UnknownNameError, simulate, studies
-from pinimpact.studies.motion_fit import SAMPLES, _residual
+from pinimpact.studies.motion_fit import SAMPLES, _residual, _without_jumps
 from pinimpact.studies.rolling_out import differences, starts_of
 
 from .test_recorded_impacts import box_scene, recorded, toss
@@ -31,6 +31,44 @@ def test_coefficients_of_simulated_tosses_are_found(motions) -> None:
     assert fit.x == pytest.approx([0.25, 0.4], abs=5e-3)
     assert fit.apply(scene).contacts[3].friction == fit.x[0]
     assert fit.groups == len(motions)
+
+
+@pytest.mark.slow
+def test_flights_have_intervals_with_the_given_coefficients(motions) -> None:
+    free = {"friction": (0.05, 0.6), "restitution": (0.0, 0.8)}
+    fit = studies.identify(scene=box_scene(0.5, 0.1), free=free, trajectories=motions, restart=True)
+    assert not fit.unidentified
+    assert fit.x == pytest.approx([0.25, 0.4], abs=5e-3)
+    low, high = fit.interval(0.999).T
+    assert (low < [0.25, 0.4]).all()
+    assert (high > [0.25, 0.4]).all()
+    assert (high - low < 0.05).all()
+
+
+@pytest.mark.parametrize(("jump", "has_interval"), [(0.0, True), (1e-4, True), (0.1, False)])
+def test_motions_that_jump_take_away_the_interval(jump, has_interval) -> None:
+    """Three residuals y and y³, and one with a step at x; y + jump/h has nearly all of its information."""
+    result = studies.Identified(
+        x=np.array([0.5, 0.5]),
+        names=("friction", "restitution"),
+        covariance=np.eye(2),
+        unidentified=(),
+    )
+
+    def residual(y):
+        return np.array([[y[0] + jump * (y[0] > 0.5), y[1]], [y[0] ** 3, y[1]], [2 * y[0], y[1] ** 3]])
+
+    x, h = result.x, 1e-3 * np.eye(2)
+    ahead = np.stack([residual(x + step) - residual(x) for step in h], axis=2)
+    behind = np.stack([residual(x) - residual(x - step) for step in h], axis=2)
+    _without_jumps(result, ahead, behind)
+    assert bool(np.isfinite(result.covariance[0, 0])) is has_interval
+    assert result.covariance[1, 1] == 1.0
+    assert len(result.unidentified) == (not has_interval)
+    if not has_interval:
+        assert result.unidentified[0].startswith("friction has no interval: ")
+        assert "1 motions" in result.unidentified[0]
+        assert result.covariance[0, 1] == 0.0
 
 
 def test_residuals_are_distances_of_poses(motions) -> None:
@@ -64,6 +102,7 @@ def _com(scene, q):
         ({"executor": 2}, "executor: 2 given; None or a concurrent.futures.Executor expected"),
         ({"free": {"stiffening": (0, 1)}}, "free: 'stiffening' is not a parameter"),
         ({"law": "hertz"}, "law: 'hertz' is not a restitution law"),
+        ({"restart": "no"}, "restart: 'no'"),
     ],
 )
 def test_bad_input(motions, changed, message) -> None:

@@ -309,6 +309,8 @@ class SceneImpacts:
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of what touches that joints and contacts, held ones too, connect with the first."""
+        if self._roots[-1] <= 1:  # one tree
+            return list(touching)
         work, count = self._dynamics.work, len(self._dynamics.contacts)
         every = np.array([first, *touching, *range(count - len(self._held), count)])
         of_contact, ends = every < count, np.empty((len(every), 2), dtype=np.int64)

@@ -111,7 +111,6 @@ def fit(
     reason: Callable[[str, Array], str],
     trial: Callable[[Array], Array] | None = None,
     tolerance: float = 1e-8,
-    start: Array | None = None,
     **known: Any,
 ) -> Identified:
     """Fit parameters, and return them with their covariance by groups. (I2)–(I5)
@@ -124,16 +123,11 @@ def fit(
         loss: A name of `LOSSES`.
         reason: Clause on why a parameter is not determined, for its name and the solution.
         trial: The residuals, where they are cheaper without preparing derivatives, or fewer.
-        tolerance: Of `scipy.optimize.least_squares`, for cost, parameters and gradient.
-        start: Parameters near the solution, from which the fit begins; None: the best of `STARTS` points.
+        tolerance: Of `scipy.optimize.least_squares`, for cost and parameters, relative.
         **known: Further attributes of the result.
     """
     rho = LOSSES[choice("loss", loss, LOSSES, "a loss")]
     low, high = np.array(list(free.values())).T
-    near = start is not None  # residuals at the start have the scale of the solution's then
-    if start is None:
-        starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
-        start = min(starts, key=lambda x: float(np.abs((trial or residual)(x)).sum()))
 
     def run(x: Array, loss: Any, scale: float) -> OptimizeResult:
         return least_squares(
@@ -146,24 +140,60 @@ def fit(
             f_scale=scale,
             ftol=tolerance,
             xtol=tolerance,
-            gtol=tolerance,
+            gtol=None,  # it would have the unit of the residuals
         )
 
-    scale = 1.0
-    if loss == "linear" or not near:
-        result = run(start, "linear", scale)
-        start = result.x
+    result, scale = run(best_start(free, trial or residual), "linear", 1.0), 1.0
     if loss != "linear":
-        scale = ROBUST_SCALE * MAD * float(np.median(np.abs(residual(start))))
+        scale = robust_scale(residual(result.x))
         # without scale, more than half of the residuals are zero, and there is nothing to bound
-        result = run(start, rho, scale) if scale > 0.0 else run(start, "linear", 1.0)
-    names = tuple(free)
+        result = run(result.x, rho, scale) if scale > 0.0 else run(result.x, "linear", 1.0)
     slopes, residuals = jacobian(result.x), residual(result.x)
-    parts = _by_group(slopes, residuals, rho, scale if scale > 0.0 else 1.0, group)
+    return with_covariance(result, free, residuals, slopes, group, loss, scale, reason, **known)
+
+
+def best_start(free: Mapping[str, tuple[float, float]], residual: Callable[[Array], Array]) -> Array:
+    """Return that of `STARTS` points within bounds whose residuals have the least sum of absolute values."""
+    low, high = np.array(list(free.values())).T
+    starts = qmc.scale(qmc.Halton(len(free), scramble=False).random(STARTS + 1)[1:], low, high)
+    return min(starts, key=lambda x: float(np.abs(residual(x)).sum()))
+
+
+def robust_scale(residuals: Array) -> float:
+    """Return the size from which on a loss gives residuals less weight."""
+    return ROBUST_SCALE * MAD * float(np.median(np.abs(residuals)))
+
+
+def with_covariance(
+    solution: OptimizeResult,
+    free: Mapping[str, tuple[float, float]],
+    residuals: Array,
+    slopes: Array,
+    group: NDArray[np.int64],
+    loss: str,
+    scale: float,
+    reason: Callable[[str, Array], str],
+    **known: Any,
+) -> Identified:
+    """Return a solution with its covariance by groups. (I3)–(I5)
+
+    Args:
+        solution: The parameters, `x`, with what the optimiser says.
+        free: Bounds of each parameter.
+        residuals: (n, m) whitened residuals.
+        slopes: (n, m, p) their derivatives.
+        group: (n,) index of the group of each row, from 0.
+        loss: A name of `LOSSES`.
+        scale: Residual from which on the loss gives less weight.
+        reason: Clause on why a parameter is not determined, for its name and the solution.
+        **known: Further attributes of the result.
+    """
+    low, high = np.array(list(free.values())).T
+    parts = _by_group(slopes, residuals, LOSSES[loss], scale if scale > 0.0 else 1.0, group)
     covariance, degrees, null, none = _covariance(*parts, high - low)
     result = Identified(
-        **dict(result.items()),
-        names=names,
+        **dict(solution.items()),
+        names=tuple(free),
         bounds=np.array([low, high]),
         covariance=covariance,
         degrees=degrees,

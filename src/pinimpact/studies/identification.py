@@ -80,6 +80,7 @@ def identify(
     contact: Any = None,
     fixed: Mapping[str, float] | None = None,
     trajectories: Sequence[Motion] | None = None,
+    restart: bool = False,
     executor: Executor | None = None,
 ) -> Identified:
     """Fit friction and restitution, and the stiffening of joints, to measured impacts or whole motions.
@@ -105,6 +106,8 @@ def identify(
         fixed: Coefficients of arrays (W, v⁻, v⁺) that are not free.
         trajectories: Recorded motions of one free body instead of `found`: they are simulated from their
             first flights, and the poses compared (I12); "sliding_friction" can be free too.
+        restart: Whether these simulations start again in each flight, up to the end of the next one. Whole
+            motions may jump where a coefficient changes, and have no intervals then.
         executor: Runs these simulations, such as a ``ProcessPoolExecutor``; None: this process does.
 
     Returns:
@@ -124,7 +127,7 @@ def identify(
             "fixed": fixed,
             "group": group,
         }
-        return _of_motions(trajectories, scene, free, law, loss, executor, others)
+        return _of_motions(trajectories, scene, free, law, loss, executor, restart, others)
     joints = () if scene is None else single_joints(scene.model)
     bounds = checked_bounds(FREE if free is None else free, RANGES | STIFFENING, labels, joints)
     if law is not None:
@@ -218,6 +221,7 @@ def _of_motions(
     law: str | None,
     loss: str,
     executor: Executor | None,
+    restart: bool,
     others: Mapping[str, Any],
 ) -> Identified:
     """Return the fit to whole motions, or refuse what only impacts have."""
@@ -237,7 +241,7 @@ def _of_motions(
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
     setters = dict.fromkeys(RANGES | SLIDING, _set_coefficient)
-    return fit_motions(motions, scene, bounds, law, loss, setters, executor)
+    return fit_motions(motions, scene, bounds, law, loss, setters, executor, restart)
 
 
 def _set_coefficient(scene: Scene, name: str, value: float) -> Scene:
