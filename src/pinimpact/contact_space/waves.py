@@ -113,13 +113,12 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
             missed = max(missed, _differ(inputs, numbers, before))
         if k > 1 and missed <= AGREE:
             break
-    if numbers is None or not missed <= USEFUL:
+    if numbers is None:
         return None
-    impulse = numbers[: 3 * n].reshape(n, 3)
-    impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
-    tangential = np.hypot(impulse[:, 0], impulse[:, 1])
-    most = inputs.friction * impulse[:, 2]
-    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, 1e-300), 1.0)[:, None]
+    impulse = _within_cones(inputs, numbers)
+    missed = max(missed, _differ(inputs, impulse.ravel(), numbers))
+    if not missed <= USEFUL:
+        return None
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
     works = numbers[3 * n :].reshape(n, 3)
     text = (
@@ -140,6 +139,16 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         path=story,
         bounded=missed > MISSED,
     )
+
+
+def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
+    """Return impulses (n, 3), first in what is given, with friction within its bounds and without pull."""
+    impulse = numbers[: inputs.velocity.size].reshape(-1, 3).copy()
+    impulse[:, 2] = np.maximum(impulse[:, 2], 0.0)
+    tangential = np.hypot(impulse[:, 0], impulse[:, 1])
+    most = inputs.friction * impulse[:, 2]
+    impulse[:, :2] *= np.where(tangential > most, most / np.maximum(tangential, 1e-300), 1.0)[:, None]
+    return impulse
 
 
 def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
