@@ -10,6 +10,7 @@ differences at both steps and to either side agree with each other and not with 
 from __future__ import annotations
 
 import argparse
+import time
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -181,6 +182,56 @@ def cost() -> None:
         )
 
 
+def standing() -> tuple[pinimpact.Stepper, Any]:
+    """Return a solo12 on four feet, and its control."""
+    robot = pinimpact.load_robot("solo12")
+    model, data, q = robot.model, robot.data, pin.neutral(robot.model)
+    q[7:] = np.tile([0.0, 0.7, -1.4], 4)
+    feet = [f"{leg}_FOOT" for leg in ("FL", "FR", "HL", "HR")]
+    pin.framesForwardKinematics(model, data, q)
+    q[2] -= min(data.oMf[model.getFrameId(foot)].translation[2] for foot in feet)
+    contacts = [pinimpact.Contact(foot, pinimpact.Plane(), friction=0.6) for foot in feet]
+    stepper = pinimpact.Stepper(pinimpact.Scene(model, contacts), q, np.zeros(model.nv))
+
+    def control() -> np.ndarray:
+        return np.append(np.zeros(6), 20.0 * (q[7:] - stepper.q[7:]) - 0.5 * stepper.v[6:])
+
+    return stepper, control
+
+
+def swinging() -> tuple[pinimpact.Stepper, Any]:
+    """Return a Panda that swings above a floor, and its control."""
+    robot = pinimpact.load_robot("panda")
+    floor = pinimpact.Plane(point=(0.0, 0.0, -1.0))
+    scene = pinimpact.Scene(robot, pinimpact.Contact(FRAMES["panda"], floor), without=["joint limits"])
+    stepper = pinimpact.Stepper(scene, robot.q0, np.zeros(9))
+    return stepper, lambda: 5.0 * np.sin(100.0 * stepper.t + np.arange(9))
+
+
+def cost_of_steps() -> None:
+    """Print what the derivatives of a step of 1 ms cost, over that step and over steps in a row."""
+    for name, make in (("solo12 on four feet", standing), ("Panda in flight", swinging)):
+        best = np.full(3, np.inf)
+        for _ in range(5):
+            times = np.empty((3, 100))
+            for alone in (True, False):
+                stepper, control = make()
+                stepper.linearize(control(), 1e-3)
+                for k in range(100):
+                    tau, begun = control(), time.perf_counter()
+                    if not alone:
+                        stepper.linearize(tau, 1e-3)
+                        times[0, k], begun = time.perf_counter() - begun, time.perf_counter()
+                    stepper.step(tau, 1e-3)
+                    times[1 + alone, k] = time.perf_counter() - begun
+            best = np.minimum(best, 1e6 * np.median(times, axis=1))
+        linear, step, alone_step = best.tolist()
+        print(
+            f"{name}: step {step:.0f} µs, linearize {linear:.0f} µs, {linear / step:.1f} × "
+            f"({linear / alone_step:.1f} × {alone_step:.0f} µs of steps without it)"
+        )
+
+
 def main() -> None:
     """Check and measure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -198,6 +249,7 @@ def main() -> None:
     print(f"of {each * len(REGIMES) * len(LAWS)}: {total[0]} flagged, {total[1]} compared, {total[2]} wrong")
     motions(np.random.default_rng(arguments.seed), arguments.motions)
     cost()
+    cost_of_steps()
 
 
 if __name__ == "__main__":
