@@ -407,7 +407,9 @@ def test_what_has_no_derivative_is_refused():
     refuses("control", replace(scene, control=lambda t, q, v: np.zeros(9)))
     refuses("control", replace(scene, control=JointPD(1.0, 1.0, q), period=0.01))
     kick = Event(lambda t, q, v: t - 0.05, lambda t, q, v: v, name="kick")
-    refuses("callback of 'kick'", replace(scene, events=[kick]))
+    refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
+    few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
+    refuses("jacobian: .*shape", replace(scene, events=[few]))
     refuses("has a rim", replace(scene, contacts=[replace(contact, rim=0.01, radius=0.0)]))
     refuses("time steps", scheme="time-stepping")
     refuses("expected", names=["mass"])
@@ -451,6 +453,45 @@ def test_events_without_callback_change_nothing():
     run = simulate(scene, q, v, 0.1, sensitivities="state")
     assert run.events
     assert np.allclose(run.sensitivity(0.1).state, plain.sensitivity(0.1).state, atol=1e-7)
+
+
+def test_a_callback_that_sets_the_velocity():
+    # when, where and by how much it kicks depends on time and state
+    model, q, v, contact = panda(0)
+    matrix = 0.1 * np.random.default_rng(1).normal(size=(9, 9))
+    threshold = q[3] + 0.1 * v[5] - 0.03
+
+    def guard(t, q, v):
+        return q[3] + 0.1 * v[5] - threshold + 0.5 * t
+
+    def kick(t, q, v):
+        return v + 0.2 * np.sin(q) + matrix @ v * (1.0 + t)
+
+    def jacobian(t, q, v):
+        by_v = np.eye(9) + matrix * (1.0 + t)
+        of_guard = 1.0 * (np.arange(19) == 3) + 0.1 * (np.arange(19) == 14) + 0.5 * (np.arange(19) == 18)
+        return np.vstack([np.hstack([np.diag(0.2 * np.cos(q)), by_v, (matrix @ v)[:, None]]), of_guard])
+
+    kicks = [Event(guard, kick, name="kick", jacobian=jacobian)]
+    run = agrees(Scene(model, [contact], events=kicks, **FREE), q, v, 0.15, 3)
+    assert len(run.events) > 1
+    assert run.impacts
+
+
+def test_a_callback_that_speeds_a_sliding_block_up():
+    # at x = c: from u = √(v² − 2μgc) to k u
+    mu, v, c, k, duration = 0.2, 1.5, 0.2, 1.3, 0.5
+    row = np.eye(7)
+
+    def jacobian(t, q, v):
+        return np.vstack([k * row[3], k * row[4], row[5], row[0]])
+
+    event = Event(lambda t, q, v: q[0] - c, lambda t, q, v: v * [k, k, 1.0], name="kick", jacobian=jacobian)
+    scene = Scene(point("block"), [Contact("block centre", Plane(), mu, name="block")], events=[event])
+    found = simulate(scene, np.zeros(3), [v, 0.0, 0.0], duration, sensitivities="state").sensitivity(duration)
+    u = np.sqrt(v**2 - 2 * mu * 9.81 * c)
+    assert np.isclose(found.state[3, 3], k * v / u + 1.0 - v / u, rtol=1e-7)
+    assert np.isclose(found.state[3, 0], (k - 1.0) * mu * 9.81 / u, rtol=1e-7)
 
 
 def test_slip_that_reverses_on_a_curved_path():

@@ -257,6 +257,8 @@ class Workspace(array.array):
     def _lay_out(self, sizes: dict[str, int]) -> _Plan:
         """Make the memory of the allocated arrays, zero; return its layout."""
         plan = _plan(type(self), tuple(sizes.items()), self._handed)
+        self.arrays = {name: self.arrays[name] for name in self._handed}
+        self.used.clear()
         for slot, value in plan.sizes:
             self.integers[slot] = value
         self._sizes, self._places = sizes, plan.places
@@ -283,15 +285,9 @@ class Workspace(array.array):
             return
         made = [field for field, _ in self._declared if field.name in self._places]
         before = [self.whole(field).ravel(order="K") for field in made]
-        self._lay_out_again(self._sizes | grown)
+        self._lay_out(self._sizes | grown)
         for field, old in zip(made, before, strict=True):
             self.whole(field).ravel(order="K")[: old.size] = old
-
-    def _lay_out_again(self, sizes: dict[str, int]) -> None:
-        for name in self._places:
-            self.arrays.pop(name, None)
-        self.used.clear()
-        self._lay_out(sizes)
 
     def values(self) -> tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]:
         """Return a copy of all values, without those of arrays that were given."""
@@ -301,7 +297,7 @@ class Workspace(array.array):
         """Set all to the `values` of another one, of the same sizes except for those that `enlarge` grows."""
         sizes, numbers, made = values
         if sizes != self._sizes:
-            self._lay_out_again(sizes)
+            self._lay_out(sizes)
         self.integers[self._numbers] = numbers
         self._made[:] = made
 

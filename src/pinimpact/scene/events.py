@@ -18,6 +18,8 @@ Guard = Callable[[float, Array, Array], float]
 """guard(t, q, v) -> a number whose sign counts; truth values have none."""
 Callback = Callable[[float, Array, Array], ArrayLike | None]
 """callback(t, q, v) -> (nv,) velocity after the event, or None to keep it."""
+Jacobian = Callable[[float, Array, Array], ArrayLike]
+"""jacobian(t, q, v) -> (nv + 1, 2 nv + 1) of the velocity after the event and the guard, by q, v and t."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,10 +39,12 @@ class Event:
         terminal: Whether the event ends the run, after the callback; a number n: at the n-th event.
         direction: 1: changes from negative to positive only; -1: from positive to negative only; 0: both.
         name: Name in the trajectory; None for the name of the guard.
+        jacobian: jacobian(t, q, v), for derivatives of motions: (nv + 1, 2 nv + 1) of the velocity that the
+            callback sets, and last of the guard, by q in the tangent space, v and t.
 
     Raises:
-        InputError: A guard or callback that cannot be called, a direction that is not a number, or a
-            terminal that is neither a truth value nor a number above zero.
+        InputError: A guard, callback or jacobian that cannot be called, a direction that is not a number, or
+            a terminal that is neither a truth value nor a number above zero.
     """
 
     guard: Guard
@@ -48,11 +52,12 @@ class Event:
     terminal: bool | int = False
     direction: float = 0
     name: str | None = None
+    jacobian: Jacobian | None = None
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        for field in ("guard", "callback"):
+        for field in ("guard", "callback", "jacobian"):
             function = getattr(self, field)
             if not callable(function) and (field == "guard" or function is not None):
                 raise _refused(field, function, "a function of (t, q, v) expected")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -162,21 +161,6 @@ class Integrator:
         """Return an independent motion in the same state."""
         make, arguments = self.__reduce__()
         return make(*arguments)
-
-    @contextmanager
-    def kept(self) -> Iterator[None]:
-        """Return to the present state and record afterwards."""
-        record, state, reached = self.record, self.value(), self.reached
-        mark, warned = record.mark(), (record.bound_reached, record.stepping_warned)
-        try:
-            yield
-        finally:
-            record.cut(mark)
-            record.bound_reached, record.stepping_warned = warned
-            self.state.become(state.kept(memory=None))
-            self._prepare()
-            self._continue_with(state)
-            self.reached = reached
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the scene, the state and the record; workspaces and addresses are rebuilt."""

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import in_short
+from ..checks import finite_array, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
@@ -20,11 +20,12 @@ from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
+from .events import Jacobian, as_events
 from .forces import ClosedSet
 from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
-from .records import ImpactRecord
+from .records import EventRecord, ImpactRecord
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -93,11 +94,16 @@ class Saltation:
         labels = [contact.label for contact in dynamics.contacts]
         self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
         self._bilateral = dynamics.work.bilateral.astype(bool)
+        self._events = {event.label: event for event in as_events(scene.events) if event.jacobian is not None}
 
     # ---- events
 
-    def start(self, x: Array, first: DenseStep, impacts: Sequence[ImpactRecord]) -> Array:
+    def start(
+        self, x: Array, first: DenseStep, impacts: Sequence[ImpactRecord], events: Sequence[EventRecord] = ()
+    ) -> Array:
         """Return how changes x (2nv, n) before the first step of a motion are after what happens there."""
+        if self._called(events):
+            return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if impacts:
             return self.cross(x, self.before(impacts[0], first.closed), first, impacts)
         if first.closed is None:
@@ -141,7 +147,19 @@ class Saltation:
             )
         return step
 
-    def cross(self, x: Array, before: DenseStep, after: DenseStep, impacts: Sequence[ImpactRecord]) -> Array:
+    def _called(self, events: Sequence[EventRecord]) -> list[tuple[Jacobian, EventRecord]]:
+        """Return the events whose callback may have set a velocity, with its derivative."""
+        known = ((self._events.get(record.name), record) for record in events)
+        return [(event.jacobian, record) for event, record in known if event and event.jacobian]
+
+    def cross(
+        self,
+        x: Array,
+        before: DenseStep,
+        after: DenseStep,
+        impacts: Sequence[ImpactRecord],
+        events: Sequence[EventRecord] = (),
+    ) -> Array:
         """Return how changes x (2nv, n) at the end of a step are at the start of the next one. (D25)
 
         Args:
@@ -149,10 +167,16 @@ class Saltation:
             before: The step.
             after: The next one.
             impacts: Those in between.
+            events: Those of the user.
 
         Raises:
-            InputError: An impact at several contacts.
+            InputError: An impact at several contacts, numbers of the wrong shape of a `jacobian`.
         """
+        called = self._called(events)
+        if called:
+            if impacts or len(called) > 1:
+                return self._undefined(x, Boundary.EVENTS_COINCIDE)
+            return self._through_callback(x, before, after, *called[0])
         if not impacts and before.closed is after.closed:
             return x
         t, work = before.end, self._dynamics.work
@@ -183,6 +207,22 @@ class Saltation:
             if np.isnan(x).all():
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
         return self._checked(plus, x)
+
+    def _through_callback(
+        self, x: Array, before: DenseStep, after: DenseStep, jacobian: Jacobian, record: EventRecord
+    ) -> Array:
+        """Return changes after an event whose callback has set the velocity."""
+        nv, given = len(record.v_before), (record.time, record.q.copy(), record.v_before.copy())
+        by = finite_array("jacobian", jacobian(*given), (nv + 1, 2 * nv + 1))
+        minus, plus = self.slopes.at(before, record.time), self.slopes.at(after, after.start)
+        rate, later = np.append(record.v_before, minus.acceleration), np.append(after.v, plus.acceleration)
+        passing = float(by[nv] @ np.append(rate, 1.0))
+        if passing == 0.0:
+            return self._undefined(x, Boundary.GRAZING)
+        shift = -(by[nv, :-1] @ x) / passing
+        moved = x + np.outer(rate, shift)
+        found = np.vstack([moved[:nv], by[:nv, :-1] @ moved + np.outer(by[:nv, -1], shift)])
+        return self._checked(plus, found - np.outer(later, shift))
 
     def _modes(self, step: DenseStep) -> NDArray[np.int64]:
         work = self._dynamics.work

@@ -23,7 +23,7 @@ from .dynamics import SceneDynamics
 from .events import as_events
 from .forces import StepForces
 from .mode_slopes import SlopesWithin
-from .records import ImpactRecord, Sensitivity, SteppedInterval
+from .records import EventRecord, ImpactRecord, Sensitivity, SteppedInterval
 from .saltation import Parameter, Saltation
 from .scene import Scene
 
@@ -108,8 +108,11 @@ def check_supported(scene: Scene, scheme: str) -> None:
             scene.control,
         )
     for event in as_events(scene.events):
-        if event.callback is not None:
-            what, value = f"the callback of {event.label!r}, whose derivative is not known", event
+        if event.callback is not None and event.jacobian is None:
+            what, value = (
+                f"the callback of {event.label!r}, whose derivative is not known; give jacobian=",
+                event,
+            )
     for contact in (*scene.contacts, *scene.held):
         if contact.pair is not None:
             what, value = f"{contact.label!r}, a contact of collision shapes", contact
@@ -276,6 +279,7 @@ class Sensitivities:
         names: What to differentiate by.
         steps: The steps of the motion.
         impacts: Its impacts.
+        events: Its user events.
         stepped: The intervals that time steps have crossed.
     """
 
@@ -285,10 +289,11 @@ class Sensitivities:
         names: Sequence[str],
         steps: Sequence[DenseStep],
         impacts: Sequence[ImpactRecord],
+        events: Sequence[EventRecord],
         stepped: Sequence[SteppedInterval],
     ) -> None:
         self._slopes, self._names, self._steps = slopes, names, steps
-        self._impacts, self._stepped = impacts, stepped
+        self._impacts, self._events, self._stepped = impacts, events, stepped
         self._starts: list[tuple[Array, Boundary]] = []
 
     def changes(self, number: int, t: float) -> tuple[Array, Boundary]:
@@ -311,14 +316,15 @@ class Sensitivities:
                     field="sensitivities",
                 )
             struck = [record for record in self._impacts if record.time == now]
+            called = [record for record in self._events if record.time == now]
             if k == 0:
                 saltation.boundary = Boundary.NONE
-                x = saltation.start(self._slopes.initial(), steps[0], struck)
+                x = saltation.start(self._slopes.initial(), steps[0], struck, called)
             else:
                 before = steps[k - 1]
                 x, saltation.boundary = self._starts[-1]
                 x = self._slopes.along(x, before, before.end)
-                x = saltation.cross(x, before, steps[k], struck)
+                x = saltation.cross(x, before, steps[k], struck, called)
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
 

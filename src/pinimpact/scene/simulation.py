@@ -63,8 +63,8 @@ def simulate(
             their error, and a `SteppedWarning` reports the first one.
         dt: Length of the time steps [s]; with "auto" the longest one.
         sensitivities: What `Trajectory.sensitivity` differentiates by: "state" for the initial state, and
-            "friction:CONTACT", "restitution:CONTACT" with names of contacts. Not for controls and callbacks
-            of functions, collision shapes and time steps.
+            "friction:CONTACT", "restitution:CONTACT" with names of contacts. Not for controls of
+            functions, callbacks without `jacobian`, collision shapes and time steps.
 
     Raises:
         UnknownNameError: Unknown scheme, or a contact in `sensitivities`.
@@ -86,7 +86,7 @@ def simulate(
         parameters = [name for name in names if name != "state"]
         slopes = MotionSlopes(scene, own.dynamics, own.model, parameters, None, rtol)
         trajectory.sensitivities = Sensitivities(
-            slopes, names, trajectory._segments, trajectory.impacts, trajectory.stepped
+            *(slopes, names, trajectory._segments, trajectory.impacts, trajectory.events, trajectory.stepped)
         )
     return trajectory
 

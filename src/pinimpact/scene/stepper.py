@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -20,6 +22,22 @@ from .trajectory import Trajectory
 Array = NDArray[np.float64]
 
 _SLOPES: WeakKeyDictionary[Integrator, MotionSlopes] = WeakKeyDictionary()
+
+
+@contextmanager
+def _kept(integrator: Integrator) -> Iterator[None]:
+    """Return to the present state and record of a motion afterwards."""
+    record, value, reached = integrator.record, integrator.value(), integrator.reached
+    mark, warned = record.mark(), (record.bound_reached, record.stepping_warned)
+    try:
+        yield
+    finally:
+        record.cut(mark)
+        record.bound_reached, record.stepping_warned = warned
+        integrator.state.become(value.kept(memory=None))
+        integrator._prepare()
+        integrator._continue_with(value)
+        integrator.reached = reached
 
 
 class Stepper:
@@ -143,13 +161,13 @@ class Stepper:
         """
         slopes, integrator, before = self._slopes(), self._integrator, (self._begun, self._failed)
         record = integrator.record
-        steps, impacts = len(record.dense_steps), len(record.impacts)
+        steps, impacts, events = len(record.dense_steps), len(record.impacts), len(record.events)
         try:
-            with integrator.kept():
+            with _kept(integrator):
                 self.step(tau, dt)
                 slopes.saltation.slopes.tau[:] = tau
-                taken = record.dense_steps[steps:], record.impacts[impacts:], integrator.state.stepped
-                found = Sensitivities(slopes, ("state",), *taken)
+                taken = record.dense_steps[steps:], record.impacts[impacts:], record.events[events:]
+                found = Sensitivities(slopes, ("state",), *taken, integrator.state.stepped)
                 x, boundary = found.changes(len(taken[0]) - 1, integrator.state.t)
         finally:
             self._begun, self._failed = before
