@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import gc
 import os
 import pickle
 import subprocess
 import sys
+import weakref
 
 import numba
 import numpy as np
@@ -273,3 +275,13 @@ def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
     work.square[:] = 1.0
     work.front[:] = work.flat[:] = 0.0
     assert total_of(work) == 2500.0
+
+
+def test_a_workspace_that_nothing_refers_to_is_freed():
+    work = sample()
+    write(work, 2)
+    assert work.front.shape == (2,)
+    reference = weakref.ref(work)
+    del work
+    gc.collect()
+    assert reference() is None

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 SAMPLES = 32
 """Frames of a motion that count, at equal distances: poses change little from one to the next."""
 
-FIRST = 16
-"""Flights, at most, by which the start of the fit is chosen."""
+FIRST, NEXT = 16, 256
+"""Simulations, at most, by which the start of a fit is chosen, and by which that of whole motions is."""
 
 STEP = 1e-3
 """Of differences by a parameter, in parts of its range."""
@@ -85,8 +85,10 @@ def fit_motions(
         return fits.to_flights(flights)
     whole = starts_of(scene, motions, False, "trajectories")
     if len({start.label for start in flights}) > 1:
-        return fits.to_whole_motions(whole, fits._replace(loss="linear").to_flights(flights).x)
-    return fits.to_whole_motions(whole, best_start(bounds, partial(fits.residual, _some(whole))))
+        near = fits._replace(loss="linear").to_flights(_some(flights, NEXT)).x
+    else:
+        near = best_start(bounds, partial(fits.residual, _some(whole, FIRST)))
+    return fits.to_whole_motions(whole, near)
 
 
 class _Fits(NamedTuple):
@@ -128,7 +130,7 @@ class _Fits(NamedTuple):
             lambda x: at(tuple(x.tolist())),
             lambda x: slopes_at(tuple(x.tolist())),
             *(self.bounds, _groups(starts), self.loss, _no_reason),
-            *(partial(self.residual, _some(starts)), TOLERANCE),
+            *(partial(self.residual, _some(starts, FIRST)), TOLERANCE),
             law=self.law,
             setters=self.setters,
         )
@@ -171,9 +173,9 @@ class _Fits(NamedTuple):
         return result
 
 
-def _some(starts: list[Start]) -> list[Start]:
-    """Return at most `FIRST` of them."""
-    return starts[:: -(-len(starts) // FIRST)]
+def _some(starts: list[Start], most: int) -> list[Start]:
+    """Return at most so many of them."""
+    return starts[:: -(-len(starts) // most)]
 
 
 def _groups(starts: list[Start]) -> NDArray[np.int64]:
