@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -100,7 +100,7 @@ class SlopesOfModes:
             check_differentiable(contact)
         check_joints(model)
         self.dynamics, self.model = dynamics, model
-        self._data, nv = model.createData(), model.nv
+        nv = model.nv
         self._parent = np.array(model.parents, dtype=np.int64)
         charts = dynamics.work.joint_charts
         turns = [
@@ -109,13 +109,9 @@ class SlopesOfModes:
         self.turned = np.concatenate([np.zeros(0, dtype=np.int64), *turns])
         self._friction, self.tau = np.array(friction, dtype=np.int64), tau.copy()
         self._total, self._smooth = np.zeros(nv), np.zeros((3, nv, nv))
-        self._derive = Call(self._differentiate, ())  # by address from the kernel
+        given = model, model.createData(), dynamics.work.q, dynamics.work.v, self._total
+        self._derive = Call(_differentiate, (self._smooth, given))  # by address from the kernel
         self._address = call_addresses([self._derive])
-
-    def _differentiate(self) -> None:
-        work = self.dynamics.work
-        found = pin.computeABADerivatives(self.model, self._data, work.q, work.v, self._total)
-        self._smooth[0], self._smooth[1], self._smooth[2] = found
 
     def within(self, step: DenseStep, times: Array, inside: bool = True) -> SlopesWithin:
         """Return how v̇ changes with the state at some times within a step.
@@ -165,3 +161,8 @@ class SlopesOfModes:
             slips.append(Slip(int(work.active_index[k]), direction, rate[:2], np.hstack([G[:2], J[:2]])))
         at_once = found.response[0], found.by_state[0, nv:], found.inverse[0]
         return ModeSlopes(acceleration, *at_once, tuple(slips))
+
+
+def _differentiate(smooth: Array, given: tuple[Any, ...]) -> None:
+    """Fill the derivatives of v̇ (3, nv, nv) for a model, its data, a state and a generalized force."""
+    smooth[0], smooth[1], smooth[2] = pin.computeABADerivatives(*given)
