@@ -265,6 +265,11 @@ def test_sizes_that_bound_counts_grow_and_keep_what_is_in_use():
     other = work.other
     with pytest.raises(ValueError, match="active: 3 set, at most room = 2"):
         work.active = 3
+    values = work.values()
+    work.enlarge({"room": 5})
+    work.active = 5
+    work.set_values(values)  # of the sizes before
+    assert (work.room, work.active, total_of(work)) == (2, 2, before)
     work.enlarge({"room": 5})
     assert (work.room, work.active, total_of(work)) == (5, 2, before)
     assert np.array_equal(work.flat, np.arange(12.0).reshape(2, 2, 3))

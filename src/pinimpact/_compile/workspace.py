@@ -282,7 +282,7 @@ class Workspace(array.array):
         return self._sizes, self.integers[self._numbers], self._made.copy()
 
     def set_values(self, values: tuple[dict[str, int], NDArray[np.int64], NDArray[np.float64]]) -> None:
-        """Set all to the `values` of another one, of the same sizes except for those that `enlarge` grows."""
+        """Set all to `values` of the same sizes, except for those that `enlarge` grows, which it takes."""
         sizes, numbers, made = values
         if sizes != self._sizes:
             self._lay_out(sizes)
