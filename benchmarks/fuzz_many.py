@@ -184,9 +184,9 @@ def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
         rounding = max(1e2 * rounding, 1.05 * float(noted[1]) * scale if noted else 0.0)
     before, later = 0.5 * u @ mass @ u, 0.5 * after @ mass @ after
     checks = {
-        "energy made": later > before + 1e-9 * before + push * rounding,
+        "energy made": later > before + 1e-9 * before + len(p) * push * rounding,
         "works do not add up": abs(later - before - solution.work.total.sum())
-        > 1e-8 * before + push * rounding,
+        > 1e-8 * before + len(p) * push * rounding,
         "friction beyond its cone": (np.hypot(p[:, 0], p[:, 1]) > friction * p[:, 2] + 1e-9 * push).any(),
         "pull": (p[:, 2] < -1e-12 * push).any(),
         "approach left": (solution.velocity[:, 2] < -10.0 * rounding).any(),
