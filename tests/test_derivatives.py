@@ -214,6 +214,49 @@ def test_slip_that_settles_by_more_than_doubles_hold():
     assert error(columns_of(d), slopes(W, v, mu, 0.5, "poisson"), W, v) < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("law", "triangle", "v", "mu", "e"),
+    [
+        (
+            "newton",
+            [
+                2.6510512554128653,
+                -0.27165185658707725,
+                -0.22994108846644726,
+                0.5017643458148286,
+                -0.26365423573462793,
+                0.8144267564626233,
+            ],
+            [0.37490460946454873, 0.24842399648151314, -0.7606728287550223],
+            0.31262246919490716,
+            0.449976388902183,
+        ),
+        (
+            "energetic",
+            [
+                0.29885005017711974,
+                0.546122747729565,
+                -0.37627520186603675,
+                1.7180882439532565,
+                -0.6778673415571168,
+                1.002476591877455,
+            ],
+            [0.0863314664449011, 0.02658536115395515, -0.8732331065800509],
+            0.6459982303339054,
+            0.6218483853027272,
+        ),
+    ],
+)
+def test_slip_that_stops_while_it_turns_and_resumes(law, triangle, v, mu, e):
+    # its direction settles slowly while its speed falls below rounding
+    W = np.zeros((3, 3))
+    W[UPPER] = triangle
+    W = W + np.triu(W, 1).T
+    d = at(W, v, mu, e, law)
+    assert d.boundary == Boundary.NONE
+    assert error(columns_of(d), slopes(W, v, mu, e, law), W, v) < 1e-9
+
+
 def test_threshold_of_stick_has_sides_for_what_moves_it():
     W = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
     v = [0.0, 0.0, -1.0]

@@ -85,17 +85,14 @@ class Derivatives:
         return f"Derivatives(dv_dv={self.dv_dv.tolist()}, boundary={self.boundary!r})"
 
 
-_UPPER = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])  # the columns of w₁₁ … w₃₃
-_SHARE = np.array([[1.0, 0.5, 0.5], [0.5, 1.0, 0.5], [0.5, 0.5, 1.0]])
-
-
 def named_derivatives(slopes: Array, boundary: Any) -> Derivatives:
-    """Return the `Derivatives` of what `differentiate_rows` fills, slopes (…, 6, 11)."""
+    """Return the `Derivatives` of what `differentiate_rows` fills, slopes (…, 6, 14), as views."""
     return Derivatives(*_parts(slopes[..., :3, :]), *_parts(slopes[..., 3:, :]), boundary)
 
 
 def _parts(rows: Array) -> tuple[Array, Array, Array, Array]:
-    return rows[..., :3], rows[..., _UPPER] * _SHARE, rows[..., 9], rows[..., 10]
+    by_delassus = rows[..., 3:12].reshape(*rows.shape[:-1], 3, 3)
+    return rows[..., :3], by_delassus, rows[..., 12], rows[..., 13]
 
 
 def differentiate(
@@ -115,8 +112,8 @@ def differentiate(
 
 
 def empty_slopes(count: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return arrays for the derivatives of so many problems, (N, 6, 11), and for their boundaries."""
-    return np.empty((count, 6, 11)), np.empty(count, dtype=np.int64)
+    """Return arrays for the derivatives of so many problems, (N, 6, 14), and for their boundaries."""
+    return np.empty((count, 6, 14)), np.empty(count, dtype=np.int64)
 
 
 def derivatives_of(inputs: Inputs) -> Derivatives:

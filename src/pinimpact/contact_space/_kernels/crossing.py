@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..._compile.jit import inlined
+from ..._compile.jit import always_inlined, inlined
 from .codes import IN_RESUMED_SLIP, IN_SLIP, WORK
 from .slip_derivatives import DATA, PATH, STOP, VT1, VT2, Slip, cross_move
 from .slip_works import ABSCISSAE, NODES, WEIGHTS
@@ -95,7 +95,7 @@ def _resume(problem, s1, s2, gain, start, end, found):
         found[PATH, j] += (end - start) * (k1 * (d1 * middle - e1) + k2 * (d2 * middle - e2))
 
 
-@inlined
+@always_inlined
 def cross(problem, units, move, after, start, end, rest_at, values, found):
     """Bring the sensitivities to the end of a move.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOAT_STACK, FLOATS, INTEGER_ROWS, INTEGERS, declared
-from ..._compile.jit import external, inlined, released
+from ..._compile.jit import always_inlined, external, inlined, released
 from .batch import asymmetry, write_result
 from .codes import (
     COMPRESSION,
@@ -30,14 +30,13 @@ from .codes import (
     VELOCITY,
     WORK,
 )
-from .contact_problem import Problem, View, prepare
+from .contact_problem import prepare
 from .crossing import cross
 from .ending import Result, no_result
-from .moves import Units, slip_units
+from .moves import slip_units
 from .path import MAX_MOVES, SCRATCH, VANISHED, solve_into
 from .recording import MOVE
-from .slip_derivatives import DATA, NODE_ROWS, PATH, VT1, VT2
-from .slip_works import NODES
+from .slip_derivatives import DATA, NODE_ROOM, PATH, VT1, VT2
 
 INPUTS = 11
 """v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e: columns of the derivatives. Rows are those of v⁺ and P."""
@@ -110,7 +109,7 @@ def _tangential_rate(problem, mode, s1, s2, gain):
     return 0.0, 0.0
 
 
-@inlined
+@always_inlined
 def _at_event(problem, works, found, out, p1, p2, p3, q1, q2):
     """Fill rows NORMAL and, if wanted, WORK_DONE at fixed P₃; q is ∫P_t dP₃. (D4)"""
     k1, k2 = problem.k1, problem.k2
@@ -124,7 +123,7 @@ def _at_event(problem, works, found, out, p1, p2, p3, q1, q2):
         _add_identity(problem, out, WORK_DONE, p3, q1, q2, 0.5 * p3 * p3)
 
 
-@inlined
+@always_inlined
 def _to_user(view, out):
     """Turn and scale the derivatives back from the `View`."""
     lean1, lean2 = view.lean1, view.lean2
@@ -137,7 +136,11 @@ def _to_user(view, out):
         for i in (0, 3):
             x, y = out[i, j], out[i + 1, j]
             out[i, j], out[i + 1, j] = r11 * x + r21 * y, r12 * x + r22 * y
-    per_v, per_w = math.ldexp(1.0, -view.scale_v), math.ldexp(1.0, -view.scale_w)
+    unit_v, per_v, per_w = (
+        math.ldexp(1.0, view.scale_v),
+        math.ldexp(1.0, -view.scale_v),
+        math.ldexp(1.0, -view.scale_w),
+    )
     for i in range(6):
         for j in (V1, W13):
             k = V2 if j == V1 else W23
@@ -147,16 +150,15 @@ def _to_user(view, out):
         out[i, W11] = r11 * r11 * x + r11 * r21 * y + r21 * r21 * z
         out[i, W12] = 2.0 * r11 * r12 * x + (r11 * r22 + r12 * r21) * y + 2.0 * r21 * r22 * z
         out[i, W22] = r12 * r12 * x + r12 * r22 * y + r22 * r22 * z
-        unit = math.ldexp(1.0, view.scale_v if i < 3 else view.scale_v - view.scale_w)
-        for j in range(INPUTS):
-            out[i, j] *= unit
-            if j <= V3:
-                out[i, j] *= per_v
-            elif j <= W33:
-                out[i, j] *= per_w
+        unit = unit_v if i < 3 else unit_v * per_w
+        for j in range(W11):
+            out[i, j] *= unit * per_v
+        for j in range(W11, MU):
+            out[i, j] *= unit * per_w
+        out[i, MU], out[i, E] = unit * out[i, MU], unit * out[i, E]
 
 
-@inlined
+@always_inlined
 def _close(problem, found, columns, rate1, rate2, rate, p1, p2, p3, out):
     """Fill the derivatives at the end, where P₃ changes by row END. (D15)
 
@@ -177,26 +179,25 @@ def _close(problem, found, columns, rate1, rate2, rate, p1, p2, p3, out):
         out[0, j] += rate1 * end
         out[1, j] += rate2 * end
         out[2, j] = columns[NORMAL, j] + rate * end
-        out[5, j] = end
-        x, y = out[0, j] - problem.b1 * end, out[1, j] - problem.b2 * end
-        if j == V1:
-            x -= 1.0
-        elif j == V2:
-            y -= 1.0
-        elif j == W11:
-            x -= p1
-        elif j == W12:
-            x, y = x - p2, y - p1
-        elif j == W22:
-            y -= p2
-        elif j == W13:
-            x -= p3
-        elif j == W23:
-            y -= p3
+        out[3, j], out[4, j], out[5, j] = out[0, j] - problem.b1 * end, out[1, j] - problem.b2 * end, end
+    out[3, V1], out[3, W11], out[3, W12], out[3, W13] = (
+        out[3, V1] - 1.0,
+        out[3, W11] - p1,
+        out[3, W12] - p2,
+        out[3, W13] - p3,
+    )
+    out[4, V2], out[4, W12], out[4, W22], out[4, W23] = (
+        out[4, V2] - 1.0,
+        out[4, W12] - p1,
+        out[4, W22] - p2,
+        out[4, W23] - p3,
+    )
+    for j in range(INPUTS):
+        x, y = out[3, j], out[4, j]
         out[3, j], out[4, j] = i11 * x + i12 * y, i12 * x + i22 * y
 
 
-@inlined
+@always_inlined
 def _ending(problem, columns, restored, rate, v3, total):
     """Fill row END: how the P₃ at the end changes. (D14)
 
@@ -241,17 +242,17 @@ def _without_impact(v3, out):
     return GRAZING
 
 
-@inlined
+@always_inlined
 def _book(problem, columns, event, rate, p3):
     """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
     sign = 1.0 if event == COMPRESSION_ENDS else -1.0
+    row, per = (WORK_DONE, sign) if problem.counts == WORK else (NORMAL, -sign / rate)
     for j in range(INPUTS):
-        change = columns[WORK_DONE, j] if problem.counts == WORK else -columns[NORMAL, j] / rate
-        columns[COMPRESSED, j] += sign * change
+        columns[COMPRESSED, j] += per * columns[row, j]
     return sign * p3
 
 
-@inlined
+@always_inlined
 def _needed(problem, moves, rows):
     """Return the last move of slip that anything depends on, and the one at whose end v_t = 0; −1: none.
 
@@ -270,8 +271,7 @@ def _needed(problem, moves, rows):
     return last, stop
 
 
-@declared(Problem, Units, View, *5 * [FLOAT_ROWS], int, float)
-@external
+@always_inlined
 def _follow(problem, units, view, moves, values, found, columns, out, rows, after3):
     """Go through the moves and fill `out`, in the `View`.
 
@@ -279,7 +279,7 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
         problem, units, view: The impact.
         moves: (m, MOVE) trace of it,
         rows: of which so many are filled.
-        values, found, columns: (NODE_ROWS, NODES), (4, DATA), (4, INPUTS) scratch, the last two zero.
+        values, found, columns: (NODE_ROOM,), (4, DATA), (4, INPUTS) scratch, the last two zero.
         out: (6, INPUTS).
         after3: v₃⁺.
 
@@ -337,7 +337,7 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
     return boundary, unknown
 
 
-@inlined
+@always_inlined
 def _differentiate(problem, view, flags, moves, values, found, columns, out, rows, after3):
     """Fill `out` with the derivatives, NaN in columns that have none; return flags of `Boundary`."""
     found[:, :] = 0.0
@@ -373,7 +373,7 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
 
 _MOVES = SCRATCH
 _VALUES = _MOVES + MAX_MOVES * MOVE
-_FOUND = _VALUES + NODE_ROWS * NODES
+_FOUND = _VALUES + NODE_ROOM
 _COLUMNS = _FOUND + 4 * DATA
 ROOM = _COLUMNS + 4 * INPUTS
 """Floats of scratch that a derivative needs."""
@@ -410,10 +410,23 @@ def differentiate_into(
     if result.status <= LOCKED and rows + 1 < MAX_MOVES and not result.flags & LOCKS:
         _, _, _, view, problem = prepare(*given)
         boundaries[i] |= _differentiate(
-            *(problem, view, result.flags, moves, room[_VALUES:_FOUND].reshape((NODE_ROWS, NODES))),
+            *(problem, view, result.flags, moves, room[_VALUES:_FOUND]),
             *(room[_FOUND:_COLUMNS].reshape((4, DATA)), room[_COLUMNS:].reshape((4, INPUTS))),
             *(out, rows, result.v3),
         )
+
+
+@always_inlined
+def _write_slopes(out, slopes, i):
+    """Write derivatives into row i, with W in full."""
+    for k in range(6):
+        for j in range(3):
+            slopes[i, k, j] = out[k, j]
+        w12, w13, w23 = 0.5 * out[k, W12], 0.5 * out[k, W13], 0.5 * out[k, W23]
+        slopes[i, k, 3], slopes[i, k, 4], slopes[i, k, 5] = out[k, W11], w12, w13
+        slopes[i, k, 6], slopes[i, k, 7], slopes[i, k, 8] = w12, out[k, W22], w23
+        slopes[i, k, 9], slopes[i, k, 10], slopes[i, k, 11] = w13, w23, out[k, W33]
+        slopes[i, k, 12], slopes[i, k, 13] = out[k, MU], out[k, E]
 
 
 @declared(
@@ -429,10 +442,10 @@ def differentiate_rows(
 
     Args:
         delassus … codes: As in `batch.solve_rows`.
-        slopes: (N, 6, INPUTS) receives the derivatives; NaN in columns that have none.
+        slopes: (N, 6, 14) receives the derivatives by v, W, μ and e; NaN in columns that have none.
         boundaries: (N,) receives flags of `Boundary`.
     """
-    room, none = np.empty(ROOM), np.empty(0)
+    room, none, out = np.empty(ROOM), np.empty(0), np.empty((6, INPUTS))
     for i in range(velocity.shape[0]):
         w, v = delassus[i], velocity[i]
         factor = none
@@ -440,11 +453,12 @@ def differentiate_rows(
             factor = factors[i]
         if asymmetry(w):
             write_result(i, no_result(INDEFINITE_DELASSUS, 0.0), numbers, codes)
-            _fill(slopes[i], 0, INPUTS, math.nan)
+            slopes[i, :, :] = math.nan
             boundaries[i] = NO_FLAG
             continue
         differentiate_into(
             *(i, w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),
             *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
-            *(law, velocity_scale[i], factor, room, numbers, codes, slopes[i], boundaries),
+            *(law, velocity_scale[i], factor, room, numbers, codes, out, boundaries),
         )
+        _write_slopes(out, slopes, i)

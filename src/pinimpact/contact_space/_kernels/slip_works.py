@@ -74,13 +74,13 @@ def _places(i, x):
 
 
 @always_inlined
-def _product(x, y):
+def product(x, y):
     """Return x y for four numbers x and y."""
     return x[0] * y[0], x[1] * y[1], x[2] * y[2], x[3] * y[3]
 
 
 @always_inlined
-def _raised(s, y, c):
+def raised(s, y, c):
     """Return s y + c for four numbers s and y."""
     return s[0] * y[0] + c, s[1] * y[1] + c, s[2] * y[2] + c, s[3] * y[3] + c
 
@@ -89,15 +89,15 @@ def _raised(s, y, c):
 def _kept(values, i, x, s, u, h, j0, j1, j2):
     """Keep what WORK_SCRATCH tells of four nodes, with S = s + x u there."""
     t = h * x[0], h * x[1], h * x[2], h * x[3]
-    chord = _raised(t, t, 1.0)
-    even = _product(x, u)
-    slope = _product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
-    rate = _raised(_raised((j2, j2, j2, j2), t, j1), t, j0)
-    whole, part = _product(slope, chord), _product(slope, rate)
+    chord = raised(t, t, 1.0)
+    even = product(x, u)
+    slope = product(chord, (s[0] + even[0], s[1] + even[1], s[2] + even[2], s[3] + even[3]))
+    rate = raised(raised((j2, j2, j2, j2), t, j1), t, j0)
+    whole, part = product(slope, chord), product(slope, rate)
     w0, w1, w2, w3 = WEIGHTS[i], WEIGHTS[i + 1], WEIGHTS[i + 2], WEIGHTS[i + 3]
-    values[i], values[i + 1], values[i + 2], values[i + 3] = _product(whole, (w0, w1, w2, w3))
+    values[i], values[i + 1], values[i + 2], values[i + 3] = product(whole, (w0, w1, w2, w3))
     k = NODES + i
-    values[k], values[k + 1], values[k + 2], values[k + 3] = _product(part, (w0, w1, w2, w3))
+    values[k], values[k + 1], values[k + 2], values[k + 3] = product(part, (w0, w1, w2, w3))
     k += NODES
     values[k], values[k + 1], values[k + 2], values[k + 3] = slope
     k += 2 * NODES
@@ -118,15 +118,15 @@ def _along_half_angle(coefficients, h, j0, j1, j2, v3, unit, values, x):
     k = len(coefficients) - 1  # even
     z, first = x * x, coefficients[k]
     at0, at4, at8 = _places(AT0, x), _places(AT4, x), _places(AT8, x)
-    y0, y4, y8 = _product(at0, at0), _product(at4, at4), _product(at8, at8)
+    y0, y4, y8 = product(at0, at0), product(at4, at4), product(at8, at8)
     s0 = s4 = s8 = (first, first, first, first)
     u0 = u4 = u8 = (0.0, 0.0, 0.0, 0.0)
     here, odd_here = first, 0.0
     while k > 1:
         k -= 2
         even, odd = coefficients[k], coefficients[k + 1]
-        s0, s4, s8 = _raised(s0, y0, even), _raised(s4, y4, even), _raised(s8, y8, even)
-        u0, u4, u8 = _raised(u0, y0, odd), _raised(u4, y4, odd), _raised(u8, y8, odd)
+        s0, s4, s8 = raised(s0, y0, even), raised(s4, y4, even), raised(s8, y8, even)
+        u0, u4, u8 = raised(u0, y0, odd), raised(u4, y4, odd), raised(u8, y8, odd)
         here, odd_here = here * z + even, odd_here * z + odd
     _kept(values, AT0, at0, s0, u0, h, j0, j1, j2)
     _kept(values, AT4, at4, s4, u4, h, j0, j1, j2)
@@ -142,7 +142,7 @@ def _rubbed(shape, values):
     for i in range(0, NODES, 4):
         k, m, n = 2 * NODES + i, 3 * NODES + i, 4 * NODES + i
         at = values[n], values[n + 1], values[n + 2], values[n + 3]
-        fall = _raised(_raised(_raised(_raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
+        fall = raised(raised(raised(raised((q4, q4, q4, q4), at, q3), at, q2), at, q1), at, 1.0)
         values[m], values[m + 1] = values[i] * values[k] * fall[0], values[i + 1] * values[k + 1] * fall[1]
         values[m + 2] = values[i + 2] * values[k + 2] * fall[2]
         values[m + 3] = values[i + 3] * values[k + 3] * fall[3]
@@ -200,8 +200,8 @@ def works_around(series, nodes, x):
             y = _decayed(length, 1.0, start)
             value = last, last, last, last
             for k in range(len(coefficients) - 2, -1, -1):
-                value = _raised(value, y, coefficients[k])
-            value = _product(value, _decayed(length, exponent, 1.0))
+                value = raised(value, y, coefficients[k])
+            value = product(value, _decayed(length, exponent, 1.0))
             _kept(nodes, i, y, value, (0.0, 0.0, 0.0, 0.0), h, series.j0, series.j1, series.j2)
         size = sign * shape.unit * series.scale * width
         work, change = _collocated(nodes, v3, size)
