@@ -12,7 +12,7 @@ With --keep the table is written to docs/figures.
 Landings are rigid bodies on three to nine coplanar corners, symmetric and nearly so, flat and nearly flat:
 boxes, bricks, stools and quadrupeds with locked legs. Their velocities are also compared with the independent
 integration of `tests/landing_reference.py`: to 1e-6 of the largest beyond its own error, for e = 0, as the
-limit of little restitution, to 5e-3.
+limit of little restitution, to 5e-3, unless a jump nearby is flagged.
 """
 
 from __future__ import annotations
@@ -197,7 +197,8 @@ def check(seed: int, landing: Any = None) -> tuple[list[str], str, int, float]:
         off = _off_the_reference(
             landing, problem.delassus, velocity, friction, restitution, solution.velocity
         )
-        checks[f"off the reference by {off:.1e} of what it may be"] = off > 1.0
+        flagged = pinimpact.Flag.NEAR_JUMP in solution.flags
+        checks[f"off the reference by {off:.1e} of what it may be"] = off > 1.0 and not flagged
     kind = "by itself"
     if solution.notes:
         kind = "by steps, noted" if "adaptive steps" in solution.notes[-1] else "all at once, noted"
