@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -301,3 +302,28 @@ def cross_validated(d) -> float:
 
 def test_recorded_cubes_that_are_left_out_are_predicted(cubes) -> None:
     assert cross_validated(cubes) <= 0.0430
+
+
+def test_impacts_are_without_the_effects_that_a_scene_switches_off() -> None:
+    """Impacts of a robot without friction and with free joints; the scene has both, and switches them off."""
+    robot = load_robot("solo12")
+    rng = np.random.default_rng(4)
+    smooth = Contact("FL_FOOT", Plane(), 0.0, 0.4)
+    q = np.array([pin.integrate(robot.model, robot.q0, 0.1 * rng.normal(size=18)) for _ in range(20)])
+    v = rng.normal(size=(20, 18))
+    v[:, 2] -= 3.0
+    after = np.array(
+        [pinimpact.impact(robot.model, robot.data, *now, smooth).v for now in zip(q, v, strict=True)]
+    )
+    rough = Scene(robot, [Contact("FL_FOOT", Plane(), 0.3, 0.9)], locked=("FL_KFE",))
+    free = {"restitution": (0.0, 1.0)}
+    without = ("contact friction", "locked joints")
+    plain = studies.identify((q, v, after), replace(rough, without=without), free)
+    assert plain.x == pytest.approx([0.4], abs=1e-9)
+    for some in ((), without[:1], without[1:]):
+        fit = studies.identify((q, v, after), replace(rough, without=some), free)
+        assert studies.compare(fit, plain).interval[0, 0] > 0.1
+    with pytest.raises(InputError, match="free: friction is free, but the scene is without contact friction"):
+        studies.identify((q, v, after), replace(rough, without=without))
+    with pytest.raises(InputError, match="free: restitution is free, but the scene is without restitution"):
+        studies.identify((q, v, after), replace(rough, without=("restitution",)), free)

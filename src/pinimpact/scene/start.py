@@ -18,6 +18,7 @@ from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
+from .scene import Scene
 
 START_ROUNDING = 2e-9
 """A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
@@ -153,3 +154,15 @@ def altered(contact: Contact, without: Container[str]) -> Contact:
     if "moving surfaces" in without:
         contact = replace(contact, plane=contact.plane.at_rest())
     return contact
+
+
+def in_impacts(scene: Scene) -> Scene:
+    """Return a scene whose impacts need not be told what it switches off."""
+    off = scene.without
+    return replace(
+        scene,
+        model=altered_model(scene.model, off),
+        contacts=[altered(contact, off) for contact in scene.contacts],
+        held=[] if "held contacts" in off else [altered(contact, off) for contact in scene.held],
+        locked=() if "locked joints" in off else scene.locked,
+    )

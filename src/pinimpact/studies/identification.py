@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from ..contact_space.laws import LAWS
 from ..errors import InputError
 from ..robot.names import single_joints
 from ..scene.scene import Scene
+from ..scene.start import in_impacts
 from ..status import Flag, Status
 from .estimate import Identified, checked_bounds, fit, general_first, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
@@ -91,7 +92,8 @@ def identify(
     Args:
         found: Result of `impacts`; or the arrays (W, v⁻, v⁺) of contact space, (N, 3, 3), (N, 3) and (N, 3),
             without a scene; or (q, v⁻, v⁺) of the robot of a scene, (N, nq), (N, nv) and (N, nv).
-        scene: The robot and its contacts; their coefficients are those that are not free.
+        scene: The robot and its contacts; their coefficients are those that are not free. Impacts are without
+            the effects that it switches off, see ``Scene.without``.
         free: Bounds of each parameter: "friction" and "restitution" for all contacts, "friction:foot" for the
             contact "foot"; "stiffening" for all joints with one velocity, "stiffening:elbow" for one, see
             `impact`. None: friction and restitution, from 0 to 2 and from 0 to 1.
@@ -129,7 +131,7 @@ def identify(
         }
         return _of_motions(trajectories, scene, free, law, loss, executor, restart, others)
     joints = () if scene is None else single_joints(scene.model)
-    bounds = checked_bounds(FREE if free is None else free, RANGES | STIFFENING, labels, joints)
+    bounds = _checked(free, RANGES | STIFFENING, scene, labels, joints)
     if law is not None:
         choice("law", law, LAWS + ONE_STEP, "a restitution law or a model in one step")
     if scene is None:
@@ -141,6 +143,7 @@ def identify(
                 field="fixed",
                 value=fixed,
             )
+        scene = in_impacts(scene)
         given = as_found(found, scene, contact, group)
         if group is None and isinstance(found, FoundImpacts):
             group = given.group
@@ -214,6 +217,25 @@ def _fitted(
     return fit(residual, jacobian, bounds, group, loss, reason, trial, law=rows.law, setters=setters)
 
 
+def _checked(
+    free: Mapping[str, tuple[float, float]] | None,
+    known: Mapping[str, tuple[float, float]],
+    scene: Scene | None,
+    labels: Sequence[str],
+    joints: Iterable[str] = (),
+) -> dict[str, tuple[float, float]]:
+    """Return the bounds of free parameters; none may be of an effect that the scene switches off."""
+    bounds = checked_bounds(FREE if free is None else free, known, labels, joints)
+    for name in bounds:
+        kind = name.partition(":")[0]
+        effect = "contact friction" if kind in ("friction", "sliding_friction") else kind
+        if scene is not None and effect in scene.without:
+            raise InputError(
+                f"free: {name} is free, but the scene is without {effect}", field="free", value=free
+            )
+    return bounds
+
+
 def _of_motions(
     motions: Any,
     scene: Scene | None,
@@ -237,7 +259,7 @@ def _of_motions(
             "scene: None given; trajectories= needs the scene of the body", field="scene", value=scene
         )
     labels = [one.label for one in scene.contacts]
-    bounds = checked_bounds(FREE if free is None else free, RANGES | SLIDING, labels)
+    bounds = _checked(free, RANGES | SLIDING, scene, labels)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
     setters = dict.fromkeys(RANGES | SLIDING, _set_coefficient)
