@@ -120,7 +120,6 @@ def identify(
             scene or with held contacts.
         UnknownNameError: An unknown parameter, contact, joint, law or loss.
     """
-    labels = [] if scene is None else [one.label for one in scene.contacts]
     if trajectories is not None:
         others = {
             "found": found,
@@ -131,7 +130,7 @@ def identify(
         }
         return _of_motions(trajectories, scene, free, law, loss, executor, restart, others)
     joints = () if scene is None else single_joints(scene.model)
-    bounds = _checked(free, RANGES | STIFFENING, scene, labels, joints)
+    bounds = _checked(free, RANGES | STIFFENING, scene, joints)
     if law is not None:
         choice("law", law, LAWS + ONE_STEP, "a restitution law or a model in one step")
     if scene is None:
@@ -221,10 +220,10 @@ def _checked(
     free: Mapping[str, tuple[float, float]] | None,
     known: Mapping[str, tuple[float, float]],
     scene: Scene | None,
-    labels: Sequence[str],
     joints: Iterable[str] = (),
 ) -> dict[str, tuple[float, float]]:
     """Return the bounds of free parameters; none may be of an effect that the scene switches off."""
+    labels = [] if scene is None else [one.label for one in scene.contacts]
     bounds = checked_bounds(FREE if free is None else free, known, labels, joints)
     for name in bounds:
         kind = name.partition(":")[0]
@@ -258,8 +257,7 @@ def _of_motions(
         raise InputError(
             "scene: None given; trajectories= needs the scene of the body", field="scene", value=scene
         )
-    labels = [one.label for one in scene.contacts]
-    bounds = _checked(free, RANGES | SLIDING, scene, labels)
+    bounds = _checked(free, RANGES | SLIDING, scene)
     if law is not None:
         choice("law", law, LAWS, "a restitution law")
     setters = dict.fromkeys(RANGES | SLIDING, _set_coefficient)
