@@ -139,18 +139,21 @@ class _Fits(NamedTuple):
         """Return a fit by quadratic models of the cost in a region that shrinks, from parameters (p,) on."""
         group = _groups(starts)
         low, high = np.array(list(self.bounds.values())).T
-        scale = 1.0 if self.loss == "linear" else robust_scale(self.residual(starts, near)) or 1.0
+        at = lru_cache(None)(lambda x: self.residual(starts, np.array(x)))  # few points, two of them twice
 
         def place(z: Array) -> Array:
             return np.clip(low + z * (high - low), low, high)
 
+        first = (near - low) / (high - low)
+        scale = 1.0 if self.loss == "linear" else robust_scale(at(tuple(place(first).tolist()))) or 1.0
+
         def cost(z: Array) -> float:
-            squares = (self.residual(starts, place(z)) / scale) ** 2
+            squares = (at(tuple(place(z).tolist())) / scale) ** 2
             return 0.5 * float(LOSSES[self.loss](squares)[0].mean())
 
         found = minimize(
             cost,
-            (near - low) / (high - low),
+            first,
             method="COBYQA",
             bounds=Bounds(0.0, 1.0),
             options=dict(zip(("initial_tr_radius", "final_tr_radius"), RADII, strict=True)),
@@ -158,7 +161,7 @@ class _Fits(NamedTuple):
         found.x = place(found.x)
         steps = STEP * (high - low)
         centre = np.clip(found.x, low + steps, high - steps)
-        here = self.residual(starts, centre)
+        here = at(tuple(centre.tolist()))
         ahead = np.stack([self.residual(starts, centre + h) - here for h in np.diag(steps)], axis=2)
         behind = np.stack([here - self.residual(starts, centre - h) for h in np.diag(steps)], axis=2)
         slopes = (ahead + behind) / (2.0 * steps)
