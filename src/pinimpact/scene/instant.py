@@ -27,7 +27,8 @@ from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import SceneImpacts
 from .shape_watch import ShapeWatch
-from .start import START_ROUNDING, altered, check_start
+from .start import START_ROUNDING, check_start
+from .switched_off import altered, held_contacts
 
 Array = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ class Instant:
         layout = scene.layout()
         watched = () if "contact guards" in without else layout.watched
         contacts = [altered(contact, without) for contact in watched] if without else list(watched)
-        held = [altered(c, without) for c in scene.held] if "held contacts" not in without else []
+        held = held_contacts(scene)
         limits = layout.limits if "joint limits" not in without else ()
         self._recorded = scene.record and "recorded path" not in without
         extent, resting_speed = layout.extent, scene.rest

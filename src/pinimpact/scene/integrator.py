@@ -31,7 +31,8 @@ from .progress import Progress
 from .recorder import Mark
 from .scene import Scene
 from .shape_watch import Meeting
-from .start import altered_model, state_at
+from .start import state_at
+from .switched_off import altered_model
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]

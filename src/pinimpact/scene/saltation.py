@@ -27,6 +27,7 @@ from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
 from .records import EventRecord, ImpactRecord
 from .scene import Scene
+from .switched_off import held_contacts, locked_joints
 
 Array = NDArray[np.float64]
 
@@ -88,8 +89,7 @@ class Saltation:
         self.parameters = tuple(parameters)
         self.boundary = Boundary.NONE
         self._dynamics, self._model, self._data = dynamics, model, model.createData()
-        self._held = tuple(scene.held) if "held contacts" not in scene.without else ()
-        self._locked = scene.locked if "locked joints" not in scene.without else ()
+        self._held, self._locked = tuple(held_contacts(scene)), locked_joints(scene)
         self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
         labels = [contact.label for contact in dynamics.contacts]
         self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}

@@ -33,6 +33,7 @@ from .impact_results import GroupImpact, Impact, Solved, given, group_impact, of
 from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
+from .switched_off import locked_joints
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ class SceneImpacts:
         self._data = data
         self._dynamics = dynamics
         self._held = held
-        self._locked = scene.locked if "locked joints" not in without else ()
+        self._locked = locked_joints(scene)
         self._limit_restitution = 0.0 if "restitution" in without else scene.limit_restitution
         self._sustained = "sustained contact" not in without
         self._resting_speed = resting_speed if self._sustained else 0.0

@@ -1,9 +1,8 @@
-"""The start of a motion: contacts without what is switched off, and checks of the state."""
+"""The start of a motion: checks of the state."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_array
 from ..errors import InputError
-from ..robot.contact import Contact
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
-from .scene import Scene
 
 START_ROUNDING = 2e-9
 """A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
@@ -132,37 +129,3 @@ def state_at(model: pin.Model, data: Any, q0: ArrayLike, v0: ArrayLike) -> Hybri
     except InputError as error:
         raise InputError(f"q0: {str(error).removeprefix('q: ')}", field="q0", value=q0) from None
     return HybridState(0.0, q, finite_array("v0", v0, (model.nv,)).copy())
-
-
-def altered_model(model: pin.Model, without: Container[str]) -> pin.Model:
-    """Return a model without the effects that are switched off."""
-    if "gravity" in without or "rotor inertia" in without:
-        model = model.copy()
-    if "gravity" in without:
-        model.gravity = pin.Motion.Zero()
-    if "rotor inertia" in without:
-        model.armature = np.zeros(model.nv)
-    return model
-
-
-def altered(contact: Contact, without: Container[str]) -> Contact:
-    """Return a contact without the effects that are switched off."""
-    if "contact friction" in without:
-        contact = replace(contact, friction=0.0, sliding_friction=None)
-    if "restitution" in without:
-        contact = replace(contact, restitution=0.0)
-    if "moving surfaces" in without:
-        contact = replace(contact, plane=contact.plane.at_rest())
-    return contact
-
-
-def in_impacts(scene: Scene) -> Scene:
-    """Return a scene whose impacts need not be told what it switches off."""
-    off = scene.without
-    return replace(
-        scene,
-        model=altered_model(scene.model, off),
-        contacts=[altered(contact, off) for contact in scene.contacts],
-        held=[] if "held contacts" in off else [altered(contact, off) for contact in scene.held],
-        locked=() if "locked joints" in off else scene.locked,
-    )

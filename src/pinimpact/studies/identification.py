@@ -17,7 +17,7 @@ from ..contact_space.laws import LAWS
 from ..errors import InputError
 from ..robot.names import single_joints
 from ..scene.scene import Scene
-from ..scene.start import in_impacts
+from ..scene.switched_off import in_impacts
 from ..status import Flag, Status
 from .estimate import Identified, checked_bounds, fit, general_first, group_numbers, whitener
 from .found import FoundImpacts, arrays_of, as_found, matrices_of
