@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Boundary, Contact, ImpactProblem, Plane, Sphere
+from pinimpact import Boundary, Contact, ImpactProblem, Plane, Shape, Sphere
+from pinimpact.geometry.convex_pair import gap
+from pinimpact.geometry.lines import Edge, Line
 from pinimpact.robot.data_cache import data_cache
 from pinimpact.robot.names import free_velocities
+from pinimpact.robot.shape_pair import shape_pair
 
 from .robot_cases import FRAMES, load, random_state
+from .test_shape_pairs import two_bodies
 
 MOVING = {"velocity": (0.1, 0.2, 0.05), "angular_velocity": (0.3, 0.2, 0.1)}
 CONTACTS = {
@@ -25,6 +30,17 @@ CONTACTS = {
     ),
     "point on sphere": Contact("tip", Sphere((0.2, 0.1, 0.1), radius=0.2, **MOVING), 0.3, 0.5, "newton"),
     "ball on sphere": Contact("tip", Sphere((0.2, 0.1, 0.1), radius=0.2), 0.3, 0.5, radius=0.03),
+    "rim on moving slope": Contact(
+        *("tip", Plane(normal=(0.3, -0.2, 0.9), **MOVING), 0.3, 0.5, "energetic"),
+        **{"offset": (0.02, 0.03, 0.1), "radius": 0.01, "rim": 0.08, "axis": (0.2, 1.0, 0.3)},
+    ),
+    "rim on floor": Contact("tip", Plane(), 0.3, 0.5, "newton", rim=0.1),
+    "ball on line": Contact("tip", Line((0.5, 0.1, 0.1), (0.6, 0.0, 0.8)), 0.3, 0.5, radius=0.03),
+    "point on capsule": Contact("tip", Line(radius=0.1), 0.3, 0.5, "energetic"),
+    "edge on edge": Contact(
+        *("tip", Edge((0.2, 0.1, 0.1), (0.6, 0.0, 0.8)), 0.3, 0.5),
+        **{"offset": (0.02, 0.03, 0.1), "radius": 0.01, "axis": (0.2, 1.0, 0.3)},
+    ),
 }
 CARRIERS = {"panda": "panda_link3", "solo12": "HR_LOWER_LEG", "talos": "left_sole_link"}
 STEP = 1e-4
@@ -73,10 +89,9 @@ def check(model, data, q, v, contact, d):
     by_v = slope(lambda e: after(q, v + e), nv)
     by_friction = slope(lambda e: after(q, v, replace(contact, friction=contact.friction + e[0])), 1)[:, 0]
     pairs = [(d.dv_dq, d.dP_dq, by_q), (d.dv_dv, d.dP_dv, by_v)]
-    pairs += [
-        (d.dv_dsurface, d.dP_dsurface, slope(surface, 6)),
-        (d.dv_dfriction, d.dP_dfriction, by_friction),
-    ]
+    pairs.append((d.dv_dfriction, d.dP_dfriction, by_friction))
+    if isinstance(contact.plane, (Plane, Sphere)):
+        pairs.append((d.dv_dsurface, d.dP_dsurface, slope(surface, 6)))
     if not callable(contact.restitution):
         by_e = slope(lambda e: after(q, v, replace(contact, restitution=contact.restitution + e[0])), 1)
         pairs.append((d.dv_drestitution, d.dP_drestitution, by_e[:, 0]))
@@ -227,6 +242,93 @@ def test_a_ball_that_bounces():
     assert close(d.dv_dq[along], np.zeros((2, 2)), 1e-15)
 
 
+# ---- collision shapes
+
+BALL, BRICK = coal.Sphere(0.1), coal.Box(0.4, 0.3, 0.2)
+PAIRS = {
+    # shapes, and where the first is in the axes of the second, with roll and pitch
+    "ball on face": (BALL, BRICK, (0.05, 0.06, 0.2, 0.0, 0.0)),
+    "ball on edge": (BALL, BRICK, (0.26, 0.06, 0.18, 0.0, 0.0)),
+    "ball on corner": (BALL, BRICK, (0.26, 0.2, 0.18, 0.0, 0.0)),
+    "corner on face": (BRICK, BRICK, (0.05, 0.06, 0.4, 0.6, 0.4)),
+    "face on corner": (BRICK, BRICK, "corner on face"),
+    "edge on edge": (BRICK, BRICK, (0.25, 0.02, 0.2, 0.2, 0.8)),
+    "capsule on edge": (coal.Capsule(0.05, 0.3), BRICK, (0.25, 0.02, 0.15, 1.5, 0.2)),
+}
+
+
+def brought_together(robot, q):
+    """Return a configuration in which the shapes "a" and "b" touch."""
+    pair, q = shape_pair(robot, Contact(geometry="a", plane=Shape("b"))), q.copy()
+    for _ in range(10):
+        pin.forwardKinematics(robot.model, robot.data, q)
+        found = gap(*pair.placed(robot.data))
+        q[:3] -= found.value * found.normal
+    return q
+
+
+def shapes(kind):
+    """Return two free bodies with the shapes of a pair, in contact, and the contact."""
+    first, second, place = PAIRS[kind]
+    swap = isinstance(place, str)
+    robot, rng = two_bodies(first, second), np.random.default_rng(4)
+    *x, roll, pitch = PAIRS[place][2] if swap else place
+    between = pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, 0.3), np.array(x))
+    base = pin.SE3(pin.rpy.rpyToMatrix(*rng.normal(size=3)), rng.normal(size=3))
+    q = np.concatenate([pin.SE3ToXYZQUAT(base * between), pin.SE3ToXYZQUAT(base)])
+    contact = Contact(geometry="ab"[swap], plane=Shape("ba"[swap]), friction=0.3, restitution=0.5)
+    return robot, brought_together(robot, q), contact
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_shapes_that_touch(kind):
+    robot, q, contact = shapes(kind)
+    model, data, v = robot.model, robot.data, np.random.default_rng(5).normal(size=12)
+    if pinimpact.impact(robot, data, q, v, contact).solution.status == pinimpact.Status.NO_IMPACT:
+        v = -v
+    d = pinimpact.impact_derivatives(robot, data, q, v, contact)
+    assert d.boundary == Boundary.NONE
+
+    def after(q, v):
+        hit = pinimpact.impact(robot, data, q, v, contact)
+        return np.concatenate([hit.v, hit.impulse_world])
+
+    by_v = slope(lambda e: after(q, v + e), 12)
+    assert close(d.dv_dv, by_v[:12])
+    assert close(d.dP_dv, by_v[12:])
+
+    def moved(e):  # shapes that overlap have no impact
+        return brought_together(robot, pin.integrate(model, q, e))
+
+    tangents = slope(lambda e: pin.difference(model, q, moved(e)), 12)
+    assert np.linalg.matrix_rank(tangents, 1e-6) == 11
+    by_q = slope(lambda e: after(moved(e), v), 12)
+    assert close(d.dv_dq @ tangents, by_q[:12])
+    assert close(d.dP_dq @ tangents, by_q[12:])
+
+
+@pytest.mark.parametrize(
+    ("place", "meet"),
+    [
+        ((0.28, 0.06, 0.16), False),
+        ((0.2, 0.06, 0.2), True),
+        ((0.2, 0.15, 0.2), True),
+        ((0.28, 0.15, 0.16), True),
+    ],
+)
+def test_a_ball_where_features_meet(place, meet):
+    # where faces and edges end the curvature jumps
+    robot = two_bodies(BALL, BRICK)
+    q = np.array([*place, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
+    v = np.array([-1.0, -1.0, -1.0, *np.zeros(9)])
+    contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.5)
+    d = pinimpact.impact_derivatives(robot, robot.data, q, v, contact)
+    assert (d.boundary == Boundary.FEATURES_MEET) == meet
+    for of_q in (d.dv_dq, d.dP_dq):
+        assert np.isnan(of_q).all() == meet
+    assert np.isfinite(d.dv_dv).all()
+
+
 MODEL, DATA = load("panda")
 HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
 
@@ -235,14 +337,23 @@ HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
     ("contact", "words"),
     [
         (replace(HERE, restitution=lambda speed: 0.5), "attribute `slope`"),
-        (replace(HERE, rim=0.1), "a rim"),
+        (replace(HERE, rim=0.1), "lies flat"),
         ([HERE, HERE], "contact"),
-        (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "tips"),
+        (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "RobotWrapper"),
     ],
 )
 def test_what_has_no_derivatives_is_refused(contact, words):
     with pytest.raises(pinimpact.InputError, match=words):
         pinimpact.impact_derivatives(MODEL, DATA, pin.neutral(MODEL), np.ones(9), contact)
+
+
+def test_shapes_that_touch_at_several_points_or_overlap_are_refused():
+    robot, v = two_bodies(BRICK, BRICK), np.array([0.0, 0.0, -1.0, *np.zeros(9)])
+    contact = Contact(geometry="a", plane=Shape("b"), friction=0.3)
+    for height, words in ((0.2, "at 4 points"), (0.19, "at 0 points")):
+        q = np.array([0, 0, height, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
+        with pytest.raises(pinimpact.InputError, match=words):
+            pinimpact.impact_derivatives(robot, robot.data, q, v, contact)
 
 
 def test_joints_whose_axes_turn_are_refused():

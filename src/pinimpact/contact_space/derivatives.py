@@ -30,6 +30,7 @@ class Boundary(enum.IntFlag):
     RANK = 64
     CLOSED = 128
     LAST_BOUNCE = 256
+    FEATURES_MEET = 512
 
     @classmethod
     def _missing_(cls, value: object) -> Any:
@@ -50,6 +51,7 @@ _TEXTS = {
     Boundary.RANK: "W is singular: derivatives hold for changes that keep its rank.",
     Boundary.CLOSED: "Contacts or limits are closed at the start: changes that open them are projected.",
     Boundary.LAST_BOUNCE: "Bounces ended at the resting speed: those that would follow do not count.",
+    Boundary.FEATURES_MEET: "Shapes touch where a face ends, or corner on corner: the normal turns abruptly.",
 }
 
 

@@ -394,3 +394,24 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
         if all(np.linalg.norm(touch.point - other.point) > COINCIDE * size for other in distinct):
             distinct.append(touch)
     return distinct
+
+
+def alone(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> bool:
+    """Whether no other features are as close at the place of a contact point that `touches` returns."""
+    near = COINCIDE * (a.shape.reach + b.shape.reach)
+    found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
+    if touch.kind == "vertex-vertex":  # of an edge that ends here the closest point may be the end
+        i, j = touch.features
+        found += _ending(a, i, b, j, near) + [other.mirrored for other in _ending(b, j, a, i, near)]
+    apart = [(one.point - touch.point, one.other - touch.other) for one in found]
+    return sum(float(np.linalg.norm(pair)) <= near for pair in apart) <= 1
+
+
+def _ending(a: PlacedShape, i: int, b: PlacedShape, j: int, near: float) -> list[Touch]:
+    """Return a vertex of A with edges of B that end in a vertex, if its projection is near it or within."""
+    point, edges = a.vertices[i], np.flatnonzero((b.shape.edges == j).any(axis=1)).tolist()
+    return [
+        Touch("vertex-edge", point, b.vertices[j], (i, k))
+        for k in edges
+        if _foot_on_edge(point, b, k)[1] <= near
+    ]

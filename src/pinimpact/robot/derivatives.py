@@ -14,20 +14,21 @@ from ..contact_space.derivatives import Boundary
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError, ModelError
-from ..geometry._kernels.constants import PLANE, SPHERE
 from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
 from ._kernels.tree import solve_mass
-from .contact import Contact, check_contact, check_held
+from .contact import Contact, check_contact, check_held, contact_constants
 from .data_cache import data_cache
-from .forest import Forest
+from .forest import composite_inertias, joint_jacobian
 from .held import check_at_rest
 from .matrices import ContactMatrices, contact_matrices
 from .names import free_velocities, model_of
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
+from .shape_pair import closest_points, is_pair
 from .struck import strike
+from .touching import check_rims, touching_tips
 
 Array = NDArray[np.float64]
 _SHARES = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
@@ -101,22 +102,6 @@ def check_joints(model: pin.Model) -> None:
             )
 
 
-def check_differentiable(contact: Contact) -> None:
-    """Refuse contacts whose kinematics are not differentiated."""
-    what = ""
-    if contact.rim > 0.0:
-        what = "a rim"
-    elif contact.plane.code not in (PLANE, SPHERE):
-        what = f"a {contact.plane.kind}"
-    if what:
-        raise InputError(
-            f"contact: {contact.label!r} has {what}, for which derivatives are not available; they are for "
-            "points and spheres in contact with a Plane or a Sphere",
-            field="contact",
-            value=contact,
-        )
-
-
 def _slope_of_restitution(contact: Contact, speed: float) -> float:
     """Return de/d(approach speed), 0 for a number."""
     if not callable(contact.restitution):
@@ -148,9 +133,10 @@ def impact_derivatives(
         data: Its data; `contact_matrices` lists the fields that change.
         q: (nq,) configuration.
         v: (nv,) velocity before the impact.
-        contact: The contact that collides: a point or a sphere on a Plane or Sphere. A `restitution` that is
-            a function needs an attribute ``slope``, its derivative by the approach speed [s/m].
-        held: Contacts that hold during the impact, points and spheres on Planes and Spheres too.
+        contact: The contact that collides, of a collision shape too if it touches at one point; then `model`
+            is the RobotWrapper. A `restitution` that is a function needs an attribute ``slope``, its
+            derivative by the approach speed [s/m].
+        held: Contacts that hold during the impact.
         locked: Joints, by name or id, whose velocity the impact does not change.
 
     Raises:
@@ -160,11 +146,7 @@ def impact_derivatives(
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
-    check_contact("contact", contact)
-    held = check_held(held)
-    for one in (contact, *held):
-        check_differentiable(one)
-    block, boundary = _differentiated(model, data, q, v, contact, held, locked, True)
+    block, boundary = _differentiated(model, data, q, v, contact, check_held(held), locked, True)
     return ImpactDerivatives(block, Boundary(boundary))
 
 
@@ -198,7 +180,6 @@ def impact_rows(
         world axes [N s]; columns without derivative are NaN.
     """
     dt = above_zero("dt", dt)
-    check_contact("contact", contact)
     block, _ = _differentiated(model, data, q, v, contact, check_held(held), locked, False)
     nv = len(block) - 3
     return dt * block[:, nv : 2 * nv], block[:, -1].copy()
@@ -215,7 +196,11 @@ def _differentiated(
     by_q: bool,
 ) -> tuple[Array, int]:
     """Return q̇⁺ and P and their derivatives, as `assemble` lays them out, and flags of `Boundary`."""
+    if not isinstance(contact, Contact) or contact.geometry is not None:
+        return _of_shape(model, data, q, v, contact, held, locked, by_q)
     model = model_of(model)
+    if held or contact.rim > 0.0:
+        check_rims(PlacedRobot(model, data, q), (contact, *held))
     if not (held or locked or callable(contact.restitution)):
         cache = data_cache(model, data)
         work = strike(cache, model, data, contact)[1]
@@ -229,21 +214,86 @@ def _differentiated(
     return _by_pinocchio(model, data, q, v, contact, held, locked, by_q)
 
 
+def _of_shape(
+    robot: Any,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact,
+    held: tuple[Contact, ...],
+    locked: Sequence[str | int],
+    by_q: bool,
+) -> tuple[Array, int]:
+    """Do what `_differentiated` does for a collision shape, at the one point where it touches.
+
+    How that moves with q follows from its features, which may be those of a contact whose tip is on the other
+    shape.
+    """
+    if not isinstance(contact, Contact):
+        check_contact("contact", contact)
+    if is_pair(robot, contact):
+        found = closest_points(robot, data, q, contact)
+        points = [(one.instant, one.lasting, one.swapped) for one in found]
+    else:
+        points = [(tip, tip, False) for tip in touching_tips(robot, data, q, contact)]
+    if len(points) != 1:
+        raise InputError(
+            f"contact: {contact.label!r} touches at {len(points)} points at this q; derivatives are for "
+            "contact at one point, of shapes that do not overlap",
+            field="contact",
+            value=contact,
+        )
+    ((instant, lasting, swapped),) = points
+    given = robot, data, q, v
+    block, boundary = _differentiated(*given, instant, held, locked, by_q and lasting is instant)
+    of_q = block[:, : len(block) - 3]
+    if not by_q or lasting is instant:
+        return block, boundary
+    if lasting is None:
+        of_q[:] = np.nan
+        boundary |= Boundary.FEATURES_MEET
+    else:
+        of_q[:] = _differentiated(*given, lasting, held, locked, True)[0][:, : len(block) - 3]
+        if swapped:  # that impulse is on the other shape
+            of_q[-3:] *= -1.0
+    return block, boundary
+
+
+class _Tree(NamedTuple):
+    """The motions (6, nv) of the velocities, and the joints that they belong to and that these stand on."""
+
+    J: Array
+    joint: NDArray[np.int64]
+    parent: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, placed: PlacedRobot) -> _Tree:
+        """Return those of a robot at a configuration."""
+        model = placed.model
+        joint, parent = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents)
+        return cls(joint_jacobian(model, placed.data, placed.q), joint, parent)
+
+
 class _Place(NamedTuple):
-    """The joints of tip and surface, where a contact is, and the placement (12,) of the surface's body."""
+    """The joints of tip and surface, where a contact is, how that moves, and where its surface's body is."""
 
     tip: int
     base: int
     at: Array
+    shifts: Array
     carrier: Array
 
 
-def _place(placed: PlacedRobot, contact: Contact, geometry: ContactGeometry, turns: bool) -> _Place:
-    frame, body, _ = placed.cache.contact(contact.frame, contact.plane.body)
-    frames, at = placed.model.frames, np.empty(places.PLACE)
-    carrier = placed.placements(contact)[1][:3].T.ravel()
-    places.fill_place(contact.constants.copy(), carrier, geometry.axes.ravel(), geometry.point, turns, at)
-    return _Place(frames[frame].parentJoint, frames[body].parentJoint, at, carrier)
+def _place(
+    placed: PlacedRobot, tree: _Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
+) -> _Place:
+    """Fill `at` and `shifts` of a contact; those of n velocities, all or none."""
+    joints = contact_constants(placed.model, contact)[:2]
+    at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
+    frame, carrier = (np.ascontiguousarray(one[:3].T).ravel() for one in placed.placements(contact))
+    rest = contact.constants.copy(), geometry.axes.ravel(), turns, *tree, *joints, at, shifts
+    places.fill_place(frame, carrier, *rest)
+    return _Place(*joints, at, shifts, carrier)
 
 
 def _by_pinocchio(
@@ -275,12 +325,13 @@ def _by_pinocchio(
     assert d is not None
     by_delassus = d.dP_ddelassus[:, _UPPER[0], _UPPER[1]] * _SHARES
     slopes = np.column_stack([d.dP_dv, by_delassus, d.dP_dfriction, d.dP_drestitution])
-    placed, n = PlacedRobot(model, data, q), nv if by_q else 0
-    where, y = _place(placed, contact, matrices, True), np.ascontiguousarray(matrices.response.T)
+    placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
+    tree = _Tree.of(placed)
+    where = _place(placed, tree, contact, matrices, True, n)
     of_data, responses, turned = np.empty((9, n)), np.empty((n, n)), np.empty((3, n))
     if by_q:
         free, of_all = free_velocities(model, locked), (y, v, impulse, of_data, responses, turned)
-        responses = _by_configuration(placed, where, held, matrices, free, of_all)
+        responses = _by_configuration(placed, tree, where, held, matrices, free, of_all)
     block = np.empty((nv + 3, 2 * nv + kernel.MORE))
     rest = y, v, impulse, slopes, slope, by_q, of_data, responses, turned, block
     kernel.assemble(where.at, where.carrier, rows, *rest)
@@ -289,6 +340,7 @@ def _by_pinocchio(
 
 def _by_configuration(
     placed: PlacedRobot,
+    tree: _Tree,
     where: _Place,
     held: tuple[Contact, ...],
     matrices: ContactMatrices,
@@ -296,30 +348,27 @@ def _by_configuration(
     of_all: tuple[Array, ...],
 ) -> Array:
     """Fill what `impact_slopes` does, with held contacts; return M⁻¹ times the forces. (D17)–(D21)"""
-    model, data = placed.model, placed.data
-    if isinstance(data, Forest):
-        raise InputError("data: a Forest given; a pinocchio Data is expected", field="data", value=data)
+    model, parents = placed.model, placed.cache.parents
     check_joints(model)
-    pin.crba(model, data, placed.q, pin.Convention.WORLD)  # for oYcrb, which the other convention leaves out
-    J, parents = np.asfortranarray(data.J.reshape(6, -1)), placed.cache.parents
-    joint, parent = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents, dtype=np.int64)
-    inertia = np.array([inertia.toDynamicParameters() for inertia in data.oYcrb])
-    kernel.impact_slopes(J, joint, parent, parents, inertia, where.tip, where.base, where.at, *of_all)
+    inertia = composite_inertias(model, placed.data, placed.q)
+    tip, base, at, shifts, _ = where
+    kernel.impact_slopes(*tree, parents, inertia, tip, base, at, shifts, *of_all)
     y, _, impulse, of_data, forces, _ = of_all
     if not held:
         lower, columns = np.empty_like(forces), forces * free[:, None]
         half_solve(matrices.mass, parents, free.astype(np.float64), lower, np.empty((0, len(free))))
         solve_mass(lower, parents, columns)
         return columns
-    motions, moved = np.empty((model.njoints, 6)), np.empty((3, len(held), 3, len(free)))
+    nv = len(free)
+    motions, moved = np.empty((model.njoints, 6)), np.empty((3, len(held), 3, nv))
     pushes = matrices.held_response  # [h, world axis, i]
     for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
-        tip, base, at, _ = _place(placed, anchor, geometry, False)
+        tip, base, at, shifts, _ = _place(placed, tree, anchor, geometry, False, nv)
         for i, x in enumerate(y):
-            places.fill_motions(J, joint, parent, x, motions)
-            places.velocity_slopes(J, joint, parent, tip, base, at, motions, False, moved[i, h])
+            places.fill_motions(*tree, x, motions)
+            places.velocity_slopes(*tree, tip, base, at, shifts, motions, False, moved[i, h])
         f1, f2, f3 = pushes[h] @ impulse
-        places.force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, forces)
+        places.force_slopes(*tree, at, shifts, f1, f2, f3, forces)
     by_rows = moved.reshape(3, 3 * len(held), -1)
     of_rows = pushes.reshape(-1, 3).T @ by_rows  # [j, i, k]
     of_data[3:] += (of_rows + of_rows.transpose(1, 0, 2))[_UPPER]

@@ -115,6 +115,15 @@ def mass_matrix(model: pin.Model, data: Any, q: Array) -> Array:
     return _by_blocks(pin.crba, model, data, q)
 
 
+def composite_inertias(model: pin.Model, data: Any, q: Array) -> Array:
+    """Return the inertias (joints, 10) of all that joints carry, in world axes; for a Data or a `Forest`."""
+    found = np.zeros((model.njoints, 10))
+    for part in parts_of(model, data):
+        pin.crba(part.model, part.data, q[part.q], pin.Convention.WORLD)  # the other leaves oYcrb out
+        found[part.joints] = [inertia.toDynamicParameters() for inertia in list(part.data.oYcrb)[1:]]
+    return found
+
+
 def inverse_mass(model: pin.Model, data: Any, q: Array) -> Array:
     """Return M⁻¹ (nv, nv) at q (nq,); for a Data or a `Forest`."""
     return _by_blocks(pin.computeMinverse, model, data, q)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, find_shape
-from ..geometry.convex_pair import Touch, gap, touches
+from ..geometry.convex_pair import Touch, alone, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
 from ..geometry.plane import Plane
@@ -247,8 +247,10 @@ class _Side:
         }
 
 
-def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
+def closest_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[PointContact]:
     """Return the contacts of single points for the closest points of two shapes at a configuration.
+
+    Their `lasting` is also None where other features are as close at the same place.
 
     Args:
         robot: The RobotWrapper.
@@ -261,5 +263,17 @@ def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) 
     placed = pair.placed(data)
     found = gap(*placed)
     size = pair.a.shape.reach + pair.b.shape.reach
-    points = touches(*placed, found.normal, NEAREST * size + max(found.value, 0.0))
-    return [point_contact(pair, data, placed, found.normal, touch, pair.basis).instant for touch in points]
+    tolerance = NEAREST * size + max(found.value, 0.0)
+    points = [
+        point_contact(pair, data, placed, found.normal, touch, pair.basis)
+        for touch in touches(*placed, found.normal, tolerance)
+    ]
+    return [
+        point if alone(point.touch, *placed, found.normal, tolerance) else point._replace(lasting=None)
+        for point in points
+    ]
+
+
+def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
+    """Return the contacts of `closest_points` at this instant."""
+    return [point.instant for point in closest_points(robot, data, q, contact)]

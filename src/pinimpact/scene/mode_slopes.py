@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..robot.derivatives import check_differentiable, check_joints
+from ..robot.derivatives import check_joints
 from ..robot.pinocchio_bridge import Call, call_addresses
 from ._kernels.contact_forces import SLIP
 from ._kernels.lie_charts import PLANAR, RIGID, ROTATION
@@ -96,8 +96,6 @@ class SlopesOfModes:
     def __init__(
         self, dynamics: SceneDynamics, model: pin.Model, friction: Sequence[int], tau: Array
     ) -> None:
-        for contact in dynamics.contacts:
-            check_differentiable(contact)
         check_joints(model)
         self.dynamics, self.model = dynamics, model
         nv = model.nv

@@ -7,51 +7,69 @@ axes; motions and forces are (linear, angular) at the point that places are meas
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ...geometry._kernels import constants as layout
+from .contact_kinematics import distance, relative
+from .contact_motion import rates_at_contact
 from .placement import cross, direction, place
 
-AXES, TIP, POINT, ORIGIN, MATERIAL, SPIN, RADIUS, ROUND, TURNS = 0, 9, 12, 15, 18, 21, 24, 25, 26
-PLACE = 27
-"""Where a contact is: its axes as rows (9); the tip's centre, the contact point, the surface's point, what
-its material does there beyond its carrier, and its spin (3 each); the radius of the tip; for a sphere the
-inverse distance of the centres with the sign of the side, else 0; whether vectors have components along the
-axes, or in the world."""
+AXES, POINT, ORIGIN, MATERIAL, SPIN, TURNS, PLACE = 0, 9, 12, 15, 18, 21, 22
+"""Where a contact is: its axes as rows (9); the contact point, the surface's point, what its material does
+there beyond its carrier, and its spin (3 each); whether vectors have components along the axes, or in the
+world."""
+
+TURN, TIP, CARRIER, SHIFT = 6, 9, 10, 11
+"""What each q_k does to it: how the contact point and the surface's point move and the axes turn (3 each),
+and whether it moves the tip and the surface, 1 or 0."""
 
 
-@declared(FLOATS, FLOATS, FLOATS, FLOATS, bool, FLOATS)
+@declared(
+    *(FLOATS, FLOATS, FLOATS, FLOATS, bool, FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS),
+    *(FLOAT_ROWS,),
+)
 @jit
-def fill_place(constants, carrier, axes, point, turns, at):
-    """Fill where a contact is.
+def fill_place(R, S, k, axes, turns, J, joint, parent, tip, base, at, shifts):
+    """Fill where a contact is, and how that moves with q. (D19)
 
     Args:
-        constants: (CONSTANTS,) of the contact.
-        carrier: (12,) placement of the body whose axes its surface is given in.
+        R, S: (12,) placements of the bodies in whose axes its constants are, of the tip and of the surface.
+        k: (CONSTANTS,) of the contact.
         axes: (9,) t₁, t₂, n in world axes.
-        point: (3,) the contact point.
         turns: Whether vectors have components along the axes.
+        J, joint, parent: As in `fill_motions`.
+        tip, base: The joints of the tip and of the surface.
         at: (PLACE,).
+        shifts: (nv, SHIFT), or without rows.
     """
-    r = constants[layout.RADIUS]
+    c1, c2, c3, x1, x2, x3 = relative(R, S, k)
+    _, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
     for i in range(9):
         at[AXES + i] = axes[i]
-    for i in range(3):
-        at[TIP + i], at[POINT + i] = point[i] + r * axes[6 + i], point[i]
-    at[ORIGIN], at[ORIGIN + 1], at[ORIGIN + 2] = place(carrier, constants, layout.POINT)
-    at[MATERIAL], at[MATERIAL + 1], at[MATERIAL + 2] = direction(carrier, constants, layout.VELOCITY)
-    at[SPIN], at[SPIN + 1], at[SPIN + 2] = direction(carrier, constants, layout.SPIN)
-    at[RADIUS], at[ROUND], at[TURNS] = r, 0.0, 1.0 if turns else 0.0
-    if constants[layout.KIND] == layout.SPHERE:
-        square = along = 0.0
-        for i in range(3):
-            x = at[TIP + i] - at[ORIGIN + i]
-            square, along = square + x * x, along + x * axes[6 + i]
-        at[ROUND] = math.copysign(1.0 / math.sqrt(square), along)
+    n1, n2, n3, r = axes[6], axes[7], axes[8], k[layout.RADIUS]
+    at[POINT], at[POINT + 1], at[POINT + 2] = c1 - r * n1, c2 - r * n2, c3 - r * n3
+    o1, o2, o3 = place(S, k, layout.POINT)
+    at[ORIGIN], at[ORIGIN + 1], at[ORIGIN + 2] = o1, o2, o3
+    at[MATERIAL], at[MATERIAL + 1], at[MATERIAL + 2] = direction(S, k, layout.VELOCITY)
+    at[SPIN], at[SPIN + 1], at[SPIN + 2] = direction(S, k, layout.SPIN)
+    at[TURNS] = 1.0 if turns else 0.0
+    where, motions = (c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3), np.empty((2, 6))
+    for i in range(len(shifts)):
+        shift = shifts[i]
+        shift[TIP] = 1.0 if _carries(parent, joint[i], tip) else 0.0
+        shift[CARRIER] = 1.0 if _carries(parent, joint[i], base) else 0.0
+        if shift[TIP] + shift[CARRIER] == 0.0:
+            shift[:TIP] = 0.0
+            continue
+        V, U = motions[0], motions[1]
+        for m in range(6):
+            V[m], U[m] = shift[TIP] * J[m, i], shift[CARRIER] * J[m, i]
+        _, _, _, m1, m2, m3, shift[0], shift[1], shift[2] = rates_at_contact(R, V, S, U, k, where)
+        a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
+        shift[3], shift[4], shift[5] = U[0] + a1, U[1] + a2, U[2] + a3
+        shift[TURN], shift[TURN + 1], shift[TURN + 2] = cross(n1, n2, n3, m1, m2, m3)
 
 
 @inlined
@@ -186,36 +204,17 @@ def mass_slopes(J, joint, parent, before, inertia, motions, momenta, out):
             m = before[m]
 
 
-@inlined
-def _shift(J, k, tips, carries, at):
-    """Return how the contact point and the surface's point move with q_k, and the axes turn. (D19)"""
-    n1, n2, n3 = at[AXES + 6], at[AXES + 7], at[AXES + 8]
-    c1 = c2 = c3 = o1 = o2 = o3 = w1 = w2 = w3 = 0.0
-    if tips:
-        x1, x2, x3 = cross(J[3, k], J[4, k], J[5, k], at[TIP], at[TIP + 1], at[TIP + 2])
-        c1, c2, c3 = J[0, k] + x1, J[1, k] + x2, J[2, k] + x3
-    if carries:
-        w1, w2, w3 = J[3, k], J[4, k], J[5, k]
-        x1, x2, x3 = cross(w1, w2, w3, at[ORIGIN], at[ORIGIN + 1], at[ORIGIN + 2])
-        o1, o2, o3 = J[0, k] + x1, J[1, k] + x2, J[2, k] + x3
-    if at[ROUND] != 0.0:
-        # n turns with the line of centres
-        x1, x2, x3 = at[ROUND] * (c1 - o1), at[ROUND] * (c2 - o2), at[ROUND] * (c3 - o3)
-        w1, w2, w3 = cross(n1, n2, n3, x1, x2, x3)
-    m1, m2, m3 = cross(w1, w2, w3, n1, n2, n3)
-    r = at[RADIUS]
-    return c1 - r * m1, c2 - r * m2, c3 - r * m3, o1, o2, o3, w1, w2, w3
-
-
-@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, bool, FLOAT_ROWS)
+@declared(
+    *(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS, bool, FLOAT_ROWS),
+)
 @jit
-def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
+def velocity_slopes(J, joint, parent, tip, base, at, shifts, motions, relative, out):
     """Fill ∂(J x)/∂q (3, nv), or that of J x less what the surface does beyond its carrier. (D19)
 
     Args:
         J, joint, parent: As in `fill_motions`.
         tip, base: The joints of the tip and of the surface.
-        at: (PLACE,) where the contact is.
+        at, shifts: Of the contact, see `fill_place`.
         motions: (joints, 6) for x.
         relative: Whether the surface's own velocity is taken off.
         out: (3, nv).
@@ -231,12 +230,12 @@ def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
         x1, x2, x3 = cross(s1, s2, s3, y1, y2, y3)
         u1, u2, u3 = u1 - at[MATERIAL] - x1, u2 - at[MATERIAL + 1] - x2, u3 - at[MATERIAL + 2] - x3
     for k in range(len(joint)):
-        i = joint[k]
-        tips, carries = _carries(parent, i, tip), _carries(parent, i, base)
+        i, shift = joint[k], shifts[k]
+        tips, carries = shift[TIP] > 0.0, shift[CARRIER] > 0.0
         if not (tips or carries):
             out[0, k] = out[1, k] = out[2, k] = 0.0
             continue
-        q1, q2, q3, o1, o2, o3, r1, r2, r3 = _shift(J, k, tips, carries, at)
+        q1, q2, q3 = shift[0], shift[1], shift[2]
         d1, d2, d3 = cross(w1, w2, w3, q1, q2, q3)
         b = motions[parent[i]]
         for end in range(2):
@@ -248,7 +247,7 @@ def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
                 x1, x2, x3 = cross(a4, a5, a6, p1, p2, p3)
                 d1, d2, d3 = d1 + f * (a1 + x1), d2 + f * (a2 + x2), d3 + f * (a3 + x3)
         if relative:
-            x1, x2, x3 = cross(s1, s2, s3, q1 - o1, q2 - o2, q3 - o3)
+            x1, x2, x3 = cross(s1, s2, s3, q1 - shift[3], q2 - shift[4], q3 - shift[5])
             d1, d2, d3 = d1 - x1, d2 - x2, d3 - x3
             if carries:
                 m1, m2, m3 = J[3, k], J[4, k], J[5, k]
@@ -257,7 +256,7 @@ def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
                 z1, z2, z3 = cross(z1, z2, z3, y1, y2, y3)
                 d1, d2, d3 = d1 - x1 - z1, d2 - x2 - z2, d3 - x3 - z3
         if at[TURNS] > 0.0:
-            x1, x2, x3 = cross(r1, r2, r3, u1, u2, u3)
+            x1, x2, x3 = cross(shift[TURN], shift[TURN + 1], shift[TURN + 2], u1, u2, u3)
             d1, d2, d3 = d1 - x1, d2 - x2, d3 - x3
             for e in range(3):
                 out[e, k] = at[3 * e] * d1 + at[3 * e + 1] * d2 + at[3 * e + 2] * d3
@@ -265,41 +264,36 @@ def velocity_slopes(J, joint, parent, tip, base, at, motions, relative, out):
             out[0, k], out[1, k], out[2, k] = d1, d2, d3
 
 
-@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, int, int, FLOATS, float, float, float, FLOAT_ROWS)
+@declared(FLOAT_COLUMNS, INTEGERS, INTEGERS, FLOATS, FLOAT_ROWS, float, float, float, FLOAT_ROWS)
 @jit
-def force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, out):
+def force_slopes(J, joint, parent, at, shifts, f1, f2, f3, out):
     """Add ∂(JᵀP)/∂q (nv, nv) for an impulse that turns with the axes, or stays in the world. (D20)
 
     Args:
-        J, joint, parent, tip, base, at: As in `velocity_slopes`.
+        J, joint, parent, at, shifts: As in `velocity_slopes`.
         f1, f2, f3: The impulse in world axes.
         out: (nv, nv).
     """
     nv = len(joint)
     p1, p2, p3 = at[POINT], at[POINT + 1], at[POINT + 2]
     n1, n2, n3 = cross(p1, p2, p3, f1, f2, f3)
-    signs = np.empty(nv)
-    for m in range(nv):
-        tips, carries = _carries(parent, joint[m], tip), _carries(parent, joint[m], base)
-        signs[m] = (1.0 if tips else 0.0) - (1.0 if carries else 0.0)
     for k in range(nv):
-        i = joint[k]
-        tips, carries = _carries(parent, i, tip), _carries(parent, i, base)
-        if not (tips or carries):
+        i, shift = joint[k], shifts[k]
+        if shift[TIP] + shift[CARRIER] == 0.0:
             continue
-        q1, q2, q3, _, _, _, r1, r2, r3 = _shift(J, k, tips, carries, at)
-        e1, e2, e3 = cross(q1, q2, q3, f1, f2, f3)
+        e1, e2, e3 = cross(shift[0], shift[1], shift[2], f1, f2, f3)
         g1 = g2 = g3 = 0.0
         if at[TURNS] > 0.0:
-            g1, g2, g3 = cross(r1, r2, r3, f1, f2, f3)
+            g1, g2, g3 = cross(shift[TURN], shift[TURN + 1], shift[TURN + 2], f1, f2, f3)
         h1, h2, h3 = cross(p1, p2, p3, g1, g2, g3)
         h1, h2, h3 = h1 + e1, h2 + e2, h3 + e3
         t1, t2, t3, t4, t5, t6 = _turned_by(J, k, f1, f2, f3, n1, n2, n3)
         for m in range(nv):
-            if signs[m] == 0.0:
+            sign = shifts[m, TIP] - shifts[m, CARRIER]
+            if sign == 0.0:
                 continue
             own = 1.0 if _carries(parent, i, joint[m]) else 0.0
-            out[m, k] += signs[m] * (
+            out[m, k] += sign * (
                 J[0, m] * (g1 - own * t1)
                 + J[1, m] * (g2 - own * t2)
                 + J[2, m] * (g3 - own * t3)
@@ -310,9 +304,9 @@ def force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, out):
 
 
 @inlined
-def turn_slopes(J, joint, parent, tip, base, at, f1, f2, f3, out):
+def turn_slopes(shifts, f1, f2, f3, out):
     """Fill how a vector f (3) fixed in the contact axes changes with q, (3, nv) in world axes. (D19)"""
-    for k in range(len(joint)):
-        tips, carries = _carries(parent, joint[k], tip), _carries(parent, joint[k], base)
-        _, _, _, _, _, _, r1, r2, r3 = _shift(J, k, tips, carries, at)
-        out[0, k], out[1, k], out[2, k] = cross(r1, r2, r3, f1, f2, f3)
+    for k in range(len(shifts)):
+        out[0, k], out[1, k], out[2, k] = cross(
+            shifts[k, TURN], shifts[k, TURN + 1], shifts[k, TURN + 2], f1, f2, f3
+        )

@@ -197,32 +197,15 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
         The gap [m].
     """
     c1, c2, c3, x1, x2, x3 = relative(R, S, k)
-    r = k[RADIUS]
     d, l1, l2, l3 = distance(R, S, k, x1, x2, x3)
     n1, n2, n3 = rotate(S, l1, l2, l3)
-    p1, p2, p3 = c1 - r * n1, c2 - r * n2, c3 - r * n3
+    p1, p2, p3 = c1 - k[RADIUS] * n1, c2 - k[RADIUS] * n2, c3 - k[RADIUS] * n3
     w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
-    # the normal and the axes turn with the carrier, and as the centre moves along the surface
-    a1, a2, a3 = cross(w1, w2, w3, c1, c2, c3)
-    a1, a2, a3 = rotate_back(S, V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3)
-    along = 0.0
-    if k[KIND] == EDGE:
-        m1, m2, m3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
-    else:
-        m1, m2, m3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
+    at = c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3
+    m1, m2, m3, _, _, _, dp1, dp2, dp3 = rates_at_contact(R, V, S, U, k, at)
     s1, s2, s3 = carried_spin(k, l1, l2, l3, m1, m2, m3)
     s1, s2, s3 = rotate(S, s1, s2, s3)
     s1, s2, s3 = U[3] + s1, U[4] + s2, U[5] + s3
-    m1, m2, m3 = cross(s1, s2, s3, n1, n2, n3)
-    # rate of the contact point, and of its place from the surface's own point
-    a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
-    dp1, dp2, dp3 = V[0] + a1 - r * m1, V[1] + a2 - r * m2, V[2] + a3 - r * m3
-    if k[RIM] > 0.0:
-        a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
-        dp1, dp2, dp3 = dp1 + a1, dp2 + a2, dp3 + a3
-    if k[KIND] == EDGE:
-        a1, a2, a3 = direction(R, k, RIM_AXIS)
-        dp1, dp2, dp3 = dp1 + along * a1, dp2 + along * a2, dp3 + along * a3
     o1, o2, o3 = place(S, k, POINT)
     a1, a2, a3 = cross(U[3], U[4], U[5], o1, o2, o3)
     dy1, dy2, dy3 = dp1 - U[0] - a1, dp2 - U[1] - a2, dp3 - U[2] - a3
@@ -252,7 +235,42 @@ def contact_motion(R, V, A, S, U, B, k, J, signs, jacobian, velocity, accelerati
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, g1, g2, g3, acceleration)
     _in_axes(a1, a2, a3, b1, b2, b3, n1, n2, n3, u1, u2, u3, surface)
     fill_jacobian(J, signs, p1, p2, p3, a1, a2, a3, b1, b2, b3, n1, n2, n3, jacobian)
-    return d - r
+    return d - k[RADIUS]
+
+
+@inlined
+def rates_at_contact(R, V, S, U, k, at):
+    """Return ṅ in the carrier's axes, without its turning (3), and ṅ and ṗ in the world's (3 + 3).
+
+    Args:
+        R, V: Placement of the tip's body, and its velocity in world axes at the world's origin.
+        S, U: Those of the surface's carrier.
+        k: Constants of the contact, in the axes of the two.
+        at: c, c from the surface's point, n in the carrier's axes and n in the world's (12), see `relative`.
+    """
+    c1, c2, c3, x1, x2, x3, l1, l2, l3, n1, n2, n3 = at
+    r = k[RADIUS]
+    w1, w2, w3 = V[3] - U[3], V[4] - U[4], V[5] - U[5]
+    a1, a2, a3 = cross(w1, w2, w3, c1, c2, c3)
+    a1, a2, a3 = rotate_back(S, V[0] - U[0] + a1, V[1] - U[1] + a2, V[2] - U[2] + a3)
+    along = 0.0
+    if k[KIND] == EDGE:
+        l1, l2, l3, along = _edges_turn(R, S, k, w1, w2, w3, x1, x2, x3, a1, a2, a3, l1, l2, l3)
+    else:
+        l1, l2, l3 = surfaces.normal_rate(k, x1, x2, x3, a1, a2, a3)
+    # the normal turns with the carrier, and as the centre moves along the surface
+    a1, a2, a3 = rotate(S, l1, l2, l3)
+    m1, m2, m3 = cross(U[3], U[4], U[5], n1, n2, n3)
+    m1, m2, m3 = m1 + a1, m2 + a2, m3 + a3
+    a1, a2, a3 = cross(V[3], V[4], V[5], c1, c2, c3)
+    p1, p2, p3 = V[0] + a1 - r * m1, V[1] + a2 - r * m2, V[2] + a3 - r * m3
+    if k[RIM] > 0.0:
+        a1, a2, a3 = _along_rim(R, V, k, n1, n2, n3, m1, m2, m3)
+        p1, p2, p3 = p1 + a1, p2 + a2, p3 + a3
+    if k[KIND] == EDGE:
+        a1, a2, a3 = direction(R, k, RIM_AXIS)
+        p1, p2, p3 = p1 + along * a1, p2 + along * a2, p3 + along * a3
+    return l1, l2, l3, m1, m2, m3, p1, p2, p3
 
 
 @inlined

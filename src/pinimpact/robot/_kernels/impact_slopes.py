@@ -14,6 +14,7 @@ from .configuration_slopes import (
     ORIGIN,
     PLACE,
     POINT,
+    SHIFT,
     fill_momenta,
     fill_motions,
     fill_place,
@@ -35,18 +36,18 @@ themselves. Rows are those of q̇⁺ and, in world axes, of P."""
 
 
 @declared(
-    *(FLOAT_COLUMNS, INTEGERS, INTEGERS, INTEGERS, FLOAT_ROWS, int, int, FLOATS, FLOAT_ROWS, FLOATS, FLOATS),
-    *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
+    *(FLOAT_COLUMNS, INTEGERS, INTEGERS, INTEGERS, FLOAT_ROWS, int, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
+    *(FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
 )
 @jit
 def impact_slopes(
-    J, joint, parent, before, inertia, tip, base, at, y, v, impulse, data, forces, turned
+    J, joint, parent, before, inertia, tip, base, at, shifts, y, v, impulse, data, forces, turned
 ):  # fmt: skip
     """Fill how the data of an impact in contact space change with q, and its forces. (D17)
 
     Args:
         J, joint, parent, before, inertia: As in `mass_slopes`.
-        tip, base, at: As in `velocity_slopes`.
+        tip, base, at, shifts: As in `velocity_slopes`.
         y: (3, nv) q̇ per unit impulse along each contact axis.
         v: (nv,) before the impact.
         impulse: (3,) P in contact axes.
@@ -58,13 +59,13 @@ def impact_slopes(
     motions, momenta = np.empty((4, joints, 6)), np.empty((4, joints, 6))
     moved, bends = np.empty((3, 3, nv)), np.empty((3, 6))
     fill_motions(J, joint, parent, v, motions[3])
-    velocity_slopes(J, joint, parent, tip, base, at, motions[3], True, data[:3])
+    velocity_slopes(J, joint, parent, tip, base, at, shifts, motions[3], True, data[:3])
     motions[3, :, :] = 0.0
     momenta[3, :, :] = 0.0
     for a in range(3):
         fill_motions(J, joint, parent, y[a], motions[a])
         fill_momenta(J, joint, parent, inertia, y[a], motions[a], momenta[a])
-        velocity_slopes(J, joint, parent, tip, base, at, motions[a], False, moved[a])
+        velocity_slopes(J, joint, parent, tip, base, at, shifts, motions[a], False, moved[a])
         for i in range(joints):
             for r in range(6):  # those of −Δ
                 motions[3, i, r] -= impulse[a] * motions[a, i, r]
@@ -86,8 +87,8 @@ def impact_slopes(
                 row += 1
     mass_slopes(J, joint, parent, before, inertia, motions[3], momenta[3], forces)
     f1, f2, f3 = rotate(at, impulse[0], impulse[1], impulse[2])
-    force_slopes(J, joint, parent, tip, base, at, f1, f2, f3, forces)
-    turn_slopes(J, joint, parent, tip, base, at, f1, f2, f3, turned)
+    force_slopes(J, joint, parent, at, shifts, f1, f2, f3, forces)
+    turn_slopes(shifts, f1, f2, f3, turned)
 
 
 @declared(
@@ -183,7 +184,7 @@ def robot_slopes(work, q, v, e, by_q, out):
         return SINGULAR_MASS, 0
     numbers, codes, boundary = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64), np.empty(1, dtype=np.int64)
     slopes, singular, jacobian = np.empty((6, INPUTS)), np.empty(FACTOR), np.empty((3, nv))
-    at, axes = np.empty(PLACE), np.empty(15)
+    at, axes = np.empty(PLACE), np.empty(9)
     geometry, w, relative, scale, known = meet(
         frame, carrier, columns, work.signs, work.constants, v, lower, before, y, singular
     )
@@ -197,19 +198,22 @@ def robot_slopes(work, q, v, e, by_q, out):
     if not 0 <= status <= LOCKED:
         return status, 0
     fill_by_axes(columns, work.signs, geometry[12], geometry[13], geometry[14], geometry[:9], jacobian)
-    for i in range(15):
+    for i in range(9):
         axes[i] = geometry[i]
-    impulse = numbers[0][3:6]
-    fill_place(work.constants, carrier, axes[:9], axes[12:], True, at)
+    impulse, n = numbers[0][3:6], nv if by_q else 0
+    shifts = np.empty((n, SHIFT))
+    fill_place(
+        *(frame, carrier, work.constants, axes, True, columns, work.velocity_joint, work.joint_parent),
+        *(work.frame_joint, work.carrier_joint, at, shifts),
+    )
     solve(lower, before, y)
-    n = nv if by_q else 0
     data, responses, turned = np.empty((9, n)), np.empty((n, n)), np.empty((3, n))
     if by_q:
         inertia = np.empty((work.bodies, 10))
         _dynamic_parameters(bodies, inertia)
         impact_slopes(
             *(columns, work.velocity_joint, work.joint_parent, before, inertia),
-            *(work.frame_joint, work.carrier_joint, at, y, v, impulse, data, responses, turned),
+            *(work.frame_joint, work.carrier_joint, at, shifts, y, v, impulse, data, responses, turned),
         )
         solve_mass(lower, before, responses)
     assemble(at, carrier, jacobian, y, v, impulse, slopes[3:], 0.0, by_q, data, responses, turned, out)

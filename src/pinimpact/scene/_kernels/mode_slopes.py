@@ -35,7 +35,7 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
     """
     index, force = work.active_index, work.contact_force
     columns, joint = work.joint_jacobian, work.velocity_joint
-    points, at = np.empty((len(index), 3)), np.empty(slopes.PLACE)
+    points, at, shifts = np.empty((len(index), 3)), np.empty(slopes.PLACE), np.empty((work.nv, slopes.SHIFT))
     places_of_contacts(work, index, axes, points)
     forces[:, :] = 0.0
     slopes.fill_motions(columns, joint, parent, work.v, scratch)
@@ -43,11 +43,12 @@ def closed_slopes(work, parent, scratch, axes, velocities, forces):
         i = index[m]
         tip, base = work.contact_joints[i, 0], work.contact_joints[i, 1]
         slopes.fill_place(
-            work.contact_constants[i], work.placements[base], axes[m].reshape(9), points[m], True, at
+            *(work.placements[tip], work.placements[base], work.contact_constants[i], axes[m].reshape(9)),
+            *(True, columns, joint, parent, tip, base, at, shifts),
         )
-        slopes.velocity_slopes(columns, joint, parent, tip, base, at, scratch, True, velocities[m])
+        slopes.velocity_slopes(columns, joint, parent, tip, base, at, shifts, scratch, True, velocities[m])
         f1, f2, f3 = rotate(at, force[m, 0], force[m, 1], force[m, 2])
-        slopes.force_slopes(columns, joint, parent, tip, base, at, f1, f2, f3, forces)
+        slopes.force_slopes(columns, joint, parent, at, shifts, f1, f2, f3, forces)
 
 
 @declared(
