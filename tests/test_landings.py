@@ -1,9 +1,12 @@
 """Bodies that land flat on several corners, against an independent integration of the same model."""
 
+import re
+
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from pinimpact import ImpactProblem, solve_impact
+from pinimpact import BoundReachedWarning, ImpactProblem, solve_impact
 
 from .landing_reference import landing
 
@@ -62,3 +65,20 @@ def test_the_recorded_path_of_a_flat_landing_obeys_the_laws():
     steps = np.diff(path.impulse, axis=0)
     assert steps[:, :, 2].min() >= -1e-12
     assert (np.hypot(steps[:, :, 0], steps[:, :, 1]) - friction * steps[:, :, 2]).max() <= 1e-12
+
+
+def test_the_noted_accuracy_counts_what_still_approaches():
+    # nearly symmetric, e = 0: values at e = 1e-3 and its halves are linear in e, but not those at e = 1e-5
+    corners = [
+        (0.050004013, 0.049999246, -0.191287954),
+        (0.049999667, -0.049993353, -0.191261358),
+        (-0.050005142, 0.050002582, -0.191275906),
+        (-0.050005116, -0.050012408, -0.191289827),
+    ]
+    jacobian = np.vstack([np.hstack([np.eye(3), -pin.skew(np.array(corner))]) for corner in corners])
+    inverse = np.diag([1.0, 1.0, 1.0, 1 / 0.01303019, 1 / 0.01303019, 600.0])
+    w, start = jacobian @ inverse @ jacobian.T, jacobian @ np.array((-0.70565988, 0.0, -1.0, 0.0, 0.0, 0.0))
+    with pytest.warns(BoundReachedWarning):
+        solution = solve_impact(ImpactProblem(w, start.reshape(-1, 3), 0.31174594, 0.0, "energetic"))
+    noted = re.search(r"velocities to about (\S+) of the largest", solution.notes[-1])
+    assert -solution.velocity[:, 2].min() <= float(noted[1]) * np.abs(start).max() < 1e-5

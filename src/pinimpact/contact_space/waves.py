@@ -110,13 +110,13 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
         last, missed, steps, accuracy, least = found[0], found[1], steps + found[2], found[3], little
         if before is not None:
-            missed = max(missed, _differ(inputs, numbers, before))
+            missed = max(missed, _differ(inputs, numbers, before), _approach_left(inputs, numbers))
         if k > 1 and missed <= AGREE:
             break
     if numbers is None:
         return None
     impulse = _within_cones(inputs, numbers)
-    missed = max(missed, _differ(inputs, impulse.ravel(), numbers))
+    missed = max(missed, _differ(inputs, impulse.ravel(), numbers), _approach_left(inputs, impulse.ravel()))
     if not missed <= USEFUL:
         return None
     velocity = inputs.velocity.ravel() + inputs.delassus @ impulse.ravel()
@@ -196,6 +196,16 @@ def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:
     rows = 3 * len(inputs.velocity)
     change = inputs.delassus @ (one[:rows] - other[:rows])
     return float(np.abs(change).max() / np.abs(inputs.velocity).max())
+
+
+def _approach_left(inputs: ManyInputs, impulse: Array) -> float:
+    """Return the speed at which contacts approach after impulses (3n,), the first given, of the largest.
+
+    No limit leaves any, so it is what an extrapolation misses at least.
+    """
+    start = inputs.velocity.ravel()
+    after = start + inputs.delassus @ impulse[: len(start)]
+    return float(max(-after[2::3].min(), 0.0) / np.abs(start).max())
 
 
 def kernels_of_waves() -> tuple[Any, ...]:
