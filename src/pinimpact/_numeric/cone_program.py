@@ -244,6 +244,106 @@ def add_transposed(rows, x, out):
             out[i] += rows[k, i] * part
 
 
+@inlined
+def _residuals(P, c, G, h, x, s, z, rx, rz):
+    """Fill rx (n,) with P x + Gᵀz + c and rz (m,) with G x + s − h; return sᵀz and their largest."""
+    gap = missing = 0.0
+    for i in range(len(s)):
+        gap += s[i] * z[i]
+    for i in range(len(x)):
+        total = c[i]
+        for j in range(len(x)):
+            total += P[i, j] * x[j]
+        rx[i] = total
+    add_transposed(G, z, rx)
+    for i in range(len(x)):
+        missing = max(missing, abs(rx[i]))
+    for i in range(len(s)):
+        total = s[i] - h[i]
+        for j in range(len(x)):
+            total += G[i, j] * x[j]
+        rz[i] = total
+        missing = max(missing, abs(total))
+    return gap, missing
+
+
+@inlined
+def _fill_system(P, G, lines, sizes, beta, v, scaled, lower):
+    """Fill W⁻¹G (m, n) and the Cholesky factor of P + GᵀW⁻²G."""
+    m, n = G.shape
+    column, work = np.empty(m), np.empty(m)
+    for j in range(n):
+        for i in range(m):
+            column[i] = G[i, j]
+        scale(lines, sizes, beta, v, column, work, True)
+        for i in range(m):
+            scaled[i, j] = work[i]
+    for i in range(n):
+        for j in range(i + 1):
+            lower[i, j] = P[i, j]
+    add_squares(scaled, lower)
+    cholesky(lower)
+
+
+@inlined
+def _fill_directions(lines, sizes, scaling, system, residuals, gap, room, ds, dz, dx):
+    """Fill dx, and ds and dz in scaled axes, with Mehrotra's corrector; return 1/(the longest step).
+
+    Args:
+        lines: See `cone_program`,
+        sizes: likewise.
+        scaling: β, v and λ of `scaling`.
+        system: W⁻¹G and the factor of `_fill_system`.
+        residuals: rx and rz of `_residuals`.
+        gap: sᵀz.
+        room: (3, m) scratch.
+        ds: (m,) s in scaled axes.
+        dz: (m,) z likewise.
+        dx: (n,) x.
+    """
+    beta, v, lam = scaling
+    scaled, lower = system
+    rx, rz = residuals
+    m, n = scaled.shape
+    right, work, reduced = room[0], room[1], room[2]
+    centring = shortest = 0.0
+    for corrected in range(2):
+        # right = λ⋄(σμe − λ∘λ − ds∘dz), the last with the directions of the first pass
+        product(lines, sizes, lam, lam, work)
+        if corrected == 1:
+            product(lines, sizes, ds, dz, right)
+        for i in range(m):
+            work[i] = -work[i] - right[i] if corrected == 1 else -work[i]
+        lift(lines, sizes, work, centring * gap / (lines + len(sizes)))
+        quotient(lines, sizes, lam, work, right)
+        # P dx + GᵀW⁻¹dz = −rx,  W⁻¹G dx − dz = −W⁻¹rz − right, with dz = W δz and ds = W⁻¹δs
+        scale(lines, sizes, beta, v, rz, work, True)
+        for i in range(m):
+            reduced[i] = -work[i] - right[i]
+        for j in range(n):
+            dx[j] = -rx[j]
+        add_transposed(scaled, reduced, dx)
+        substitute(lower, dx)
+        for i in range(m):
+            total = -reduced[i]
+            for j in range(n):
+                total += scaled[i, j] * dx[j]
+            dz[i] = total
+            ds[i] = right[i] - total
+        shortest = max(longest_step(lines, sizes, lam, ds), longest_step(lines, sizes, lam, dz))
+        if corrected == 0:
+            centring = (1.0 - 1.0 / max(shortest, 1.0)) ** 3
+    return shortest
+
+
+@inlined
+def _add_scaled(lines, sizes, beta, v, step, direction, inverse, work, x):
+    """Add a step along a direction (m,) in scaled axes to x (m,); work (m,) is scratch."""
+    scale(lines, sizes, beta, v, direction, work, inverse)
+    for i in range(len(x)):
+        x[i] += step * work[i]
+
+
 @declared(FLOAT_ROWS, FLOATS, FLOAT_ROWS, FLOATS, int, INTEGERS, float, FLOATS, FLOATS, FLOATS)
 @external
 def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
@@ -266,11 +366,9 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
         The larger of the gap and the residual of the equations; above the tolerance if the iteration stopped.
     """
     m, n = G.shape
-    degree = lines + len(sizes)
     beta, v, lam = ones(len(sizes)), np.zeros(m), np.empty(m)
-    scaled, lower = np.empty((m, n)), np.empty((n, n))
-    rx, rz, dx, column = np.empty(n), np.empty(m), np.empty(n), np.empty(m)
-    ds, dz, right, work, reduced = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    scaled, lower, room = np.empty((m, n)), np.empty((n, n)), np.empty((3, m))
+    rx, rz, dx, ds, dz = np.empty(n), np.empty(m), np.empty(n), np.empty(m), np.empty(m)
     for i in range(n):
         x[i] = 0.0
     for i in range(m):
@@ -280,24 +378,7 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
     best = math.inf
     best_x, best_s, best_z = np.empty(n), np.empty(m), np.empty(m)
     for _ in range(MAX_ITERATIONS):
-        gap = 0.0
-        for i in range(m):
-            gap += s[i] * z[i]
-        missing = 0.0
-        for i in range(n):
-            total = c[i]
-            for j in range(n):
-                total += P[i, j] * x[j]
-            rx[i] = total
-        add_transposed(G, z, rx)
-        for i in range(n):
-            missing = max(missing, abs(rx[i]))
-        for i in range(m):
-            total = s[i] - h[i]
-            for j in range(n):
-                total += G[i, j] * x[j]
-            rz[i] = total
-            missing = max(missing, abs(total))
+        gap, missing = _residuals(P, c, G, h, x, s, z, rx, rz)
         accuracy = max(gap, missing) if missing > ROUNDING else gap
         if accuracy < best:
             best = accuracy
@@ -308,55 +389,17 @@ def cone_program(P, c, G, h, lines, sizes, tolerance, x, s, z):
             break
         if accuracy <= tolerance or not scaling(lines, sizes, s, z, beta, v, lam):
             break
-        for j in range(n):
-            for i in range(m):
-                column[i] = G[i, j]
-            scale(lines, sizes, beta, v, column, work, True)
-            for i in range(m):
-                scaled[i, j] = work[i]
-        for i in range(n):
-            for j in range(i + 1):
-                lower[i, j] = P[i, j]
-        add_squares(scaled, lower)
-        cholesky(lower)
-        centring = 0.0
-        for corrected in range(2):
-            # right = λ⋄(σμe − λ∘λ − ds∘dz), the last with the directions of the first pass
-            product(lines, sizes, lam, lam, work)
-            if corrected == 1:
-                product(lines, sizes, ds, dz, right)
-            for i in range(m):
-                work[i] = -work[i] - right[i] if corrected == 1 else -work[i]
-            lift(lines, sizes, work, centring * gap / degree)
-            quotient(lines, sizes, lam, work, right)
-            # P dx + GᵀW⁻¹dz = −rx,  W⁻¹G dx − dz = −W⁻¹rz − right, with dz = W δz and ds = W⁻¹δs
-            scale(lines, sizes, beta, v, rz, work, True)
-            for i in range(m):
-                reduced[i] = -work[i] - right[i]
-            for j in range(n):
-                dx[j] = -rx[j]
-            add_transposed(scaled, reduced, dx)
-            substitute(lower, dx)
-            for i in range(m):
-                total = -reduced[i]
-                for j in range(n):
-                    total += scaled[i, j] * dx[j]
-                dz[i] = total
-                ds[i] = right[i] - total
-            shortest = max(longest_step(lines, sizes, lam, ds), longest_step(lines, sizes, lam, dz))
-            if corrected == 0:
-                centring = (1.0 - 1.0 / max(shortest, 1.0)) ** 3
+        _fill_system(P, G, lines, sizes, beta, v, scaled, lower)
+        shortest = _fill_directions(
+            lines, sizes, (beta, v, lam), (scaled, lower), (rx, rz), gap, room, ds, dz, dx
+        )
         if not shortest < math.inf:
             break
         step = STEP / max(shortest, STEP)
         for i in range(n):
             x[i] += step * dx[i]
-        scale(lines, sizes, beta, v, ds, work, False)
-        for i in range(m):
-            s[i] += step * work[i]
-        scale(lines, sizes, beta, v, dz, work, True)
-        for i in range(m):
-            z[i] += step * work[i]
+        _add_scaled(lines, sizes, beta, v, step, ds, False, room[0], s)
+        _add_scaled(lines, sizes, beta, v, step, dz, True, room[0], z)
     assign(x, best_x)
     assign(s, best_s)
     assign(z, best_z)

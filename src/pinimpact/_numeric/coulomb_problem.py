@@ -16,10 +16,11 @@ contacts then converges to rounding.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, declared
+from .._compile.declared import FLAGS, FLOAT_ROWS, FLOATS, INTEGERS, Flags, FloatRows, Floats, declared
 from .._compile.jit import external, inlined
 from .cone_program import cholesky, substitute
 from .least_norm import least_norm
@@ -68,14 +69,104 @@ def into_cone(x, b, mu, least, directions, slides):
     x[b + 2] = push
 
 
+class Scaled(NamedTuple):
+    """The problem with a diagonal of one.
+
+    Attributes:
+        w: (3 nc + ns, 3 nc + ns) W.
+        rates: (3 nc + ns,) u_free.
+        mu: (nc,) coefficients of friction.
+        held: (nc,) contacts without bounds.
+        slides: (nc,) contacts that slide.
+        directions: (nc, 2) of their slip.
+        low: (nc + ns,) least normal forces and lower bounds.
+        high: (ns,) upper bounds.
+    """
+
+    w: FloatRows
+    rates: Floats
+    mu: Floats
+    held: Flags
+    slides: Flags
+    directions: FloatRows
+    low: Floats
+    high: Floats
+
+
 @inlined
-def multipliers_step(penalty, lower_factor, free, x, y, z, shift):
-    """Replace x by the minimum over all forces, given those in the cones y, multipliers z and shifts."""
-    for a in range(len(x)):
-        x[a] = COMPLIANCE * x[a] + z[a] + penalty * y[a] - free[a]
-    for i in range(len(shift)):
-        x[3 * i + 2] -= shift[i]
-    substitute(lower_factor, x)
+def _scaled(delassus, free, velocity, mu, least, held, lower, upper, d, scale_a, scale_f):
+    """Return the `Scaled` problem for the scales of `scale`."""
+    nc, ns, size = len(mu), len(lower), len(free)
+    w, rates = np.empty((size, size)), np.empty(size)
+    for a in range(size):
+        rates[a] = scale_a[a] * free[a]
+        for b in range(size):
+            w[a, b] = d[a] * delassus[a, b] * d[b]
+    directions, slides = np.zeros((nc, 2)), flags(nc, False)
+    low, high = np.empty(nc + ns), np.empty(ns)
+    for i in range(nc):
+        low[i] = least[i] / scale_f[3 * i + 2]
+        speed = math.hypot(velocity[i, 0], velocity[i, 1])
+        slides[i] = speed > 0.0 and mu[i] > 0.0 and not held[i]
+        if slides[i]:
+            directions[i, 0], directions[i, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
+    for i in range(ns):
+        low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+    return Scaled(w, rates, mu, held, slides, directions, low, high)
+
+
+@inlined
+def _fill_factor(w, penalty, factor):
+    """Fill the Cholesky factor for a penalty."""
+    for a in range(len(w)):
+        for b in range(a + 1):
+            factor[a, b] = w[a, b]
+        factor[a, a] += penalty + COMPLIANCE
+    cholesky(factor)
+
+
+@inlined
+def _multipliers_step(scaled, penalty, factor, f, y, z, shift):
+    """Take a step of the method of multipliers.
+
+    Args:
+        scaled: The `Scaled` problem.
+        penalty: Its penalty.
+        factor: See `_fill_factor`.
+        f: (3 nc + ns,) all forces.
+        y: (3 nc + ns,) those in the cones.
+        z: (3 nc + ns,) multipliers.
+        shift: (nc,) De Saxcé's s.
+
+    Returns:
+        The residual of f = y, and that of u.
+    """
+    nc, mu, held, directions = len(shift), scaled.mu, scaled.held, scaled.directions
+    apart = moved = 0.0
+    for a in range(len(f)):
+        f[a] = COMPLIANCE * f[a] + z[a] + penalty * y[a] - scaled.rates[a]
+    for i in range(nc):
+        f[3 * i + 2] -= shift[i]
+    substitute(factor, f)
+    before = y.copy()
+    for a in range(len(f)):
+        y[a] = f[a] - z[a] / penalty
+    for i in range(nc):
+        if not held[i]:
+            into_cone(y, 3 * i, mu[i], scaled.low[i], directions, scaled.slides[i])
+    for a in range(3 * nc, len(f)):
+        y[a] = min(max(y[a], scaled.low[a - 2 * nc]), scaled.high[a - 3 * nc])
+    for a in range(len(f)):
+        z[a] += penalty * (y[a] - f[a])
+        apart, moved = max(apart, abs(f[a] - y[a])), max(moved, penalty * abs(y[a] - before[a]))
+    for i in range(nc):
+        b, last = 3 * i, shift[i]
+        if scaled.slides[i]:
+            shift[i] = mu[i] * (directions[i, 0] * z[b] + directions[i, 1] * z[b + 1])
+        elif not held[i]:
+            shift[i] = mu[i] * math.hypot(z[b], z[b + 1])
+        moved = max(moved, abs(shift[i] - last))
+    return apart, moved
 
 
 @declared(*SYSTEM, result=float)
@@ -97,9 +188,9 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
     Returns:
         The residual of the law, relative to u_free; more than `tolerances.USABLE` if no forces are found.
     """
-    nc, ns = len(mu), len(lower)
-    size = 3 * nc + ns
-    d, scale_a, scale_f = np.empty(size), np.empty(size), np.empty(size)
+    nc, size = len(mu), len(free)
+    system = delassus, free, velocity, mu, least, held, lower, upper
+    d, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     loads = np.empty(size)  # of the order of what is solved, also where nothing but `least` acts
     for a in range(size):
         loads[a] = abs(free[a])
@@ -109,82 +200,35 @@ def solve_coulomb(delassus, free, velocity, mu, least, held, lower, upper, x):
         for a in range(size):
             x[a] = 0.0
         return 0.0
-    w, a_now, trial = np.empty((size, size)), np.empty(size), x.copy()
-    for a in range(size):
-        for b in range(size):
-            w[a, b] = d[a] * delassus[a, b] * d[b]
-    directions, slides = np.zeros((nc, 2)), flags(nc, False)
-    for i in range(nc):
-        speed = math.hypot(velocity[i, 0], velocity[i, 1])
-        slides[i] = speed > 0.0 and mu[i] > 0.0 and not held[i]
-        if slides[i]:
-            directions[i, 0], directions[i, 1] = velocity[i, 0] / speed, velocity[i, 1] / speed
-    low, high, rates = np.empty(nc + ns), np.empty(ns), np.empty(size)
-    for i in range(nc):
-        low[i] = least[i] / scale_f[3 * i + 2]
-    for i in range(ns):
-        low[nc + i], high[i] = lower[i] / scale_f[3 * nc + i], upper[i] / scale_f[3 * nc + i]
+    scales = a_now, scale_a, scale_f
+    scaled = _scaled(*system, d, scale_a, scale_f)
     f, y, z, shift = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(nc)
-    given = residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
-    if not given <= residual(
-        delassus, free, velocity, mu, least, held, lower, upper, f, a_now, scale_a, scale_f
-    ):
+    if not residual(*system, x, *scales) <= residual(*system, f, *scales):
         assign(x, f)
     for a in range(size):
         y[a] = f[a] = x[a] / scale_f[a]
-        rates[a] = scale_a[a] * free[a]
     factor, penalty, changed, next_try = np.empty((size, size)), PENALTY, True, 0
-    best = math.inf
+    trial, best = x.copy(), math.inf
     for iteration in range(ITERATIONS + 1):
         if iteration == next_try:
             next_try = min(iteration + max(4, iteration // 4), ITERATIONS)
             for a in range(size):
                 trial[a] = y[a] * scale_f[a]
-            now = residual(
-                delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
-            )
-            before = math.inf
+            now, before = residual(*system, trial, *scales), math.inf
             while EXACT < now < 0.5 * before and (before < math.inf or now <= NEAR or iteration >= LONG):
                 before = now
-                now = newton(
-                    delassus, free, velocity, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f
-                )
+                now = newton(*system, trial, *scales)
             if now < best:
                 best = now
                 assign(x, trial)
             if best <= ACCURATE:
                 break
         if changed:
-            changed = False
-            for a in range(size):
-                for b in range(a + 1):
-                    factor[a, b] = w[a, b]
-                factor[a, a] += penalty + COMPLIANCE
-            cholesky(factor)
-        multipliers_step(penalty, factor, rates, f, y, z, shift)
-        apart = moved = 0.0
-        for a in range(size):
-            trial[a], y[a] = y[a], f[a] - z[a] / penalty
-        for i in range(nc):
-            if not held[i]:
-                into_cone(y, 3 * i, mu[i], low[i], directions, slides[i])
-        for i in range(ns):
-            a = 3 * nc + i
-            y[a] = min(max(y[a], low[nc + i]), high[i])
-        for a in range(size):
-            z[a] += penalty * (y[a] - f[a])
-            apart, moved = max(apart, abs(f[a] - y[a])), max(moved, penalty * abs(y[a] - trial[a]))
-        for i in range(nc):
-            b, last = 3 * i, shift[i]
-            if slides[i]:
-                shift[i] = mu[i] * (directions[i, 0] * z[b] + directions[i, 1] * z[b + 1])
-            elif not held[i]:
-                shift[i] = mu[i] * math.hypot(z[b], z[b + 1])
-            moved = max(moved, abs(shift[i] - last))
-        if iteration % 10 == 9:
-            changed = apart > IMBALANCE * moved or moved > IMBALANCE * apart
-            if changed:
-                penalty *= FACTOR if apart > moved else 1.0 / FACTOR
+            _fill_factor(scaled.w, penalty, factor)
+        apart, moved = _multipliers_step(scaled, penalty, factor, f, y, z, shift)
+        changed = iteration % 10 == 9 and (apart > IMBALANCE * moved or moved > IMBALANCE * apart)
+        if changed:
+            penalty *= FACTOR if apart > moved else 1.0 / FACTOR
     return best
 
 

@@ -5,7 +5,7 @@ It shares no code with the other methods. Its threshold on |v_t| is the customar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,10 @@ class _ChatterError(Exception):
     """The integration does not get past v_t = 0."""
 
 
+class _UnstoppableError(Exception):
+    """No normal impulse ends the approach."""
+
+
 def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
     """Find the σ in which slip resumes: (λI + μA)σ = b with |σ| = 1 and λ > 0."""
 
@@ -44,128 +48,170 @@ def _resumed_direction(A: Array, b: Array, mu: float) -> Array:
     return sigma / np.linalg.norm(sigma)
 
 
+class _Motion:
+    """The contact during an impact: velocities follow from y = (P, normal work, friction work).
+
+    Attributes:
+        y: (5,) where it has come to.
+        compressing, slipping: Its phase and mode.
+        flags, calls: Flags so far, and how often rates were evaluated.
+    """
+
+    def __init__(self, inputs: Inputs, rtol: float) -> None:
+        w11, w12, w13, w22, w23, w33, *velocity, mu, e, code, _, _ = inputs
+        self.W = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
+        self.A, self.b, self.c, self.mu, self.e = self.W[:2, :2], self.W[:2, 2], w33, mu, e
+        self.law, self.start, self.rtol = LAWS[code], np.array(velocity), rtol
+        self.size = float(np.linalg.norm(self.start))
+        self._standstill = STANDSTILL * rtol * self.size
+        self._stick = np.linalg.lstsq(self.A, self.b, rcond=None)[0]
+        self._shift = np.zeros(3)  # of the v_t that is set to zero
+        self.y, self.compressing, self.slipping, self.flags, self.calls = np.zeros(5), True, True, 0, 0
+        # P₃ and normal work, of compression and of restitution
+        self.compressed, self._restored, self._goal = np.zeros(2), np.zeros(2), 0.0
+
+    def velocity(self, y: Array) -> Array:
+        """Return v (3,)."""
+        return np.asarray(self.start + self._shift + self.W @ y[:3])
+
+    def pull(self, v: Array) -> Array:
+        """Return dP/dP₃."""
+        speed = np.hypot(v[0], v[1])
+        if speed > self._standstill:
+            return np.array([-self.mu * v[0] / speed, -self.mu * v[1] / speed, 1.0])
+        if np.linalg.norm(self._stick) <= self.mu:
+            return np.array([-self._stick[0], -self._stick[1], 1.0])
+        sigma = _resumed_direction(self.A, self.b, self.mu)
+        return np.array([-self.mu * sigma[0], -self.mu * sigma[1], 1.0])
+
+    def begin_move(self) -> None:
+        """Find out whether it slips."""
+        v = self.velocity(self.y)
+        self.slipping = bool(self.mu > 0.0 and np.hypot(v[0], v[1]) > self._standstill)
+        if not self.slipping and self.mu > 0.0:
+            self.flags |= Flag.STICK if np.linalg.norm(self._stick) <= self.mu else Flag.SLIP_RESUMED
+
+    def integrate(self) -> Any:
+        """Integrate to the next event of the present phase and mode; return what `solve_ivp` does."""
+        fixed = None if self.slipping else self.pull(self.velocity(self.y))
+
+        def rates(_: float, y: Array) -> Array:
+            self.calls += 1
+            if self.calls > MOST_RATES:
+                raise _ChatterError
+            v = self.velocity(y)
+            dP = self.pull(v) if fixed is None else fixed
+            return np.array([*dP, v[2], v[:2] @ dP[:2]])
+
+        events, end = self._events()
+        tolerances = {"rtol": self.rtol, "atol": 1e-3 * self.rtol * self.scale * self.size}
+        return solve_ivp(rates, (self.y[2], end), self.y, **tolerances, events=events)
+
+    @property
+    def scale(self) -> float:
+        """The scale of P₃."""
+        slip = np.hypot(self.start[0], self.start[1]) / (self.c + self.mu * np.trace(self.A))
+        return float(max(-self.start[2] / self.c, slip))
+
+    def _events(self) -> tuple[list[Callable[..., float]], float]:
+        """Return v₃ = 0, then the end of slip and the goal of restitution if they apply, and the last P₃."""
+        worked = self._restored[1] - self.y[3]
+
+        def turns(_: float, y: Array) -> float:
+            return float(self.velocity(y)[2])
+
+        def stops(_: float, y: Array) -> float:
+            v = self.velocity(y)
+            return float(np.hypot(v[0], v[1]) - self._standstill)
+
+        def law_met(_: float, y: Array) -> float:
+            gained = turns(_, y) if self.law == "newton" else float(worked + y[3])
+            return gained - self._goal
+
+        end = self.y[2] + FOREVER * self.scale
+        events: list[tuple[Callable[..., float], float]] = [(turns, 1.0 if self.compressing else -1.0)]
+        if self.slipping:
+            events.append((stops, -1.0))
+        if not self.compressing and self.law == "poisson":
+            end = self.y[2] + self._goal - self._restored[0]
+        elif not self.compressing:
+            events.append((law_met, 1.0))
+        for event, direction in events:
+            event.terminal, event.direction = True, direction  # type: ignore[attr-defined]
+        return [event for event, _ in events], end
+
+    def take(self, y: Array, hit: Sequence[bool]) -> bool:
+        """Go to the end of a move, with the events that ended it; return whether the impact continues.
+
+        Raises:
+            LawError: A law that is not supported here.
+            _UnstoppableError: Nothing ended a compression.
+        """
+        phase = self.compressed if self.compressing else self._restored
+        phase += y[2:4] - self.y[2:4]
+        self.y = y
+        if self.slipping and hit[1]:
+            self._shift[:2] -= self.velocity(y)[:2]
+        elif hit[0] and self.compressing:
+            self.compressing = False
+            goals = {
+                "poisson": self.e * self.compressed[0],
+                "energetic": -self.e * self.e * self.compressed[1],
+                "newton": -self.e * self.start[2],
+            }
+            if self.law not in goals:
+                message = f'law: "solve_ivp" does not support {self.law!r}'
+                raise LawError(message, field="law", value=self.law)
+            self._goal = float(goals[self.law])
+            return self.e > 0.0
+        elif hit[0]:
+            self.compressing = True
+            self.flags |= Flag.SECOND_COMPRESSION
+        elif self.compressing:
+            raise _UnstoppableError
+        else:
+            return False
+        return True
+
+
 def solve_with_scipy(inputs: Inputs, trace: Array, path: Array, rtol: float) -> tuple[Any, ...]:
     """Solve one impact with scipy; arguments `trace` and `path` and the result as the kernels have them."""
-    w11, w12, w13, w22, w23, w33, *velocity, mu, e, code, _, _ = inputs
-    if not np.isfinite(inputs[:13]).all() or not (mu >= 0.0 and 0.0 <= e <= 1.0):
+    if not np.isfinite(inputs[:13]).all() or not (inputs[9] >= 0.0 and 0.0 <= inputs[10] <= 1.0):
         return _failed(Status.INVALID_NUMBERS)
-    W = np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]])
+    motion = _Motion(inputs, rtol)
+    start, W = motion.start, motion.W
     least = np.linalg.eigvalsh(W)[0]
     if least < -32.0 * np.finfo(float).eps * np.linalg.norm(W, 2):
         return _failed(Status.INDEFINITE_DELASSUS, least)
-    A, b, c, law = W[:2, :2], W[:2, 2], w33, LAWS[code]
-    start = np.array(velocity)
-    size = np.linalg.norm(start)
-    standstill = STANDSTILL * rtol * size
-    stick = np.linalg.lstsq(A, b, rcond=None)[0]
-
-    def pull(v: Array) -> Array:
-        """Return dP/dP₃."""
-        speed = np.hypot(v[0], v[1])
-        if speed > standstill:
-            return np.array([-mu * v[0] / speed, -mu * v[1] / speed, 1.0])
-        if np.linalg.norm(stick) <= mu:
-            return np.array([-stick[0], -stick[1], 1.0])
-        sigma = _resumed_direction(A, b, mu)
-        return np.array([-mu * sigma[0], -mu * sigma[1], 1.0])
-
-    if start[2] > 0.0 or (start[2] == 0.0 and W[2] @ pull(start) >= 0.0):
+    if start[2] > 0.0 or (start[2] == 0.0 and W[2] @ motion.pull(start) >= 0.0):
         return (Status.NO_IMPACT, 0, 0, *start, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0)
-    if c <= 0.0:
+    if motion.c <= 0.0:
         return _failed(Status.UNSTOPPABLE, start[2])
-
-    # y = (P, normal work, friction work); v follows from P, but for the v_t that is set to zero
-    shift = np.zeros(3)
-    y = np.zeros(5)
-    compressing, flags, calls, rows, points = True, 0, 0, 0, 0
-    compressed = restored = compression_work = restitution_work = goal = 0.0
-    scale = max(-start[2] / c, np.hypot(start[0], start[1]) / (c + mu * np.trace(A)))
+    rows, points = 0, 0
     for _ in range(MOVES):
-        v = start + shift + W @ y[:3]
-        slipping = mu > 0.0 and np.hypot(v[0], v[1]) > standstill
-        if not slipping and mu > 0.0:
-            flags |= Flag.STICK if np.linalg.norm(stick) <= mu else Flag.SLIP_RESUMED
-        fixed = None if slipping else pull(v)
-
-        def rates(_: float, y: Array, fixed: Array | None = fixed) -> Array:
-            nonlocal calls
-            calls += 1
-            if calls > MOST_RATES:
-                raise _ChatterError
-            v = start + shift + W @ y[:3]
-            dP = pull(v) if fixed is None else fixed
-            return np.array([*dP, v[2], v[:2] @ dP[:2]])
-
-        def turns(_: float, y: Array) -> float:
-            return float(start[2] + shift[2] + W[2] @ y[:3])
-
-        def stops(_: float, y: Array) -> float:
-            v = start + shift + W @ y[:3]
-            return float(np.hypot(v[0], v[1]) - standstill)
-
-        def law_met(_: float, y: Array, goal: float = goal, worked: float = restitution_work - y[3]) -> float:
-            return turns(_, y) - goal if law == "newton" else worked + y[3] - goal
-
-        events: list[Callable[..., float]] = [turns]
-        turns.direction = 1.0 if compressing else -1.0  # type: ignore[attr-defined]
-        end = y[2] + FOREVER * scale
-        if slipping:
-            stops.direction = -1.0  # type: ignore[attr-defined]
-            events.append(stops)
-        if not compressing and law == "poisson":
-            end = y[2] + goal - restored
-        elif not compressing:
-            law_met.direction = 1.0  # type: ignore[attr-defined]
-            events.append(law_met)
-        for event in events:
-            event.terminal = True  # type: ignore[attr-defined]
+        motion.begin_move()
+        before, restores = motion.y, not motion.compressing
         try:
-            done = solve_ivp(rates, (y[2], end), y, rtol=rtol, atol=1e-3 * rtol * scale * size, events=events)
+            done = motion.integrate()
+            rows = _record_move(
+                *(trace, rows, not motion.slipping and bool(motion.flags & Flag.STICK), restores),
+                *(before, done.y[:, -1]),
+            )
+            for y in done.y.T[: len(path) - points]:
+                path[points] = (y[2], *motion.velocity(y), *y[:2])
+                points += 1
+            if not motion.take(done.y[:, -1], [len(times) > 0 for times in done.t_events]):
+                break
         except _ChatterError:
             return _failed(Status.NOT_CONVERGED)
-        before, y = y, done.y[:, -1]
-        hit = [len(times) > 0 for times in done.t_events]
-        rows = _record_move(
-            trace, rows, not slipping and bool(flags & Flag.STICK), not compressing, before, y
-        )
-        for state in done.y.T if len(path) else ():
-            if points < len(path):
-                path[points] = (state[2], *(start + shift + W @ state[:3]), *state[:2])
-                points += 1
-        work = y[3] - before[3]
-        if compressing:
-            compression_work += work
-            compressed += y[2] - before[2]
-        else:
-            restitution_work += work
-            restored += y[2] - before[2]
-        if slipping and hit[1]:
-            v = start + shift + W @ y[:3]
-            shift[:2] -= v[:2]
-        elif hit[0] and compressing:
-            compressing = False
-            goals = {
-                "poisson": e * compressed,
-                "energetic": -e * e * compression_work,
-                "newton": -e * start[2],
-            }
-            if law not in goals:
-                raise LawError(f'law: "solve_ivp" does not support {law!r}', field="law", value=law)
-            goal = goals[law]
-            if e == 0.0:
-                break
-        elif hit[0]:
-            compressing = True
-            flags |= Flag.SECOND_COMPRESSION
-        elif compressing:
-            return _failed(Status.UNSTOPPABLE, v[2])
-        else:
-            break
+        except _UnstoppableError:
+            return _failed(Status.UNSTOPPABLE, motion.velocity(before)[2])
     else:
         return _failed(Status.NOT_CONVERGED)
-    v = start + shift + W @ y[:3]
-    status = Status.SEPARATED if v[2] > 1e-12 * size else Status.ENDED_AT_REST
-    return (status, int(flags), calls, *v, *y[:3], compressed, 0.0, rows, points)
+    v = motion.velocity(motion.y)
+    status = Status.SEPARATED if v[2] > 1e-12 * motion.size else Status.ENDED_AT_REST
+    numbers = *v, *motion.y[:3], motion.compressed[0], 0.0
+    return (status, int(motion.flags), motion.calls, *numbers, rows, points)
 
 
 def _record_move(trace: Array, rows: int, sticks: bool, restores: bool, before: Array, after: Array) -> int:

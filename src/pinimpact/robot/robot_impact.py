@@ -202,9 +202,8 @@ def impact(
 ) -> Hit | ManyHit:
     """Compute the impact of a robot at a contact, or at several at one instant: M Δq̇ = Jᵀ P.
 
-    The contacts are taken as closed, whatever their gaps. If a contact does not approach, the velocity does
-    not change and ``hit.solution.status`` is NO_IMPACT. A list includes closed contacts at rest, because they
-    take part in the impact.
+    The contacts are taken as closed, whatever their gaps. If none approaches, the velocity does not change
+    and ``hit.solution.status`` is NO_IMPACT. Closed contacts at rest belong in the list: they take part.
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
@@ -228,8 +227,7 @@ def impact(
         A `Hit`; a `ManyHit` for a list of contacts, also of one, and if several tips of a shape touch.
 
     Raises:
-        InputError: A q or v of the wrong length, not finite or not normalised; a held contact that moves; a
-            rim that lies flat; an invalid stiffening.
+        InputError: An invalid q, v or stiffening; a held contact that moves; a rim that lies flat.
         UnknownNameError: A frame or joint that the model does not have; an unknown method.
         ModelError: The mass matrix is not positive definite.
         UnstoppableApproachError: No normal impulse can stop the approach.
@@ -238,21 +236,15 @@ def impact(
     Warns:
         JointLimitWarning: The q is outside the joint limits, perhaps in degrees; given once for each Data.
     """
-    robot = model
-    if type(model) is not _Model:
-        model = model_of(model)
+    robot, model = model, model if type(model) is _Model else model_of(model)
     cache = _caches.get(id(data))
     if cache is None or cache.model() is not model:
         cache = data_cache(model, data)
-    if type(contact) is not Contact or contact.geometry is not None:
-        rest: Any = held, locked, method, record, simultaneous, stiffening
-        return _impact_of_many(robot, data, q, v, contact, *rest, **options)
-    if contact.rim > 0.0:
-        check_rims(PlacedRobot(model, data, q), (contact,))
-    plain = method == "exact" and not (held or locked or record or options)
-    if not plain or (stiffening is not None and is_stiff(stiffening)):
-        rest = held, locked, method, record, stiffening, options
-        return _impact_in_steps(model, data, q, v, contact, *rest)
+    stiff = stiffening is not None and is_stiff(stiffening)
+    general = stiff or method != "exact" or held or locked or record or options
+    if type(contact) is not Contact or contact.geometry is not None or contact.rim > 0.0 or general:
+        rest: Any = held, locked, method, record, simultaneous, stiffening, options
+        return _general_impact(robot, model, data, q, v, contact, *rest)
     # the common case of what `float_array` returns, in a tenth of its time
     usual = type(q) is _Array and q.dtype == _FLOAT and q.shape == cache.q_shape and q.flags.carray
     q_now: Array = q if usual else float_array("q", q, cache.q_shape)  # type: ignore[assignment]
@@ -265,22 +257,22 @@ def impact(
     struck = cache.workspaces.get(id(contact))
     if struck is None or model.nframes != cache.frames_seen or model.njoints != cache.njoints:
         struck = strike(cache, model, data, contact)
-    work = struck[1]
-    if work is not None:
-        ended = _robot_impact(work, q_now, v_now, restitution, numbers)
+    if struck[1] is not None:
+        ended = _robot_impact(struck[1], q_now, v_now, restitution, numbers)
     else:
         placed = PlacedRobot(model, data, q_now)
         ended = impact_by_pinocchio(placed, v_now, contact, contact.friction, restitution, numbers)
     hit = Hit(numbers, ended, contact, restitution)
-    if not 0 <= ended[0] <= LOCKED:
-        _refuse(ended, cache, q_now, v_now, hit)
-    if ended[3]:
-        cache.warn_of_limits(q_now)
+    if not 0 <= ended[0] <= LOCKED or ended[3]:
+        _refuse_or_warn(ended, cache, q_now, v_now, hit)
     return hit
 
 
-def _refuse(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: Hit) -> None:
-    """Raise the error of an impact that has no answer."""
+def _refuse_or_warn(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: Hit) -> None:
+    """Raise the error of an impact that has no answer, or warn of a q outside the joint limits."""
+    if 0 <= ended[0] <= LOCKED:
+        cache.warn_of_limits(q)
+        return
     if ended[0] == kernel.SINGULAR_MASS:
         raise singular_mass(cache.model(), ended[1])
     finite_array("q", q, cache.q_shape)
@@ -290,8 +282,9 @@ def _refuse(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: H
     solve_inputs(hit._inputs())
 
 
-def _impact_of_many(
+def _general_impact(
     robot: Any,
+    model: pin.Model,
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
@@ -302,18 +295,22 @@ def _impact_of_many(
     record: bool,
     simultaneous: str,
     stiffening: Stiffening,
-    **options: Any,
+    options: dict[str, Any],
 ) -> Hit | ManyHit:
-    """Compute the impact at several contacts, or at what a collision shape touches."""
+    """Compute the impact at several contacts, at what a collision shape touches, or with other options."""
     if isinstance(contact, Sequence) and not isinstance(contact, str):
-        model = model_of(robot)
         many: Any = contact, held, locked, simultaneous, record, stiffening, options
         return impact_at_many(model, data, q, v, *many)
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
+    if contact.geometry is None:
+        if contact.rim > 0.0:
+            check_rims(PlacedRobot(model, data, q), (contact,))
+        rest: Any = held, locked, method, record, stiffening, options
+        return _impact_in_steps(model, data, q, v, contact, *rest)
     nearest = touching_points if is_pair(robot, contact) else touching_tips
     tips = nearest(robot, data, q, contact)
-    data_cache(model_of(robot), data).check_limits(real_numbers("q", q), stacklevel=5)
+    data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
     one_or_many: Any = tips[0] if len(tips) == 1 else tips
     rest = held, locked, method, record, simultaneous, stiffening
     return impact(robot, data, q, v, one_or_many, *rest, **options)

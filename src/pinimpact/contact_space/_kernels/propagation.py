@@ -33,6 +33,9 @@ FIRST = np.int64(1)
 LONGEST = 1e3
 """The longest step, in units of the pace."""
 
+STEP, EVENT, ROW, POINT, ENDED = 0, 1, 2, 3, 4
+"""Places in `counts`."""
+
 MOST_EVENTS = 200
 """Events per contact, at most."""
 
@@ -119,15 +122,7 @@ def propagate(
     for i in range(3 * n):
         v[places[i]] = u[i] * scale
         impulse[places[i]] = p[i] * scale
-    for row in range(min(counts[2], len(rows))):
-        rows[row, 0] = order[int(rows[row, 0])]
-        rows[row, 3] *= scale
-        rows[row, 4] *= scale
-    for row in range(min(counts[3], len(path))):
-        point = path[row].copy()
-        for i in range(3 * n):
-            path[row, 1 + places[i]] = point[1 + i] * scale
-            path[row, 1 + 3 * n + places[i]] = point[1 + 3 * n + i] * scale
+    _write_back(order, places, scale, rows[: counts[2]], path[: counts[3]])
     return stopped, max(missed, gained / max(size, 1e-300))
 
 
@@ -153,6 +148,21 @@ def _of_their_own(w, v, friction, restitution, stiffness):
 
 
 @inlined
+def _write_back(order, places, scale, rows, path):
+    """Bring rows (m, 5) and path (m, 6n + 1) into the numbering and the units of the problem."""
+    m = len(places)
+    for row in range(len(rows)):
+        rows[row, 0] = order[int(rows[row, 0])]
+        rows[row, 3] *= scale
+        rows[row, 4] *= scale
+    for row in range(len(path)):
+        point = path[row].copy()
+        for i in range(m):
+            path[row, 1 + places[i]] = point[1 + i] * scale
+            path[row, 1 + m + places[i]] = point[1 + m + i] * scale
+
+
+@inlined
 def _comes_first(keys, i, j):
     """Return whether row i comes before row j where their first numbers differ."""
     for k in range(keys.shape[1]):
@@ -171,10 +181,130 @@ def _follow(
         v: (3n,) velocities; takes those after the impact.
     """
     n = len(friction)
-    unloading, plastic = np.zeros(n), True
+    system = _system_of(w, friction, restitution, stiffness, exponent)
+    plastic = not system.unloading.any()
+    state = State(
+        *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
+        *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
+        *(np.zeros(n), np.zeros(n), np.zeros(n)),
+    )
+    series, latest = new_series(ORDER, n), repeated(n, NO_ROW)
+    scratch = np.empty((n, 3)), np.empty(ORDER + 1), np.empty((4, ORDER + 1))
+    for j in range(n):
+        if v[3 * j + 2] <= ROUNDED:
+            if w[3 * j + 2, 3 * j + 2] > 0.0:
+                close(system, state, j)
+            elif v[3 * j + 2] < -ROUNDED:
+                return False
+    clock, at_once = 0.0, 0
+    left, ends, apart = np.zeros(3 * n), np.zeros(3 * n), math.inf
+    check = NONE_YET + FEWEST + PLASTIC_EVENTS * n
+    counts[:] = 0
+    counts[POINT] = record(path, NONE_YET, clock, state)
+    while True:
+        presses = _loaded(state)
+        time = _next_closing(state)
+        if not presses and time == NEVER:
+            return True
+        if _rests(system, state):
+            counts[ENDED] = 1
+            come_to_rest(system, state, works)
+            counts[POINT] = record(path, counts[POINT], clock, state)
+            return True
+        if plastic and counts[EVENT] >= check:
+            apart = max(apart, _moved_end(system, state, left, ends))
+            if apart <= AGREE:
+                counts[ENDED] = 1
+                ended = end_plastically(system, state, left, works)
+                if ended:
+                    counts[POINT] = record(path, counts[POINT], clock, state)
+                return ended
+            apart, check = 0.0, 2 * counts[EVENT]
+        if counts[STEP] >= most_steps or counts[EVENT] >= MOST_EVENTS * n:
+            counts[ENDED] = 2
+            return True
+        if not presses:
+            _fly(system, state, time)
+            clock += time
+            counts[EVENT] += 1
+        unknown, inverse, weight, known = settle(system, state, series)
+        if not known:
+            counts[ENDED] = 2
+            return True
+        if not _ring(system, state, unknown, inverse, series):
+            at_once, clock = _go_to_event(
+                *(system, state, series, (unknown, inverse, weight), scratch, accuracy, most_steps),
+                *(at_once, clock, works, counts, rows, latest, path),
+            )
+        counts[EVENT] += 1
+
+
+@inlined
+def _go_to_event(
+    system, state, series, forces, scratch, accuracy, most_steps, at_once, clock, works, counts, rows, latest,
+    path,
+):  # fmt: skip
+    """Take steps up to the next event, and change the modes there.
+
+    Args:
+        system: The `System`.
+        state: The `State`.
+        series: Scratch for the series.
+        forces: Places of the unknown forces, the matrix that solves for them, and their weights.
+        scratch: Times of events, and two arrays of `find_events`.
+        accuracy: See `propagate`.
+        most_steps: See `propagate`.
+        at_once: How many events have followed each other at once.
+        clock: The time.
+        works: See `propagate`.
+        counts: (5,) numbers of steps, events, rows and points.
+        rows: See `propagate`.
+        latest: (n,) the last row of each contact.
+        path: See `propagate`.
+
+    Returns:
+        `at_once` and the time at the event.
+    """
+    unknown, inverse, weight = forces
+    roots, guard, work = scratch
+    turns = _presses_and_slips(state)
+    while True:
+        if turns:
+            unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
+        h, pace, root = _expand_step(system, state, unknown, inverse, accuracy, series)
+        if _begins_badly(state, series, h):
+            counts[STEP] += 1
+            continue
+        if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
+            _loaded_ends(state)
+            return at_once, clock
+        crowded = at_once > 2 * len(state.normal)
+        first, degree = find_events(system, state, series, h, NEGLIGIBLE / pace, crowded, roots, guard, work)
+        h = first if degree == SHORT else min(h, first)
+        if h > 0.0:
+            at_once = 0 if h * pace > NEGLIGIBLE else at_once
+            counts[ROW] = advance(
+                system, state, series, h, degree, pace, root, works, rows, counts[ROW], latest
+            )
+            if path.shape[0] > 0:
+                counts[POINT] = record_step(path, counts[POINT], clock, series, state, h, degree, pace, root)
+            clock += time_power(NONE_YET, h, pace, root)
+        counts[STEP] += 1
+        if first <= h or counts[STEP] >= most_steps:
+            break
+    if first <= h:
+        at_once += 1
+        apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
+    return at_once, clock
+
+
+@inlined
+def _system_of(w, friction, restitution, stiffness, exponent):
+    """Return the `System` of contacts with these coefficients (n,) of restitution."""
+    n = len(friction)
+    unloading = np.zeros(n)
     for j in range(n):
         if restitution[j] > 0.0:
-            plastic = False
             unloading[j] = 1.0 / (restitution[j] * restitution[j])
     filled, count = np.empty((3 * n, 3 * n), dtype=np.int64), np.zeros(3 * n, dtype=np.int64)
     for i in range(3 * n):
@@ -182,112 +312,40 @@ def _follow(
             if w[i, k] != 0.0:
                 filled[i, count[i]] = k
                 count[i] += 1
-    system = System(w, filled, count, friction, unloading, stiffness, exponent)
-    state = State(
-        *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
-        *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
-        *(np.zeros(n), np.zeros(n), np.zeros(n)),
-    )
-    series = new_series(ORDER, n)
-    roots, work = np.empty((n, 3)), np.empty((4, ORDER + 1))
-    guard = np.empty(ORDER + 1)
-    latest = repeated(n, NO_ROW)
-    for j in range(n):
-        if v[3 * j + 2] <= ROUNDED:
-            if not w[3 * j + 2, 3 * j + 2] > 0.0:
-                if v[3 * j + 2] < -ROUNDED:
-                    return False
-                continue
-            close(system, state, j)
-    clock, at_once = 0.0, 0
-    left, ends, apart, check = (
-        np.zeros(3 * n),
-        np.zeros(3 * n),
-        math.inf,
-        NONE_YET + FEWEST + PLASTIC_EVENTS * n,
-    )
-    events = rows_used = points = steps = NONE_YET
-    points = record(path, points, clock, state)
-    while True:
-        presses = _loaded(state)
-        time = _next_closing(state)
-        if not presses and time == NEVER:
-            break
-        if _rests(system, state):
-            counts[4] = 1
-            come_to_rest(system, state, works)
-            points = record(path, points, clock, state)
-            break
-        if plastic and events >= check:
-            plastic_impulses_now(system, state, left)
-            for i in range(3 * n):
-                end = v[i]
-                for k in range(3 * n):
-                    end += w[i, k] * left[k]
-                apart = max(apart, abs(end - ends[i]))
-                ends[i] = end
-            if apart <= AGREE:
-                counts[4] = 1
-                if not end_plastically(system, state, left, works):
-                    return False
-                points = record(path, points, clock, state)
-                break
-            apart, check = 0.0, 2 * events
-        if steps >= most_steps or events >= MOST_EVENTS * n:
-            counts[4] = 2
-            break
-        if not presses:
-            for j in range(n):
-                if state.normal[j] == OPEN:
-                    state.indentation[j] -= time * state.v[3 * j + 2]
-                    if state.indentation[j] >= -ROUNDED and state.v[3 * j + 2] < -ROUNDED:
-                        close(system, state, j)
-            clock += time
-            events += 1
-        unknown, inverse, weight, known = settle(system, state, series)
-        if not known:
-            counts[4] = 2
-            break
-        if _ring(system, state, unknown, inverse, series):
-            events += 1
-            continue
-        turns = _presses_and_slips(state)
-        while True:  # steps, up to the next event
-            if turns:
-                unknown, inverse, weight = unknown_after(system, state, _directions(state), weight)
-            expand(system, state, unknown, inverse, FIRST, 1.0, series)
-            pace = natural_pace(state, series)
-            root = expand(system, state, unknown, inverse, ORDER, pace, series)
-            h = _step_length(system, series, accuracy, pace, LONGEST)
-            if _begins_badly(state, series, h):
-                steps += 1
-                continue
-            if pace == 1.0 and h >= LONGEST and _at_rest(series, state):
-                _loaded_ends(state)
-                first = NEVER
-                break
-            first, degree = find_events(
-                system, state, series, h, NEGLIGIBLE / pace, at_once > 2 * n, roots, guard, work
-            )
-            h = first if degree == SHORT else min(h, first)
-            if h > 0.0:
-                at_once = 0 if h * pace > NEGLIGIBLE else at_once
-                rows_used = advance(
-                    system, state, series, h, degree, pace, root, works, rows, rows_used, latest
-                )
-                if path.shape[0] > 0:
-                    points = record_step(path, points, clock, series, state, h, degree, pace, root)
-                clock += time_power(NONE_YET, h, pace, root)
-            steps += 1
-            counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
-            if first <= h or steps >= most_steps:
-                break
-        events += 1
-        if first <= h:
-            at_once += 1
-            apply_events(system, state, series, roots, first, NEGLIGIBLE / pace)
-    counts[0], counts[1], counts[2], counts[3] = steps, events, rows_used, points
-    return True
+    return System(w, filled, count, friction, unloading, stiffness, exponent)
+
+
+@inlined
+def _moved_end(system, state, left, ends):
+    """Fill the impulses (3n,) of a plastic end, and velocities `ends`; return by how much these change."""
+    plastic_impulses_now(system, state, left)
+    apart = 0.0
+    for i in range(len(left)):
+        end = state.v[i]
+        for k in range(len(left)):
+            end += system.w[i, k] * left[k]
+        apart = max(apart, abs(end - ends[i]))
+        ends[i] = end
+    return apart
+
+
+@inlined
+def _fly(system, state, time):
+    """Let open contacts move on for a time, at whose end the first of them close."""
+    for j in range(len(state.normal)):
+        if state.normal[j] == OPEN:
+            state.indentation[j] -= time * state.v[3 * j + 2]
+            if state.indentation[j] >= -ROUNDED and state.v[3 * j + 2] < -ROUNDED:
+                close(system, state, j)
+
+
+@inlined
+def _expand_step(system, state, unknown, inverse, accuracy, series):
+    """Expand the series of a step; return its longest length, its pace, and whether it is one in √s."""
+    expand(system, state, unknown, inverse, FIRST, 1.0, series)
+    pace = natural_pace(state, series)
+    root = expand(system, state, unknown, inverse, ORDER, pace, series)
+    return _step_length(system, series, accuracy, pace, LONGEST), pace, root
 
 
 @inlined

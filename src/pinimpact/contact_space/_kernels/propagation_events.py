@@ -77,36 +77,53 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
                 guard[k] = total
             roots[j, 2] = _fall(guard, reach, 1e-2 * NEGLIGIBLE * strongest * strongest, crowded, work)
         elif state.tangent[j] == SLIPPING:
-            ux, uy = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
-            speed = series.speed[0, j]
-            for k in range(ORDER + 1):
-                guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
-            if begins(state.fresh[j]):  # it begins with s² or s
-                guard[0] = 0.0
-            if state.fresh[j] == TIED:
-                guard[1] = 0.0
-            time = _fall(guard, reach, 0.0, False, work)
-            if time < NEVER:
-                across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
-                if abs(across) <= 10.0 * ROUNDED:
-                    roots[j, 2] = time
-            elif speed < STOPS and not begins(state.fresh[j]):
-                along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
-                near = speed <= REACH * h * -along  # else something else happens long before
-                straight = along < 0.0 and near and across * speed <= ROUNDED * -along
-                if state.fresh[j] != 0:  # it has just begun
-                    straight = straight and speed < 0.5 * SLIP_SPEED
-                straight = straight and _neglected(series, -speed / along) <= ROUNDED
-                if straight or (state.fresh[j] == 0 and speed < 10.0 * ROUNDED and across > 0.1 * along):
-                    roots[j, 2] = -speed / along if straight else 0.0
-                    if roots[j, 2] < first:
-                        degree = SHORT
+            roots[j, 2], straight = _end_of_slip(state, series, h, reach, j, guard, work)
+            if straight and roots[j, 2] < first:
+                degree = SHORT
         for k in range(3):
             if roots[j, k] < first:
                 first = roots[j, k]
                 if k < 2 or state.tangent[j] == STUCK:
                     degree = ORDER
     return first, degree
+
+
+@inlined
+def _end_of_slip(state, series, h, reach, j, guard, work):
+    """Return when contact j stops to slip, `NEVER` for not in this step, and whether it runs straight there.
+
+    Args:
+        state: The `State`.
+        series: Series of the motion.
+        h: Length of the step.
+        reach: Up to where it is looked for.
+        j: The contact.
+        guard: Scratch,
+        work: likewise.
+    """
+    x, y, speed = 3 * j, 3 * j + 1, series.speed[0, j]
+    ux, uy, fresh = series.unit[0, 2 * j], series.unit[0, 2 * j + 1], state.fresh[j]
+    for k in range(ORDER + 1):
+        guard[k] = series.v[k, x] * ux + series.v[k, y] * uy
+    if begins(fresh):  # it begins with s² or s
+        guard[0] = 0.0
+    if fresh == TIED:
+        guard[1] = 0.0
+    time = _fall(guard, reach, 0.0, False, work)
+    if time < NEVER:
+        across = value_at(series.v, y, ORDER, time) * ux - value_at(series.v, x, ORDER, time) * uy
+        return (time if abs(across) <= 10.0 * ROUNDED else NEVER), False
+    if not speed < STOPS or begins(fresh):
+        return NEVER, False
+    along, across = guard[1], abs(series.v[1, y] * ux - series.v[1, x] * uy)
+    near = speed <= REACH * h * -along  # else something else happens long before
+    straight = along < 0.0 and near and across * speed <= ROUNDED * -along
+    if fresh != 0:  # it has just begun
+        straight = straight and speed < 0.5 * SLIP_SPEED
+    if straight and _neglected(series, -speed / along) <= ROUNDED:
+        return -speed / along, True
+    turns_back = fresh == 0 and speed < 10.0 * ROUNDED and across > 0.1 * along
+    return (0.0 if turns_back else NEVER), turns_back
 
 
 @inlined

@@ -67,42 +67,8 @@ def settle(system, state, series):
             asked += 2
     if asked == 0:
         return none, no_inverse, np.empty(0), True
-    # what the others do in the next moments, without these
-    for j in range(n):
-        if stuck[j] == 1:
-            tangent[j] = FREE
-        if held[j] == 1:
-            normal[j] = OPEN
-    root = expand(system, state, none, no_inverse, WEIGHED_ORDER, 1.0, series)
-    for j in range(n):
-        if stuck[j] == 1:
-            tangent[j] = STUCK
-        if held[j] == 1:
-            normal[j] = HELD
-    p, weight, cap = np.zeros(3 * n), np.zeros(n), np.zeros(n)
-    near, far = (math.sqrt(AHEAD), math.sqrt(WEIGHED_AHEAD)) if root else (AHEAD, WEIGHED_AHEAD)
-    if not root:  # a slip that has just begun turns long before
-        near = min(near, UNTURNED * natural_pace(state, series))
-    heaviest = 0.0
-    for k in range(WEIGHED_ORDER, -1, -1):
-        for i in range(3 * n):
-            p[i] = p[i] * near + series.force[k, i]
-        for j in range(n):
-            weight[j] = weight[j] * far + max(series.force[k, 3 * j + 2], 0.0)
-    unit = np.zeros(2 * n)
-    for j in range(n):
-        cap[j] = math.inf
-        if held[j] == 1:
-            cap[j] = system.stiffness[j] * state.indentation[j] ** system.exponent
-            weight[j] = cap[j]
-        elif not loads(normal[j]):
-            p[3 * j + 2] = 0.0
-        p[3 * j + 2] = max(p[3 * j + 2], 0.0)
-        heaviest = max(heaviest, weight[j])
-        if tangent[j] == SLIPPING:
-            unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
-    for j in range(n):
-        weight[j] = max(weight[j], 1e-9 * heaviest)
+    p, weight, cap, unit = np.zeros(3 * n), np.zeros(n), np.zeros(n), np.zeros(2 * n)
+    heaviest, root = _look_ahead(system, state, series, stuck, held, p, weight, cap, unit)
     unknown = bounded_unknowns(system, state)
     inverse = np.empty((len(unknown), len(unknown)))
     force_inverse(system, state, unit, unknown, weight, inverse)
@@ -134,6 +100,62 @@ def settle(system, state, series):
         align(system, state, unit, weight, series)
     unknown, inverse, weight = unknown_after(system, state, unit, weight)
     return unknown, inverse, weight, known
+
+
+@inlined
+def _look_ahead(system, state, series, stuck, held, p, weight, cap, unit):
+    """Find what the other contacts do in the next moments, without those that stick or are held.
+
+    Args:
+        system: The `System`.
+        state: The `State`.
+        series: Scratch for series.
+        stuck: (n,) 1 for contacts that do not slip.
+        held: (n,) 1 for what is held.
+        p: (3n,) zero; takes the forces of the others.
+        weight: (n,) zero; takes the normal forces, by which those that hold the same are weighed.
+        cap: (n,) takes the largest normal forces of what is held.
+        unit: (2n,) zero; takes directions of slip.
+
+    Returns:
+        The largest weight, and whether series are in √s.
+    """
+    n, normal, tangent = len(weight), state.normal, state.tangent
+    for j in range(n):
+        if stuck[j] == 1:
+            tangent[j] = FREE
+        if held[j] == 1:
+            normal[j] = OPEN
+    none, no_inverse = np.empty(0, dtype=np.int64), np.empty((0, 0))
+    root = expand(system, state, none, no_inverse, WEIGHED_ORDER, 1.0, series)
+    for j in range(n):
+        if stuck[j] == 1:
+            tangent[j] = STUCK
+        if held[j] == 1:
+            normal[j] = HELD
+    near, far = (math.sqrt(AHEAD), math.sqrt(WEIGHED_AHEAD)) if root else (AHEAD, WEIGHED_AHEAD)
+    if not root:  # a slip that has just begun turns long before
+        near = min(near, UNTURNED * natural_pace(state, series))
+    heaviest = 0.0
+    for k in range(WEIGHED_ORDER, -1, -1):
+        for i in range(3 * n):
+            p[i] = p[i] * near + series.force[k, i]
+        for j in range(n):
+            weight[j] = weight[j] * far + max(series.force[k, 3 * j + 2], 0.0)
+    for j in range(n):
+        cap[j] = math.inf
+        if held[j] == 1:
+            cap[j] = system.stiffness[j] * state.indentation[j] ** system.exponent
+            weight[j] = cap[j]
+        elif not loads(normal[j]):
+            p[3 * j + 2] = 0.0
+        p[3 * j + 2] = max(p[3 * j + 2], 0.0)
+        heaviest = max(heaviest, weight[j])
+        if tangent[j] == SLIPPING:
+            unit[2 * j], unit[2 * j + 1] = series.unit[0, 2 * j], series.unit[0, 2 * j + 1]
+    for j in range(n):
+        weight[j] = max(weight[j], 1e-9 * heaviest)
+    return heaviest, root
 
 
 @inlined

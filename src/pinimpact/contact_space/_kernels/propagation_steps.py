@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
+from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.loops import assign
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
 from .tolerances import FIRST_STEP, NEGLIGIBLE, SHORTEST, SLOW
@@ -75,6 +77,26 @@ STIFF = 1.0
 """The unit of a contact's own clock: by explicit steps beyond it its oscillations would grow."""
 
 
+class Contacts(NamedTuple):
+    """The contacts of an impact by steps.
+
+    Attributes:
+        rows: (3n, r) J.
+        friction: (n,) μ.
+        springs: The `Springs`, with the largest penetrations.
+        x: (n,) penetrations.
+        pace: (n,) of velocities in their loading to indentations.
+        creep: ε.
+    """
+
+    rows: FloatRows
+    friction: Floats
+    springs: Springs
+    x: Floats
+    pace: Floats
+    creep: float
+
+
 @declared(
     *(FLOAT_ROWS, FLOATS, FLOATS, FLOATS, FLOATS, float, float, int),
     *(FLOATS, FLOAT_ROWS, FLOAT_ROWS),
@@ -116,100 +138,27 @@ def step_through(
         for k in range(r):
             mobility[j] += rows[3 * j + 2, k] ** 2
         pace[j] = math.sqrt(stiffness[j] * mobility[j])  # of velocities in its loading to indentations
-        works[j] = 0.0
-    for i in range(3 * n):
-        impulse[i] = 0.0
-    x, largest, peak = np.zeros(n), np.zeros(n), np.zeros(n)
-    springs = Springs(largest, peak, restitution, stiffness, exponent)
+    works[:] = 0.0
+    impulse[:] = 0.0
+    springs = Springs(np.zeros(n), np.zeros(n), restitution, stiffness, exponent)
+    contacts = Contacts(rows, friction, springs, np.zeros(n), pace, creep)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
-    target, at, bound, now = np.empty(r), np.empty(r), np.empty(n), np.empty(n)
-    stiff = np.zeros(n, dtype=np.bool_)
     held_impulse, held_works = np.empty(3 * n), np.empty((n, 3))
     h, clock, held = FIRST_STEP, 0.0, 0.0
-    for i in range(3 * n):
-        v[0, i] = start[i]
+    assign(v[0], start)
     for step in range(1, most + 1):
         if step <= len(path):
             path[step - 1, 0] = clock
-            for i in range(3 * n):
-                path[step - 1, 1 + i] = impulse[i]
-        for j in range(n):
-            normal = force_at(springs, j, x[j])
-            for a in range(3 * j, 3 * j + 2):
-                if force[0, 3 * j + 2] > 0.0:  # in the same part of its bound
-                    force[0, a] *= normal / force[0, 3 * j + 2]
-                else:
-                    slip = math.hypot(v[0, 3 * j], v[0, 3 * j + 1])
-                    force[0, a] = -friction[j] * normal * v[0, a] / max(slip, creep)
-            force[0, 3 * j + 2] = normal
-        speed, time, pressed = _outlook(
-            v[0], force[0], mobility, restitution, stiffness, exponent, x, largest
-        )
+            assign(path[step - 1, 1:], impulse)
+        _fill_forces(contacts, v[0], force[0])
+        speed, time, pressed = _outlook(contacts, v[0], force[0], mobility)
         if speed <= max(SLOW, accuracy) or (not pressed and time == NEVER):
             return step
         if not pressed:
-            for j in range(n):
-                gap = largest[j] - x[j]
-                x[j] -= time * v[0, 3 * j + 2]
-                if v[0, 3 * j + 2] < 0.0 and gap <= -time * v[0, 3 * j + 2]:
-                    x[j] = largest[j]
+            _fly(contacts, v[0], time)
         _push(rows, force[0], rate[0])
-        while True:
-            for k in range(r):
-                at[k] = 0.0
-            for j in range(n):  # contacts whose own time is shorter than the step
-                e = restitution[j] if x[j] < largest[j] or v[0, 3 * j + 2] > 0.0 else 1.0
-                stiff[j] = h * pace[j] > STIFF * e
-            found = True
-            for i in range(1, STAGES):
-                part = h * IMPLICIT[i, i]
-                for j in range(n):
-                    z = 3 * j + 2
-                    now[j] = x[j]
-                    for before in range(i):
-                        now[j] -= h * (IMPLICIT if stiff[j] else EXPLICIT)[i, before] * v[before, z]
-                    force[i, z] = force[i - 1, z] if stiff[j] else force_at(springs, j, now[j])
-                for k in range(r):
-                    target[k] = 0.0
-                    for before in range(i):
-                        target[k] += h * IMPLICIT[i, before] * rate[before, k]
-                    for j in range(n):
-                        if not stiff[j]:
-                            target[k] += part * rows[3 * j + 2, k] * force[i, 3 * j + 2]
-                _velocities(rows, v[0], at, v[i])
-                found = found and find_stage(
-                    rows, friction, creep, springs, stiff, now, part, target, at, v[i], force[i], bound
-                )
-                _oppose(friction, creep, v[i], force[i])
-                _push(rows, force[i], rate[i])
-            missed = _missed(rows, rate, v, h, x, largest, pace, restitution)
-            factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
-            if h <= SHORTEST:
-                break
-            if missed <= accuracy and found:
-                part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)
-                if part == 1.0:
-                    break
-                h *= part
-            else:
-                h *= min(factor, SAFE) if found else SHRINKS
-        for j in range(n):
-            z = 3 * j + 2
-            for i in range(STAGES):
-                part = h * WEIGHTS[i]
-                x[j] -= part * v[i, z]
-                works[j, 0 if v[i, z] < 0.0 else 1] += part * force[i, z] * v[i, z]
-                for a in range(z - 2, z + 1):
-                    impulse[a] += part * force[i, a]
-                    if a < z:
-                        works[j, 2] += part * force[i, a] * v[i, a]
-            if x[j] > largest[j]:
-                peak[j] += x[j] - largest[j]
-                largest[j] = x[j]
-            dent = restitution[j] ** 2 * peak[j]
-            if x[j] <= largest[j] - dent:  # it has separated, and would be loaded again from there
-                largest[j] -= dent
-                peak[j] = 0.0
+        h, factor = _find_step(contacts, v, force, rate, h, accuracy)
+        _sum_up(contacts, v, force, h, impulse, works)
         if not _locked(rows, friction, v[0], v[STAGES - 1], force[STAGES - 1], creep):
             held = 0.0
         else:
@@ -221,16 +170,130 @@ def step_through(
                 impulse[:] = held_impulse
                 works[:] = held_works
                 return step
+        at = np.zeros(r)
         for k in range(r):
-            at[k] = 0.0
             for i in range(STAGES):
                 at[k] += h * WEIGHTS[i] * rate[i, k]
         _velocities(rows, v[0], at, v[0])
-        for i in range(3 * n):
-            force[0, i] = force[STAGES - 1, i]
+        assign(force[0], force[STAGES - 1])
         clock += h
         h *= factor
     return 0
+
+
+@inlined
+def _fill_forces(contacts, v, force):
+    """Fill forces (3n,) at the start of a step; friction in the same part of its bound as at the last end."""
+    for j in range(len(contacts.x)):
+        normal = force_at(contacts.springs, j, contacts.x[j])
+        for a in range(3 * j, 3 * j + 2):
+            if force[3 * j + 2] > 0.0:
+                force[a] *= normal / force[3 * j + 2]
+            else:
+                slip = math.hypot(v[3 * j], v[3 * j + 1])
+                force[a] = -contacts.friction[j] * normal * v[a] / max(slip, contacts.creep)
+        force[3 * j + 2] = normal
+
+
+@inlined
+def _fly(contacts, v, time):
+    """Let all move on for a time, at whose end the first of them close."""
+    x, largest = contacts.x, contacts.springs.largest
+    for j in range(len(x)):
+        gap = largest[j] - x[j]
+        x[j] -= time * v[3 * j + 2]
+        if v[3 * j + 2] < 0.0 and gap <= -time * v[3 * j + 2]:
+            x[j] = largest[j]
+
+
+@inlined
+def _find_step(contacts, v, force, rate, h, accuracy):
+    """Find the stages of a step that keeps to the accuracy.
+
+    Args:
+        contacts: The `Contacts`.
+        v: (STAGES, 3n) velocities, those at the start first.
+        force: (STAGES, 3n) forces likewise.
+        rate: (STAGES, r) dy/ds likewise.
+        h: The length that is tried first.
+        accuracy: By how much it may miss velocities and penetrations.
+
+    Returns:
+        Its length, and the factor to the next one.
+    """
+    pace, restitution = contacts.pace, contacts.springs.restitution
+    while True:
+        found = _find_stages(contacts, v, force, rate, h)
+        missed = _missed(contacts, rate, v, h)
+        factor = min(max(SAFE * (accuracy / max(missed, 1e-300)) ** 0.25, SHRINKS), GROWS)
+        if h <= SHORTEST:
+            break
+        if missed <= accuracy and found:
+            part = _until_a_turn(v[0], v[STAGES - 1], force[STAGES - 1], accuracy / h, pace, restitution)
+            if part == 1.0:
+                break
+            h *= part
+        else:
+            h *= min(factor, SAFE) if found else SHRINKS
+    return h, factor
+
+
+@inlined
+def _find_stages(contacts, v, force, rate, h):
+    """Fill the stages of a step after the first; return whether all were found. See `_find_step`."""
+    rows, friction, springs, x, pace, creep = contacts
+    n, r = len(friction), rows.shape[1]
+    target, at, bound, now = np.empty(r), np.zeros(r), np.empty(n), np.empty(n)
+    stiff, found = np.zeros(n, dtype=np.bool_), True
+    for j in range(n):  # contacts whose own time is shorter than the step
+        e = springs.restitution[j] if x[j] < springs.largest[j] or v[0, 3 * j + 2] > 0.0 else 1.0
+        stiff[j] = h * pace[j] > STIFF * e
+    for i in range(1, STAGES):
+        part = h * IMPLICIT[i, i]
+        for j in range(n):
+            z = 3 * j + 2
+            now[j] = x[j]
+            for before in range(i):
+                now[j] -= h * (IMPLICIT if stiff[j] else EXPLICIT)[i, before] * v[before, z]
+            force[i, z] = force[i - 1, z] if stiff[j] else force_at(springs, j, now[j])
+        for k in range(r):
+            target[k] = 0.0
+            for before in range(i):
+                target[k] += h * IMPLICIT[i, before] * rate[before, k]
+            for j in range(n):
+                if not stiff[j]:
+                    target[k] += part * rows[3 * j + 2, k] * force[i, 3 * j + 2]
+        _velocities(rows, v[0], at, v[i])
+        found = found and find_stage(
+            rows, friction, creep, springs, stiff, now, part, target, at, v[i], force[i], bound
+        )
+        _oppose(friction, creep, v[i], force[i])
+        _push(rows, force[i], rate[i])
+    return found
+
+
+@inlined
+def _sum_up(contacts, v, force, h, impulse, works):
+    """Add a step to the impulses (3n,) and works (n, 3), and move the penetrations to its end."""
+    x, springs = contacts.x, contacts.springs
+    largest, peak = springs.largest, springs.peak
+    for j in range(len(x)):
+        z = 3 * j + 2
+        for i in range(STAGES):
+            part = h * WEIGHTS[i]
+            x[j] -= part * v[i, z]
+            works[j, 0 if v[i, z] < 0.0 else 1] += part * force[i, z] * v[i, z]
+            for a in range(z - 2, z + 1):
+                impulse[a] += part * force[i, a]
+                if a < z:
+                    works[j, 2] += part * force[i, a] * v[i, a]
+        if x[j] > largest[j]:
+            peak[j] += x[j] - largest[j]
+            largest[j] = x[j]
+        dent = springs.restitution[j] ** 2 * peak[j]
+        if x[j] <= largest[j] - dent:  # it has separated, and would be loaded again from there
+            largest[j] -= dent
+            peak[j] = 0.0
 
 
 @inlined
@@ -243,8 +306,10 @@ def _velocities(rows, start, y, v):
 
 
 @inlined
-def _outlook(v, force, mobility, restitution, stiffness, exponent, x, largest):
+def _outlook(contacts, v, force, mobility):
     """Return the speed of approach, now or to come, the time to the next closing, and if any is pressed."""
+    x = contacts.x
+    largest, _, restitution, stiffness, exponent = contacts.springs
     speed, time, pressed = 0.0, NEVER, False
     for j in range(len(x)):
         normal, approach = force[3 * j + 2], -v[3 * j + 2]
@@ -282,11 +347,12 @@ def _push(rows, force, rate):
 
 
 @inlined
-def _missed(rows, rate, v, h, x, largest, pace, restitution):
+def _missed(contacts, rate, v, h):
     """Return by how much a step misses velocities, by the method of third order.
 
     What it misses of penetrations counts as the velocity that it comes to: 1/e times as much in unloading.
     """
+    rows, _, springs, x, pace, _ = contacts
     r, most = rows.shape[1], 0.0
     off = np.empty(r)
     for k in range(r):
@@ -302,8 +368,8 @@ def _missed(rows, rate, v, h, x, largest, pace, restitution):
         z, total = 3 * j + 2, 0.0
         for i in range(STAGES):
             total += h * ERROR[i] * v[i, z]
-        unloads = x[j] < largest[j] or v[STAGES - 1, z] > 0.0
-        most = max(most, abs(total) * pace[j] / (restitution[j] if unloads else 1.0))
+        unloads = x[j] < springs.largest[j] or v[STAGES - 1, z] > 0.0
+        most = max(most, abs(total) * pace[j] / (springs.restitution[j] if unloads else 1.0))
     return most
 
 
