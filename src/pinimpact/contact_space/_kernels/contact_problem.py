@@ -179,6 +179,73 @@ def _of_factor(factor, scale_w, sign1, sign2, swapped):
     return turned, e1, e2, rest
 
 
+@inlined
+def _seen(w11, w12, w13, w22, w23, w33, v1, v2, v3):
+    """Scale a problem by powers of two and mirror it: problems that differ by these get the same bits.
+
+    Returns:
+        W, v, the exponents of their scales, and the signs, order and symmetry of the axes, as in `View`.
+    """
+    largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
+    largest_v = max(abs(v1), abs(v2), abs(v3))
+    # (adding 0 makes 64 bits of numba's 32)
+    scale_w, scale_v = 0 + math.frexp(largest_w)[1], 0 + math.frexp(largest_v)[1]
+    sign1, sign2, swapped, diagonal = canonical(w12, w13, w23, w11, w22, v1, v2)
+    fw1, fw2 = halves(-scale_w)
+    fv1, fv2 = halves(-scale_v)
+    w11, w22, w33 = w11 * fw1 * fw2, w22 * fw1 * fw2, w33 * fw1 * fw2
+    w12, w13, w23 = sign1 * sign2 * w12 * fw1 * fw2, sign1 * w13 * fw1 * fw2, sign2 * w23 * fw1 * fw2
+    v1, v2, v3 = sign1 * v1 * fv1 * fv2, sign2 * v2 * fv1 * fv2, v3 * fv1 * fv2
+    if swapped:
+        v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
+    return w11, w12, w13, w22, w23, w33, v1, v2, v3, scale_w, scale_v, sign1, sign2, swapped, diagonal
+
+
+@inlined
+def _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful):
+    """Return v_t without rounding where A is singular, and whether A is, `planar`, and whether v_t crosses.
+
+    Nothing acts across the range of A: v_t either has a part there for good, or none.
+    """
+    flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
+    if planar:
+        norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
+        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
+        along = d1 * v1 + d2 * v2
+        planar = abs(d1 * v2 - d2 * v1) <= doubtful
+        crosses = not planar
+        if planar:
+            v1, v2 = d1 * along, d2 * along
+    if rank < 3 and a11 + a22 == 0.0 and abs(v1) + abs(v2) <= tiny:
+        v1 = v2 = 0.0
+    return v1, v2, flat, planar, crosses
+
+
+@inlined
+def _slip(v1, v2):
+    """Return the speed and the direction of slip, (1, 0) for none."""
+    speed = math.sqrt(v1 * v1 + v2 * v2)
+    if speed < 1e-140:
+        speed = math.hypot(v1, v2)
+    s1, s2 = 1.0, 0.0
+    if speed > 0.0:
+        s1, s2 = v1 / speed, v2 / speed
+    return speed, s1, s2
+
+
+@inlined
+def _tie(v1, v2, v3, k1, k2, normal_part, law, factored, tiny, doubtful):
+    """Return v₃ − k·v_t, zero where it is rounding, and v₃; s = 0 ties them for good. (theory.md, 6)"""
+    offset = v3 - k1 * v1 - k2 * v2
+    known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
+    if normal_part * abs(offset) <= (tiny if known else doubtful):
+        tied = v3 - offset
+        offset = 0.0
+        if factored and abs(k2) <= 1.0 and tied < 0.0:
+            v3 = tied  # the null vector is nearer to the normal, and so is what is rounding
+    return offset, v3
+
+
 @declared(*11 * [float], int, float, FLOATS)
 @always_inlined_bitcode
 def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor):
@@ -195,20 +262,10 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     if not usable(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, velocity_scale):
         return _nothing_to_follow(INVALID_NUMBERS, 0.0, NO_FLAG)
 
-    # scaling by powers of two and mirroring are exact: problems that differ by them get the same bits
-    largest_w = max(max(abs(w11), abs(w22), abs(w33)), max(abs(w12), abs(w13), abs(w23)))
-    largest_v = max(abs(v1), abs(v2), abs(v3))
-    # (adding 0 makes 64 bits of numba's 32)
-    scale_w, scale_v = 0 + math.frexp(largest_w)[1], 0 + math.frexp(largest_v)[1]
-    sign1, sign2, swapped, diagonal = canonical(w12, w13, w23, w11, w22, v1, v2)
-    fw1, fw2 = halves(-scale_w)
+    w11, w12, w13, w22, w23, w33, v1, v2, v3, scale_w, scale_v, sign1, sign2, swapped, diagonal = _seen(
+        w11, w12, w13, w22, w23, w33, v1, v2, v3
+    )
     fv1, fv2 = halves(-scale_v)
-    w11, w22, w33 = w11 * fw1 * fw2, w22 * fw1 * fw2, w33 * fw1 * fw2
-    w12, w13, w23 = sign1 * sign2 * w12 * fw1 * fw2, sign1 * w13 * fw1 * fw2, sign2 * w23 * fw1 * fw2
-    v1, v2, v3 = sign1 * v1 * fv1 * fv2, sign2 * v2 * fv1 * fv2, v3 * fv1 * fv2
-    if swapped:
-        v1, v2, w11, w22, w13, w23 = v2, v1, w22, w11, w23, w13
-
     regular, found = clear(w11, w12, w13, w22, w23, w33, WELL_CONDITIONED if len(factor) > 0 else CLEAR)
     factored = leaning = not regular and len(factor) > 0
     lean1, lean2, rest = 0.0, 1.0, 0.0
@@ -244,26 +301,10 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
             v2 = -n3 * v3 / norm
     view = View(sign1, sign2, swapped, diagonal, scale_w, scale_v, leaning, lean1, lean2)
 
-    # where A is singular nothing acts across its range: v_t either has a part there for good, or none
-    flat = planar = crosses = rank < 3 and (s > 0.0 or rank == 1) and a11 + a22 > 0.0
-    if planar:
-        norm = math.hypot(a12, a22) if a22 > a11 else math.hypot(a11, a12)
-        d1, d2 = (a12 / norm, a22 / norm) if a22 > a11 else (a11 / norm, a12 / norm)
-        along = d1 * v1 + d2 * v2
-        planar = abs(d1 * v2 - d2 * v1) <= doubtful
-        crosses = not planar
-        if planar:
-            v1, v2 = d1 * along, d2 * along
-    if rank < 3 and a11 + a22 == 0.0 and abs(v1) + abs(v2) <= tiny:
-        v1 = v2 = 0.0
+    v1, v2, flat, planar, crosses = _in_range(rank, s, a11, a12, a22, v1, v2, tiny, doubtful)
     if c == 0.0 and abs(v3) <= tiny:
         v3 = 0.0
-    speed = math.sqrt(v1 * v1 + v2 * v2)
-    if speed < 1e-140:
-        speed = math.hypot(v1, v2)
-    s1, s2 = 1.0, 0.0
-    if speed > 0.0:
-        s1, s2 = v1 / speed, v2 / speed
+    speed, s1, s2 = _slip(v1, v2)
     if abs(v3) <= tiny and c < mu * (b1 * s1 + b2 * s2):
         # without an approach friction drives the surface in, with the least retreat it does not
         jump = NEAR_JUMP
@@ -277,16 +318,9 @@ def prepare(w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale
     elif v3 > -TOO_SHORT * speed and c > mu * (b1 * s1 + b2 * s2):
         law = law_of_slow_approach(law)
 
-    # s = 0 ties v₃ to v_t for good: v₃ = k·v_t + offset (theory.md, 6)
     offset = 0.0
     if s == 0.0:
-        offset = v3 - k1 * v1 - k2 * v2
-        known = offset > 0.0 and counted(law) == IMPULSE  # nothing is then divided by it
-        if normal_part * abs(offset) <= (tiny if known else doubtful):
-            tied = v3 - offset
-            offset = 0.0
-            if factored and abs(k2) <= 1.0 and tied < 0.0:
-                v3 = tied  # the null vector is nearer to the normal, and so is what is rounding
+        offset, v3 = _tie(v1, v2, v3, k1, k2, normal_part, law, factored, tiny, doubtful)
     endless_slip = crosses or s == 0.0
     problem = Problem(
         *(a11, a12, a22, b1, b2, c, k1, k2, s, mu, e, law, counted(law)),

@@ -112,15 +112,5 @@ def expand_around_root(coefficients, reciprocals, weak, a11, a12, a22, b1, b2, s
             reciprocals[k] = 1.0 / z if abs(z) >= 0.5 else 0.0
     # 1/(H(1 + t²)) at x = 0
     speed = 1.0 / (here * (1.0 + start * (q1 + start * (q2 + start * q3))) * (1.0 + root * root))
-    return (
-        good,
-        count,
-        most,
-        d1,
-        d2,
-        p1,
-        bl,
-        bp,
-        terms,
-        Shape(t, speed, -2.0 * inv * speed, exponent, start, sign, q1, q2, q3, w0, w1, w2, 0.0, 0.0),
-    )
+    shape = Shape(t, speed, -2.0 * inv * speed, exponent, start, sign, q1, q2, q3, w0, w1, w2, 0.0, 0.0)
+    return good, count, most, d1, d2, p1, bl, bp, terms, shape

@@ -6,7 +6,7 @@ import math
 
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared, plain_tuple
-from ..._compile.jit import jit
+from ..._compile.jit import always_inlined, inlined, jit
 from .codes import (
     LAW_MET,
     LAW_UNREACHABLE,
@@ -14,6 +14,7 @@ from .codes import (
     LOCKS,
     NEAR_JUMP,
     NEVER,
+    NO_FLAG,
     NO_IMPACT,
     NONE_YET,
     NOT_CONVERGED,
@@ -83,6 +84,38 @@ def solve_into(
     if begins != PROCEEDS:
         return plain(no_result(begins, figure))
 
+    status, figure, flags, iterations, state, ledger, rows, points = _follow(
+        problem, flags, scratch, trace, path
+    )
+    if status == NOT_CONVERGED:
+        return plain(no_result(status, 0.0))
+    if status in (LAW_UNREACHABLE, UNSTOPPABLE):
+        return plain(no_result(status, math.ldexp(figure, view.scale_v)))
+    u1, u2 = tangential_velocity(problem, state)
+    v3 = ledger.goal if problem.counts == VELOCITY and status != LOCKED else state.v3
+    velocity, impulse = (u1, u2, v3), (state.p1, state.p2, state.p3)
+    result = finish(
+        *(view, problem, status, flags, iterations, velocity, impulse, ledger.compressed),
+        *(trace, rows, path, points),
+    )
+    return plain(result)
+
+
+@always_inlined
+def _follow(problem, flags, scratch, trace, path):
+    """Follow an impact from move to move.
+
+    Args:
+        problem: The `Problem`.
+        flags: Those of `prepare`.
+        scratch: See `solve_into`.
+        trace: See `solve_into`.
+        path: See `solve_into`.
+
+    Returns:
+        how it ended, with the figure of an error's message; flags; the number of moves; the state and the
+        ledger at its end; the numbers of rows and of points.
+    """
     units = slip_units(problem)
     coefficients, reciprocals = scratch[: TERMS + 1], scratch[TERMS + 1 : 2 * TERMS + 6]
     nodes = scratch[2 * TERMS + 6 :]
@@ -91,15 +124,14 @@ def solve_into(
     state = State(problem.s1, problem.s2, problem.speed, problem.v3, 0.0, 0.0, 0.0, 0.0)
     ledger = new_ledger()
     course = frictionless_course(problem)
-    settled = mu == 0.0  # from here on all rates are constant
-    status, iterations, rows, points = SEPARATED, 0, NONE_YET, NONE_YET
+    settled = problem.mu == 0.0  # from here on all rates are constant
+    iterations, rows, points = 0, NONE_YET, NONE_YET
     if path.shape[0] > 0:
         points = record_point(path, points, 0.0, problem.v1, problem.v2, problem.v3, 0.0, 0.0)
-
     while True:
         iterations += 1
         if iterations > MAX_MOVES:
-            return plain(no_result(NOT_CONVERGED, 0.0))
+            return NOT_CONVERGED, 0.0, flags, iterations, state, ledger, rows, points
         left = left_to_gain(ledger, problem.counts, state.v3)
         turns = False
         if not settled:
@@ -124,21 +156,15 @@ def solve_into(
             flags |= new_flags | jams(move.rate)
         else:
             move, state = straight_move(problem, units.omega, course, state, ledger.phase, left)
-
         if move.event == NEVER:
-            if flags & LOCKS and ledger.phase == RESTITUTION:
-                status = LOCKED
-                break
-            never, figure = (
-                (LAW_UNREACHABLE, left) if ledger.phase == RESTITUTION else (UNSTOPPABLE, state.v3)
-            )
-            return plain(no_result(never, math.ldexp(figure, view.scale_v)))
+            status, figure = UNSTOPPABLE, state.v3
+            if ledger.phase == RESTITUTION:
+                status, figure = (LOCKED if flags & LOCKS else LAW_UNREACHABLE), left
+            return status, figure, flags, iterations, state, ledger, rows, points
         flags |= mode_flag(course.mode, move.span, state.p3)
         if traced:
-            rows = record_move(
-                trace, rows, course.mode, ledger.phase, state.p3 - move.span, state.p3, move.work,
-                move.friction_work,
-            )  # fmt: skip
+            start, works = state.p3 - move.span, (move.work, move.friction_work)
+            rows = record_move(trace, rows, course.mode, ledger.phase, start, state.p3, *works)
         if each:
             rows = record_course(trace, rows, course.mode, ledger.phase, before, state, move)
         ledger, event, new_flags = close_move(
@@ -150,33 +176,20 @@ def solve_into(
             points = record_point(path, points, state.p3, u1, u2, state.v3, state.p1, state.p2)
         if event == LAW_MET:
             break
+    flags |= _near_jump(problem, units, state, ledger, move.rate, turns)
+    return SEPARATED, 0.0, flags, iterations, state, ledger, rows, points
 
-    v3 = state.v3
-    if status != LOCKED:
-        rate = move.rate
-        if problem.counts == VELOCITY:
-            v3 = ledger.goal
-            # dv₃/dP₃ is on its way to a jam; a goal just higher would have been missed
-            fall = mu * (state.s1 * problem.b2 - state.s2 * problem.b1) * units.omega * state.turn
-            if turns and state.speed * rate * rate < 2.0 * CLOSE_TO_JUMP * ledger.goal * fall:
-                flags |= NEAR_JUMP
-        if rate < 0.0 and v3 < -CLOSE_TO_JUMP * state.p3 * rate:
+
+@inlined
+def _near_jump(problem, units, state, ledger, rate, turns):
+    """Return `NEAR_JUMP` if a goal just higher would have been missed."""
+    v3, flags = state.v3, NO_FLAG
+    if problem.counts == VELOCITY:
+        v3 = ledger.goal
+        # dv₃/dP₃ is on its way to a jam
+        fall = problem.mu * (state.s1 * problem.b2 - state.s2 * problem.b1) * units.omega * state.turn
+        if turns and state.speed * rate * rate < 2.0 * CLOSE_TO_JUMP * ledger.goal * fall:
             flags |= NEAR_JUMP
-    u1, u2 = tangential_velocity(problem, state)
-    velocity = (u1, u2, v3)
-    impulse = (state.p1, state.p2, state.p3)
-    result = finish(
-        view,
-        problem,
-        status,
-        flags,
-        iterations,
-        velocity,
-        impulse,
-        ledger.compressed,
-        trace,
-        rows,
-        path,
-        points,
-    )
-    return plain(result)
+    if rate < 0.0 and v3 < -CLOSE_TO_JUMP * state.p3 * rate:
+        flags |= NEAR_JUMP
+    return flags
