@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared
-from ..._compile.jit import always_inlined_bitcode
+from ..._compile.jit import always_inlined, always_inlined_bitcode, inlined
 from .codes import (
     COMPRESSION_ENDS,
     COMPRESSION_RESUMES,
@@ -59,169 +59,270 @@ def turning_move(
     Returns:
         the `Move`, the state after it, flags to be set, and the points recorded.
     """
-    s1, s2, speed, v3, turn, p1, p2, p3 = state
-    mu, c, s, endless_slip, counts = problem.mu, problem.c, problem.s, problem.endless_slip, problem.counts
+    restoring, flags, work, rubbed = phase == RESTITUTION, NO_FLAG, 0.0, 0.0
+    lift = rate, -2.0 * problem.mu * bp, problem.c + problem.mu * bl  # (3.16)
+    scale = state.speed * units.per
+    event, x, last, whole, series = _near_event(
+        *(coefficients, reciprocals, nodes, problem, state, polynomials, scale, lift, rate),
+        *(restoring, goal, left),
+    )
+    axes = state.s1, state.s2, 0.0, 0.0
+    end = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if event == NO_EVENT:
+        series, x, peaks, axes = _far_series(
+            coefficients, reciprocals, problem, units, state, polynomials, last, whole, series
+        )
+        event, x, endless, work, end, flags = _find_event(
+            series, nodes, problem, axes, x, peaks, rate, restoring, goal, left
+        )
+        if endless:
+            return Move(NEVER, end[0], 0.0, 0.0, rate, 0.0, 0.0), state, flags, points
+    if event != NO_EVENT:
+        end = _end_at(series, x)
+    if traced or (problem.counts == WORK and not restoring):
+        work, rubbed = works(series, nodes, x)
+    if path.shape[0] > 0:
+        points = record_series(path, points, series, x, axes[0], axes[1], state.p1, state.p2, state.p3)
+    state, rate, new_flags = _state_after(problem, state, series, axes, event, x, end)
+    move = Move(event, end[0], work, rubbed, rate, series.shape.sign * x, axes[3])
+    return move, state, flags | new_flags, points
+
+
+@always_inlined
+def _near_event(
+    coefficients, reciprocals, nodes, problem, state, polynomials, scale, lift, rate, restoring, goal, left
+):
+    """Try for the next event, which most often is near.
+
+    Args:
+        coefficients, reciprocals, nodes, problem, state, polynomials, rate, goal, left: See `turning_move`.
+        scale: The speed over ω.
+        lift: Of dv₃/dP₃ (1 + t²) in powers of t. (3.16)
+        restoring: Whether it is restitution.
+
+    Returns:
+        the event and where it is on the series; the last coefficient; whether the series has all its terms;
+        and the `SlipSeries`.
+    """
+    v3, turn, mu = state.v3, state.turn, problem.mu
     t1, m0 = polynomials.p1, polynomials.m0
-    event, flags = NO_EVENT, NO_FLAG
-    span = along = across = ratio = t = v3_end = work = rubbed = 0.0
-    jam0, jam1, jam2 = rate, -2.0 * mu * bp, c + mu * bl
-    scale = speed * units.per
-    d1, d2, n1, x, root = s1, s2, 0.0, 0.0, 0.0
-    restoring = phase == RESTITUTION
-    around_invariant = whole_series = event != NO_EVENT  # False, but no literal: see `codes`
-    last, terms, count = 0.0, 1.0, 0
+    event, x, last = NO_EVENT, 0.0, 0.0
+    around_invariant = whole = event != NO_EVENT  # False, but no literal: see `codes`
     shape = Shape(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     series = SlipSeries(
-        *(around_invariant, coefficients, reciprocals, shape, scale, mu, jam0, jam1, jam2, v3, speed)
+        around_invariant,
+        coefficients,
+        reciprocals,
+        shape,
+        scale,
+        mu,
+        lift[0],
+        lift[1],
+        lift[2],
+        v3,
+        state.speed,
     )
-
-    # most often the next event is near: try for it at once
     sought, aim, guess = VELOCITY, goal if restoring else 0.0, 0.0
     bend = m0 - 0.5 * t1
-    if restoring and counts == IMPULSE:
+    if restoring and problem.counts == IMPULSE:
         sought, aim = IMPULSE, left
         guess = halley(-left, scale, bend)
-    elif restoring and counts == WORK:
+    elif restoring and problem.counts == WORK:
         sought, aim = WORK, left
         square = v3 * v3 + 2.0 * rate * left
         if square > 0.0:
             guess = halley(-2.0 * left / (v3 + math.sqrt(square)), scale, bend)
     elif rate > 0.0:
-        guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * jam1 / jam0)
+        guess = halley(v3 - aim, scale * rate, bend + 0.5 * turn * lift[1] / lift[0])
     if guess > 0.0 and guess * max(abs(turn), abs(t1)) < 1.0:
         near = BEYOND_GUESS * guess
         count, last, shape = expand(coefficients, turn, polynomials, near)
         series = SlipSeries(
             *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu),
-            *(jam0, jam1, jam2, v3, speed),
+            *(lift[0], lift[1], lift[2], v3, state.speed),
         )
-        whole_series = count == TERMS
-        if whole_series:
+        whole = count == TERMS
+        if whole:
             near = reach(last, shape)
         if guess <= near:
             x = seek_near(series, nodes, sought, aim, guess, near)
         if x > 0.0:
             event = LAW_MET if restoring else COMPRESSION_ENDS
+    return event, x, last, whole, series
 
-    if event == NO_EVENT:
-        # go as far as the series converges and v₃ is monotone: into the invariant direction ahead, or far
-        # from the one behind ...
-        root = nearby_root(turn, polynomials)
-        leaving = root != 0.0 and t1 > 0.0
-        if root != 0.0:
-            whole_series = False
-            around_invariant, count, end, e1, e2, n1, el, ep, terms, shape = expand_around_root(
-                coefficients, reciprocals, units.weak,
-                units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root, leaving,
-            )  # fmt: skip
-        if around_invariant and endless_slip and abs(shape.exponent * n1) <= NO_FORCE * terms:
-            h, factor, unit, _, start, sign, q1, q2, q3, w0, w1, w2, q4, w3 = shape
-            shape = Shape(h, factor, unit, 0.0, start, sign, q1, q2, q3, w0, w1, w2, q4, w3)
-        if around_invariant and leaving:
-            end *= shape.h
-            whole = (end + root) / (1.0 - end * root)
-            t = first_root(jam0, jam1, jam2, whole, root)
-            x = math.log1p(-t * (1.0 + root * root) / (root * (1.0 + t * root)))
-            most = FURTHEST / max(1.0, abs(shape.exponent))
-            peaks = t != whole and x < most
-            x = min(x, most)
-        if around_invariant:
-            d1, d2, bl, bp = e1, e2, el * units.omega, ep * units.omega
-            lift = c - mu * bl
-            if units.weak > 0:
-                lift = lifting(problem, units.omega, d1, d2, lift, 0.5 * shape.exponent * n1, terms, 0.0, 0.0)
-            if endless_slip and shape.exponent == 0.0:
-                lift = s
-            jam0, jam1, jam2 = lift, -2.0 * mu * bp, c + mu * bl
-            if not leaving:
-                t = last_root(jam0, jam1, jam2, -root)
-                peaks = t != 0.0
-                x = math.log(-root / t) if peaks else math.inf
-        else:
-            # ... or some way towards it
-            if not whole_series:
-                count, last, shape = expand(coefficients, turn, polynomials, math.inf)
-            whole = reach(last, shape)
-            end = shape.h * whole
-            x = first_root(jam0, jam1, jam2, end, end) / shape.h
-            peaks = x < whole
-        series = SlipSeries(
-            *(around_invariant, coefficients[: count + 1], reciprocals, shape, scale, mu),
-            *(jam0, jam1, jam2, v3, speed),
-        )
-        endless = x == math.inf and shape.exponent <= 0.0
-        if endless:
-            span = math.inf
-            v3_end = math.inf if jam0 > 0.0 else -math.inf
-            if jam0 == 0.0:
-                v3_end = (problem.k1 * d1 + problem.k2 * d2) * speed * shape.factor + problem.offset
-        else:
-            span, along, across, dv3, ratio, t, _, _ = point(series, x)
-            v3_end = v3 + dv3
-            if x == math.inf and s == 0.0:
-                v3_end = problem.offset
-        # what the velocity brings
-        met = v3_end > goal or (v3_end == goal and x < math.inf)
-        aim = goal if counts == VELOCITY and restoring and met else 0.0
-        if restoring:
-            if aim > 0.0:
-                event = LAW_MET
-            elif v3_end < 0.0:
-                event = COMPRESSION_RESUMES
-            elif counts == VELOCITY and peaks and rate > 0.0 and goal - v3_end < CLOSE_TO_JUMP * goal:
-                flags |= NEAR_JUMP
-        elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
-            event = COMPRESSION_ENDS
-        if event != NO_EVENT:
-            x = seek(series, nodes, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
-            endless = False
-        # what the sum of impulse or work brings before that
-        if restoring and counts != VELOCITY:
-            total = math.inf
-            if not endless:
-                total = span if event == NO_EVENT else point(series, x)[0]
-                if counts == WORK:
-                    total, _ = works(series, nodes, x)
-                    work = total
-            if total >= left:
-                event = LAW_MET
-                x = seek(series, nodes, counts, left, -left, total - left, x, rate)
-                endless = False
-        if endless:
-            return Move(NEVER, span, 0.0, 0.0, rate, 0.0, 0.0), state, flags, points
 
+@always_inlined
+def _far_series(coefficients, reciprocals, problem, units, state, polynomials, last, whole, series):
+    """Go as far as a series converges and v₃ is monotone.
+
+    That is into the invariant direction ahead, far from the one behind, or some way towards it.
+
+    Args:
+        coefficients, reciprocals, problem, units, state, polynomials: See `turning_move`.
+        last: Size of the last coefficient of the series made so far.
+        whole: Whether it has all its terms.
+        series: It.
+
+    Returns:
+        the `SlipSeries`; how far; whether v₃ has an extremum there; and its axes: the direction at t = 0 (2),
+        p₁ there, and the half-angle tangent of the invariant direction, 0 for none.
+    """
+    mu, s1, s2, turn = problem.mu, state.s1, state.s2, state.turn
+    around_invariant, count, shape = series.around_invariant, len(series.coefficients) - 1, series.shape
+    lift0, lift1, lift2 = series.j0, series.j1, series.j2
+    d1, d2, n1, end, terms = s1, s2, 0.0, 0.0, 1.0
+    root = nearby_root(turn, polynomials)
+    leaving = root != 0.0 and polynomials.p1 > 0.0
+    if root != 0.0:
+        whole = False
+        around_invariant, count, end, e1, e2, n1, el, ep, terms, shape = expand_around_root(
+            coefficients, reciprocals, units.weak,
+            units.a11, units.a12, units.a22, units.b1, units.b2, s1, s2, root, leaving,
+        )  # fmt: skip
+    if around_invariant and problem.endless_slip and abs(shape.exponent * n1) <= NO_FORCE * terms:
+        h, factor, unit, _, start, sign, q1, q2, q3, w0, w1, w2, q4, w3 = shape
+        shape = Shape(h, factor, unit, 0.0, start, sign, q1, q2, q3, w0, w1, w2, q4, w3)
+    if around_invariant and leaving:
+        end *= shape.h
+        furthest = (end + root) / (1.0 - end * root)
+        t = first_root(lift0, lift1, lift2, furthest, root)
+        x = math.log1p(-t * (1.0 + root * root) / (root * (1.0 + t * root)))
+        most = FURTHEST / max(1.0, abs(shape.exponent))
+        peaks = t != furthest and x < most
+        x = min(x, most)
+    if around_invariant:
+        d1, d2, bl, bp = e1, e2, el * units.omega, ep * units.omega
+        lift = problem.c - mu * bl
+        if units.weak > 0:
+            lift = lifting(problem, units.omega, d1, d2, lift, 0.5 * shape.exponent * n1, terms, 0.0, 0.0)
+        if problem.endless_slip and shape.exponent == 0.0:
+            lift = problem.s
+        lift0, lift1, lift2 = lift, -2.0 * mu * bp, problem.c + mu * bl
+        if not leaving:
+            t = last_root(lift0, lift1, lift2, -root)
+            peaks = t != 0.0
+            x = math.log(-root / t) if peaks else math.inf
+    else:
+        root = n1 = 0.0
+        if not whole:
+            count, last, shape = expand(coefficients, turn, polynomials, math.inf)
+        far = reach(last, shape)
+        end = shape.h * far
+        x = first_root(lift0, lift1, lift2, end, end) / shape.h
+        peaks = x < far
+    found = SlipSeries(
+        *(around_invariant, coefficients[: count + 1], reciprocals, shape, series.scale, mu),
+        *(lift0, lift1, lift2, state.v3, state.speed),
+    )
+    return found, x, peaks, (d1, d2, n1, root)
+
+
+@inlined
+def _end_at(series, x):
+    """Return ΔP₃, the other impulses along and across, |v_t| over that at x = 0, t, and v₃, at x."""
+    span, along, across, dv3, ratio, t, _, _ = point(series, x)
+    return span, along, across, ratio, t, series.v3 + dv3
+
+
+@always_inlined
+def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, left):
+    """Find the first event on a series up to x.
+
+    Args:
+        series: The `SlipSeries`.
+        nodes: Scratch for the works.
+        problem: The `Problem`.
+        axes: Those of `_far_series`.
+        x: How far it goes.
+        peaks: Whether v₃ has an extremum there.
+        rate: dv₃/dP₃ at its start.
+        restoring: Whether it is restitution.
+        goal, left: See `turning_move`.
+
+    Returns:
+        the event and where it is; whether slip goes on for ever; the normal work, if that counts; what
+        `_end_at` returns for x; and flags.
+    """
+    v3, shape, counts = series.v3, series.shape, problem.counts
+    event, flags, work = NO_EVENT, NO_FLAG, 0.0
+    endless = x == math.inf and shape.exponent <= 0.0
+    if endless:
+        v3_end = math.inf if series.j0 > 0.0 else -math.inf
+        if series.j0 == 0.0:
+            slope = problem.k1 * axes[0] + problem.k2 * axes[1]
+            v3_end = slope * series.speed * shape.factor + problem.offset
+        end = math.inf, 0.0, 0.0, 0.0, 0.0, v3_end
+    else:
+        span, along, across, ratio, t, v3_end = _end_at(series, x)
+        if x == math.inf and problem.s == 0.0:
+            v3_end = problem.offset
+        end = span, along, across, ratio, t, v3_end
+    # what the velocity brings
+    met = v3_end > goal or (v3_end == goal and x < math.inf)
+    aim = goal if counts == VELOCITY and restoring and met else 0.0
+    if restoring:
+        if aim > 0.0:
+            event = LAW_MET
+        elif v3_end < 0.0:
+            event = COMPRESSION_RESUMES
+        elif counts == VELOCITY and peaks and rate > 0.0 and goal - v3_end < CLOSE_TO_JUMP * goal:
+            flags |= NEAR_JUMP
+    elif v3_end > 0.0 or (v3_end == 0.0 and x < math.inf):
+        event = COMPRESSION_ENDS
     if event != NO_EVENT:
-        span, along, across, dv3, ratio, t, _, _ = point(series, x)
-        v3_end = v3 + dv3
+        x = seek(series, nodes, VELOCITY, aim, v3 - aim, v3_end - aim, x, rate)
+        endless = False
+    # what the sum of impulse or work brings before that
+    if restoring and counts != VELOCITY:
+        total = math.inf
+        if not endless:
+            total = end[0] if event == NO_EVENT else point(series, x)[0]
+            if counts == WORK:
+                total, _ = works(series, nodes, x)
+                work = total
+        if total >= left:
+            event = LAW_MET
+            x = seek(series, nodes, counts, left, -left, total - left, x, rate)
+            endless = False
+    return event, x, endless, work, end, flags
 
-    if traced or (counts == WORK and not restoring):
-        work, rubbed = works(series, nodes, x)
-    if path.shape[0] > 0:
-        points = record_series(path, points, series, x, d1, d2, p1, p2, p3)
-    p1 += d1 * along - d2 * across
-    p2 += d2 * along + d1 * across
-    p3 += span
+
+@always_inlined
+def _state_after(problem, state, series, axes, event, x, end):
+    """Return the state at x on a series, dv₃/dP₃ there, and flags.
+
+    Args:
+        problem: The `Problem`.
+        state: That at the start of the series.
+        series: The `SlipSeries`.
+        axes: Those of `_far_series`.
+        event: What ends the move.
+        x: Where.
+        end: What `_end_at` returns.
+    """
+    d1, d2, n1, _ = axes
+    span, along, across, ratio, t, v3_end = end
+    shape, turn, speed = series.shape, state.turn, state.speed * ratio
+    j0, j1, j2 = series.j0, series.j1, series.j2
     if event in (COMPRESSION_ENDS, COMPRESSION_RESUMES):
         v3_end = 0.0
     # v₃ is monotone, but at both ends it may stand still
-    middle = 0.5 * (t + shape.h * shape.start if around_invariant else t)
-    flags |= jams(jam0 + middle * (jam1 + middle * jam2))
+    middle = 0.5 * (t + shape.h * shape.start if series.around_invariant else t)
+    flags = jams(j0 + middle * (j1 + middle * j2))
     chord = 1.0 + t * t
-    rate = (jam0 + t * (jam1 + t * jam2)) / chord
+    rate = (j0 + t * (j1 + t * j2)) / chord
     cos, sin = (1.0 - t * t) / chord, 2.0 * t / chord
     error1, error2 = abs(d1 * cos) + abs(d2 * sin), abs(d2 * cos) + abs(d1 * sin)
     s1, s2 = d1 * cos - d2 * sin, d2 * cos + d1 * sin
     norm = 1.0 / math.sqrt(s1 * s1 + s2 * s2)
     s1 *= norm
     s2 *= norm
-    speed *= ratio
-    if s == 0.0 and event == NO_EVENT:
+    if problem.s == 0.0 and event == NO_EVENT:
         v3_end = tied(problem, s1, s2, speed, error1, error2, v3_end)
-    if around_invariant:
+    if series.around_invariant:
         y = t / shape.h
         turn = n1 * t * (1.0 + y * (shape.q1 + y * (shape.q2 + y * shape.q3))) / (chord * chord)
     else:
         turn *= (1.0 + x * (shape.q1 + x * (shape.q2 + x * (shape.q3 + x * shape.q4)))) / (chord * chord)
-    state = State(s1, s2, speed, v3_end, turn, p1, p2, p3)
-    root = root if around_invariant else 0.0
-    return Move(event, span, work, rubbed, rate, shape.sign * x, root), state, flags, points
+    p1, p2 = state.p1 + (d1 * along - d2 * across), state.p2 + (d2 * along + d1 * across)
+    return State(s1, s2, speed, v3_end, turn, p1, p2, state.p3 + span), rate, flags
