@@ -98,7 +98,7 @@ def test_rk4_never_swings(category):
 def test_the_stiff_step_is_of_fourth_order():
     """Against short steps of Dormand and Prince; its estimate of the error is of third order."""
     from pinimpact.contact_space._kernels.butcher import DORMAND_PRINCE
-    from pinimpact.contact_space._kernels.stepping import slip_step
+    from pinimpact.contact_space._kernels.slip_steps import slip_step
     from pinimpact.contact_space._kernels.stiff_step import STAGES, stiff_step
 
     tangent, mu, v1, v2 = (1.3, 0.2, 0.8, 0.4, -0.3), 0.7, 1.0, 0.6

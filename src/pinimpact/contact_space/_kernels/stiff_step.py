@@ -58,7 +58,7 @@ def stiff_step(tangent, mu, v1, v2, h, k):
         k: (STAGES, 4) scratch.
 
     Returns:
-        what `stepping.slip_step` does.
+        what `slip_steps.slip_step` does.
     """
     a11, a12, a22, b1, b2 = tangent
     speed = math.hypot(v1, v2)
