@@ -347,13 +347,12 @@ def test_what_has_no_derivatives_is_refused(contact, words):
         pinimpact.impact_derivatives(MODEL, DATA, pin.neutral(MODEL), np.ones(9), contact)
 
 
-def test_shapes_that_touch_at_several_points_or_overlap_are_refused():
+def test_shapes_that_touch_at_several_points_are_refused():
     robot, v = two_bodies(BRICK, BRICK), np.array([0.0, 0.0, -1.0, *np.zeros(9)])
     contact = Contact(geometry="a", plane=Shape("b"), friction=0.3)
-    for height, words in ((0.2, "at 4 points"), (0.19, "at 0 points")):
-        q = np.array([0, 0, height, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
-        with pytest.raises(pinimpact.InputError, match=words):
-            pinimpact.impact_derivatives(robot, robot.data, q, v, contact)
+    q = np.array([0, 0, 0.2, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
+    with pytest.raises(pinimpact.InputError, match="at 4 points"):
+        pinimpact.impact_derivatives(robot, robot.data, q, v, contact)
 
 
 def test_joints_whose_axes_turn_are_refused():

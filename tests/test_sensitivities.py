@@ -5,12 +5,26 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Boundary, Contact, Event, JointPD, Plane, Scene, Sphere, Stepper, simulate
+from pinimpact import (
+    Boundary,
+    Box,
+    Contact,
+    Event,
+    JointPD,
+    Plane,
+    Scene,
+    Shape,
+    Sphere,
+    Stepper,
+    simulate,
+)
+from pinimpact.geometry._kernels.constants import KIND
 
 from .robot_cases import FRAMES, load
 
@@ -274,6 +288,52 @@ def test_a_coin_that_bounces_and_rolls(seed, friction, restitution):
     assert (("coin", "stick") in modes(run)) == (friction == 1.5)
 
 
+BALL, BRICK = coal.Sphere(0.1), coal.Box(0.2, 0.3, 0.1)
+SHAPES = {
+    # the shape of a body, where it starts above a block, its velocity, friction, restitution, duration
+    "ball bounces on edge": (BALL, [0.42, 0, 0.3], [0.0, 0.1, -1, 1, 2, 0.5], 0.3, 0.5, 0.25),
+    "ball bounces on corner": (BALL, [0.43, 0.34, 0.3], [0.0, 0.1, -1, 1, 2, 0.5], 0.3, 0.5, 0.25),
+    "brick bounces": (BRICK, [0.0, 0.0, 0.4], [0.3, 0.1, -1, 1, 2, 0.5], 0.3, 0.5, 0.12),
+    "brick slides": (BRICK, [0.0, 0.0, 0.3], [0.3, 0.1, -1, 1, 2, 0.5], 0.3, 0.0, 0.1),
+    "ball rolls over edge": (BALL, [0.3, 0.0, 0.22], [0.6, 0.1, -0.1, 0, 6, 0.5], 0.8, 0.0, 0.35),
+    "ball slides over a side or an end": (
+        BALL,
+        [0.402, 0.29, 0.201],
+        [0.0, 0.6, -1.0, 1, 2, 0.5],
+        0.1,
+        0.0,
+        0.2,
+    ),
+}
+
+
+def above_a_block(shape, turns):
+    """Return a free body with a shape "a", and a block "b" that is fixed or turns about z."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    block = pin.JointModelRZ() if turns else pin.JointModelPX()
+    inertia = pin.Inertia(1.0, np.array([0.02, 0.0, -0.01]), np.diag([0.03, 0.04, 0.05]))
+    for name, kind, solid in (("a", pin.JointModelFreeFlyer(), shape), ("b", block, coal.Box(0.8, 0.6, 0.2))):
+        joint = model.addJoint(0, kind, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addBodyFrame(f"link {name}", joint, pin.SE3.Identity(), 0)
+        frame = model.getFrameId(f"link {name}")
+        shapes.addGeometryObject(pin.GeometryObject(name, joint, frame, pin.SE3.Identity(), solid))
+    return pin.RobotWrapper(model, shapes)
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+@pytest.mark.parametrize("turns", [False, True])
+def test_shapes_on_a_block(kind, turns):
+    shape, x, v, friction, restitution, duration = SHAPES[kind]
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(0.3, 0.2, 0.1)).coeffs()
+    q, v = np.array([*x, *turned, 0.0]), np.array([*v, 0.3])
+    surface = Shape("b") if turns else Box((0.8, 0.6, 0.2))
+    contact = Contact(geometry="a", plane=surface, friction=friction, restitution=restitution)
+    run = agrees(Scene(above_a_block(shape, turns), contact), q, v, duration, 0, rtol=1e-12)
+    features = {step.closed.constants[0, KIND] for step in run._segments if step.closed is not None}
+    assert (len(features) > 1) == ("over" in kind)
+
+
 def test_a_ball_joint_and_a_planar_joint():
     # tangent spaces in which velocities do not commute
     model = pin.Model()
@@ -432,6 +492,8 @@ def test_what_has_no_derivative_is_refused():
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
     varying = replace(contact, restitution=lambda speed: 0.5)
     refuses("function", replace(scene, contacts=[varying]), ["restitution:hand"])
+    crate = Contact(geometry="a", plane=Box((0.8, 0.6, 0.2)), name="crate")
+    refuses("two shapes", Scene(above_a_block(BALL, False), crate), ["friction:crate"])
     with pytest.raises(pinimpact.InputError, match="sensitivities="):
         simulate(scene, q, v, 0.01).sensitivity(0.0)
     with pytest.raises(pinimpact.UnknownNameError, match="foot"):

@@ -26,7 +26,7 @@ from .matrices import ContactMatrices, contact_matrices
 from .names import free_velocities, model_of
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
-from .shape_pair import closest_points, is_pair
+from .shape_pair import closest_points, is_pair, shape_pair
 from .struck import strike
 from .touching import check_rims, touching_tips
 
@@ -215,47 +215,64 @@ def _differentiated(
 
 
 def _of_shape(
-    robot: Any,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    contact: Contact,
-    held: tuple[Contact, ...],
-    locked: Sequence[str | int],
-    by_q: bool,
+    robot: Any, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *rest: Any
 ) -> tuple[Array, int]:
-    """Do what `_differentiated` does for a collision shape, at the one point where it touches.
-
-    How that moves with q follows from its features, which may be those of a contact whose tip is on the other
-    shape.
-    """
+    """Do what `_differentiated` does for a collision shape, at the one point where it touches."""
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if is_pair(robot, contact):
-        found = closest_points(robot, data, q, contact)
-        points = [(one.instant, one.lasting, one.swapped) for one in found]
+        points = [one[1:] for one in closest_points(robot, data, q, shape_pair(robot, contact))]
     else:
         points = [(tip, tip, False) for tip in touching_tips(robot, data, q, contact)]
     if len(points) != 1:
         raise InputError(
             f"contact: {contact.label!r} touches at {len(points)} points at this q; derivatives are for "
-            "contact at one point, of shapes that do not overlap",
+            "contact at one point",
             field="contact",
             value=contact,
         )
-    ((instant, lasting, swapped),) = points
-    given = robot, data, q, v
-    block, boundary = _differentiated(*given, instant, held, locked, by_q and lasting is instant)
+    return _at_point(robot, data, q, v, points[0], *rest)
+
+
+def derivatives_at_point(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    point: tuple[Contact, Contact | None, bool],
+    held: tuple[Contact, ...],
+    locked: Sequence[str | int],
+) -> ImpactDerivatives:
+    """Do what `impact_derivatives` does for a contact point of two shapes, see `PointContact`, or another."""
+    block, boundary = _at_point(model, data, q, v, point, held, locked, True)
+    return ImpactDerivatives(block, Boundary(boundary))
+
+
+def _at_point(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    point: tuple[Contact, Contact | None, bool],
+    held: tuple[Contact, ...],
+    locked: Sequence[str | int],
+    by_q: bool,
+) -> tuple[Array, int]:
+    """Do what `_differentiated` does for a contact point of two shapes, as `PointContact` has it.
+
+    How that moves with q follows from its features, of which the tip may be that of the other shape.
+    """
+    (instant, lasting, swapped), rest = point, (held, locked)
+    block, boundary = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
     of_q = block[:, : len(block) - 3]
     if not by_q or lasting is instant:
         return block, boundary
     if lasting is None:
         of_q[:] = np.nan
-        boundary |= Boundary.FEATURES_MEET
-    else:
-        of_q[:] = _differentiated(*given, lasting, held, locked, True)[0][:, : len(block) - 3]
-        if swapped:  # that impulse is on the other shape
-            of_q[-3:] *= -1.0
+        return block, boundary | Boundary.FEATURES_MEET
+    of_q[:] = _differentiated(model, data, q, v, lasting, *rest, True)[0][:, : len(block) - 3]
+    if swapped:  # that impulse is on the other shape
+        of_q[-3:] *= -1.0
     return block, boundary
 
 

@@ -247,23 +247,21 @@ class _Side:
         }
 
 
-def closest_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[PointContact]:
+def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) -> list[PointContact]:
     """Return the contacts of single points for the closest points of two shapes at a configuration.
 
     Their `lasting` is also None where other features are as close at the same place.
 
     Args:
-        robot: The RobotWrapper.
+        robot: The robot or its model.
         data: Its data; ``data.oMi`` and ``data.liMi`` change.
         q: (nq,) configuration.
-        contact: The contact of two shapes.
+        pair: The two shapes.
     """
-    pair = shape_pair(robot, contact)
     PlacedRobot(robot, data, q)
     placed = pair.placed(data)
     found = gap(*placed)
-    size = pair.a.shape.reach + pair.b.shape.reach
-    tolerance = NEAREST * size + max(found.value, 0.0)
+    tolerance = NEAREST * (pair.a.shape.reach + pair.b.shape.reach) + abs(found.value)
     points = [
         point_contact(pair, data, placed, found.normal, touch, pair.basis)
         for touch in touches(*placed, found.normal, tolerance)
@@ -275,5 +273,5 @@ def closest_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -
 
 
 def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
-    """Return the contacts of `closest_points` at this instant."""
-    return [point.instant for point in closest_points(robot, data, q, contact)]
+    """Return the contacts of `closest_points` at this instant, for a contact of two shapes."""
+    return [point.instant for point in closest_points(robot, data, q, shape_pair(robot, contact))]

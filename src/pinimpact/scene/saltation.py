@@ -14,8 +14,9 @@ from ..checks import finite_array, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
-from ..robot.derivatives import impact_derivatives
+from ..robot.derivatives import derivatives_at_point
 from ..robot.matrices import contact_matrices
+from ..robot.shape_pair import closest_points
 from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
@@ -26,6 +27,7 @@ from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
 from .records import EventRecord, ImpactRecord
+from .rolling_over import rolls_over
 from .scene import Scene
 from .switched_off import held_contacts, locked_joints
 
@@ -89,6 +91,7 @@ class Saltation:
         self.parameters = tuple(parameters)
         self.boundary = Boundary.NONE
         self._dynamics, self._model, self._data = dynamics, model, model.createData()
+        self._pairs = scene.layout().pairs
         self._held, self._locked = tuple(held_contacts(scene)), locked_joints(scene)
         self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
         labels = [contact.label for contact in dynamics.contacts]
@@ -192,6 +195,8 @@ class Saltation:
             x = self._through_impact(x, impacts, closes, plus, rates)
         elif closes.any():
             return self._undefined(x, Boundary.GRAZING)
+        elif (over := rolls_over(self._model, self._data, before, after)) is not None:
+            x = x - np.outer(rates[0] - rates[1], over @ x[: len(over)] / (over @ before.at(t)[1]))
         else:
             ends = [slip for slip in minus.slips if later[slip.contact] == STICK]
             turns = [slip for slip in minus.slips if _reversed(slip, plus, later)]
@@ -307,9 +312,17 @@ class Saltation:
         if number >= len(contacts):
             return self._jump_at_limit(number - len(contacts), q, v, resting, by_state)
         contact = contacts[number]
+        lasting: Contact | None = contact
+        swapped = False
+        if contact.pair is not None:  # the features that meet, as `q` has them
+            points = closest_points(self._model, self._data, q, self._pairs[contact.pair])
+            contact, lasting, swapped = points[0][1:]
+            lasting = lasting if len(points) == 1 else None
         if resting:
             contact = replace(contact, restitution=0.0)
-        d = impact_derivatives(self._model, self._data, q, v, contact, self._held, self._locked)
+            lasting = lasting and replace(lasting, restitution=0.0)
+        point, rest = (contact, lasting, swapped), (self._held, self._locked)
+        d = derivatives_at_point(self._model, self._data, q, v, point, *rest)
         by_state[nv:, :nv], by_state[nv:, nv:] = d.dv_dq, d.dv_dv
         guard = contact_matrices(self._model, self._data, q, contact).jacobian[2]
         return Jump(by_state, d.dv_dfriction, d.dv_drestitution, guard, d.boundary)

@@ -95,8 +95,7 @@ def check_supported(scene: Scene, scheme: str) -> None:
     """Refuse schemes and scenes whose motions have no known derivatives.
 
     Raises:
-        InputError: A control or a callback of the user's own, of which no derivative is known, or a contact
-            of collision shapes.
+        InputError: A control or a callback of the user's own, of which no derivative is known.
     """
     what: str = ""
     value: Any = None
@@ -113,9 +112,6 @@ def check_supported(scene: Scene, scheme: str) -> None:
                 f"the callback of {event.label!r}, whose derivative is not known; give jacobian=",
                 event,
             )
-    for contact in (*scene.contacts, *scene.held):
-        if contact.pair is not None:
-            what, value = f"{contact.label!r}, a contact of collision shapes", contact
     if what:
         raise InputError(f"sensitivities: not available with {what}", field="sensitivities", value=value)
 
@@ -137,6 +133,12 @@ def parse(scene: Scene, names: Any, scheme: str) -> tuple[str, ...]:
         if name != "state" and found is None:
             raise UnknownNameError(
                 f"sensitivities: {name!r} given, but the scene has no contact {label!r}",
+                field="sensitivities",
+                value=name,
+            )
+        if found is not None and found.pair is not None:
+            raise InputError(
+                f"sensitivities: {name!r} is of a contact of two shapes; available are those by the state",
                 field="sensitivities",
                 value=name,
             )
