@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinimpact import Contact, Plane, Scene, contact_matrices, impact, simulate
+from pinimpact import Contact, Plane, Scene, contact_matrices, impact, impact_derivatives, simulate
 from pinimpact.robot.data_cache import data_cache
 from pinimpact.robot.forest import (
     Forest,
@@ -96,6 +96,21 @@ def test_dynamics_of_parts_are_those_of_the_whole(armature):
     ):
         expected = getattr(whole, name)
         assert np.abs(getattr(parts, name) - expected).max() <= 1e-11 * (1.0 + np.abs(expected).max()), name
+
+
+@pytest.mark.parametrize("held", [(), ("free 2",)])
+def test_derivatives_of_an_impact_are_those_of_the_whole(held):
+    pin.seed(3)
+    model, q, _ = several()
+    contact = Contact("free 0", Plane(body="free 4"), friction=0.5, restitution=0.4)
+    held = [Contact(frame, Plane()) for frame in held]
+    rows = [contact_matrices(model, model.createData(), q, one).jacobian for one in (contact, *held)]
+    v = -np.linalg.lstsq(np.vstack(rows), np.eye(3 * len(rows))[2] + 0.2 * np.eye(3 * len(rows))[0])[0]
+    one, other = (
+        impact_derivatives(model, at, q, v, contact, held) for at in (Forest(model, 7), model.createData())
+    )
+    assert other.dv_dq.any()
+    assert np.abs(one.block - other.block).max() <= 1e-9 * np.abs(other.block).max()
 
 
 def test_contacts_between_trees_and_their_impacts_are_those_of_the_whole():

@@ -17,7 +17,8 @@ from pinimpact.robot.data_cache import data_cache
 from pinimpact.robot.names import free_velocities
 from pinimpact.robot.shape_pair import shape_pair
 
-from .robot_cases import FRAMES, load, random_state
+from .robot_cases import FRAMES, gripper, load, random_state
+from .test_contacts_matrices import INERTIAL
 from .test_shape_pairs import two_bodies
 
 MOVING = {"velocity": (0.1, 0.2, 0.05), "angular_velocity": (0.3, 0.2, 0.1)}
@@ -364,6 +365,19 @@ def test_joints_whose_axes_turn_are_refused():
         pinimpact.impact_derivatives(
             model, model.createData(), np.zeros(3), np.ones(3), Contact("tip", Plane(), 0.3, 0.5)
         )
+
+
+def test_rows_for_a_controller_of_a_hand_that_mimics():
+    model = pin.buildModelFromXML(gripper("left", INERTIAL), mimic=True)
+    q, v, data = np.array([0.3, 0.7]), np.array([1.0, -0.3]), model.createData()
+    contact = Contact("right_finger", Plane(normal=(1, 2, 3)), 0.3, 0.5, offset=(1, 0, 0))
+    A, b = pinimpact.impact_rows(model, data, q, v, contact, 1.0)
+    assert A[2:].any()
+    by_v = slope(lambda e: pinimpact.impact(model, data, q, v + e, contact).v, 2)
+    assert close(A[:2], by_v)
+    assert close(b[:2] + A[:2] @ v, pinimpact.impact(model, data, q, v, contact).v + by_v @ v)
+    with pytest.raises(pinimpact.ModelError, match="right"):
+        pinimpact.impact_derivatives(model, data, q, v, contact)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.02])

@@ -17,12 +17,12 @@ from ..errors import InputError, ModelError
 from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
-from ._kernels.tree import solve_mass
+from ._kernels.tree import solve
 from .contact import Contact, check_contact, check_held, contact_constants
 from .data_cache import data_cache
 from .forest import composite_inertias, joint_jacobian
 from .held import check_at_rest
-from .matrices import ContactMatrices, contact_matrices
+from .matrices import ContactMatrices, contact_geometry, contact_matrices, independent
 from .names import free_velocities, model_of
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
@@ -102,10 +102,12 @@ def check_joints(model: pin.Model) -> None:
             )
 
 
-def _slope_of_restitution(contact: Contact, speed: float) -> float:
-    """Return de/d(approach speed), 0 for a number."""
+def _restitution(
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact
+) -> tuple[float, float]:
+    """Return e at the approach speed, and de/d(approach speed), 0 for a number."""
     if not callable(contact.restitution):
-        return 0.0
+        return contact.restitution, 0.0
     slope = getattr(contact.restitution, "slope", None)
     if not callable(slope):
         raise InputError(
@@ -114,7 +116,10 @@ def _slope_of_restitution(contact: Contact, speed: float) -> float:
             field="restitution",
             value=contact.restitution,
         )
-    return float(slope(speed))
+    cache = data_cache(model, data)
+    velocity = contact_geometry(model, data, q, contact).velocity(finite_array("v", v, cache.v_shape))
+    speed = max(-float(velocity[2]), 0.0)
+    return contact.restitution_at(speed), float(slope(speed))
 
 
 def impact_derivatives(
@@ -201,17 +206,18 @@ def _differentiated(
     model = model_of(model)
     if held or contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact, *held))
-    if not (held or locked or callable(contact.restitution)):
+    e = _restitution(model, data, q, v, contact)
+    if not (held or locked):
         cache = data_cache(model, data)
         work = strike(cache, model, data, contact)[1]
         if work is not None:
             block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))
             q_now, v_now = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
-            status, boundary = kernel.robot_slopes(work, q_now, v_now, contact.restitution, by_q, block)
+            status, boundary = kernel.robot_slopes(work, q_now, v_now, *e, by_q, block)
             if 0 <= status <= LOCKED:
                 return block, boundary
             impact(model, data, q, v, contact)  # raises the error
-    return _by_pinocchio(model, data, q, v, contact, held, locked, by_q)
+    return _by_matrices(model, data, q, v, contact, e, held, locked, by_q)
 
 
 def _of_shape(
@@ -287,6 +293,7 @@ class _Tree(NamedTuple):
     def of(cls, placed: PlacedRobot) -> _Tree:
         """Return those of a robot at a configuration."""
         model = placed.model
+        check_joints(model)
         joint, parent = np.repeat(np.arange(model.njoints), model.nvs), np.array(model.parents)
         return cls(joint_jacobian(model, placed.data, placed.q), joint, parent)
 
@@ -301,6 +308,9 @@ class _Place(NamedTuple):
     carrier: Array
 
 
+_NO_TREE = _Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+
+
 def _place(
     placed: PlacedRobot, tree: _Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
 ) -> _Place:
@@ -313,26 +323,24 @@ def _place(
     return _Place(*joints, at, shifts, carrier)
 
 
-def _by_pinocchio(
+def _by_matrices(
     model: pin.Model,
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
     contact: Contact,
+    restitution: tuple[float, float],
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
     by_q: bool,
 ) -> tuple[Array, int]:
-    """Do what `robot_slopes` does by calls of Pinocchio, where that kernel does not apply."""
-    matrices = contact_matrices(model, data, q, contact, held, locked)
+    """Do what `robot_slopes` does with `contact_matrices`, where that kernel does not apply."""
+    matrices, (e, slope) = contact_matrices(model, data, q, contact, held, locked), restitution
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
     check_at_rest(matrices.held, held, v)
-    velocity, rows = matrices.velocity(v), np.ascontiguousarray(matrices.jacobian)
-    speed = max(-float(velocity[2]), 0.0)
-    slope = _slope_of_restitution(contact, speed)
     problem = ImpactProblem(
-        *(matrices.delassus, velocity, contact.friction, contact.restitution_at(speed), contact.law),
+        *(matrices.delassus, matrices.velocity(v), contact.friction, e, contact.law),
         velocity_scale=matrices.velocity_scale(v),
         factor=matrices.factor,
         factor_scale=matrices.factor_scale,
@@ -343,42 +351,34 @@ def _by_pinocchio(
     by_delassus = d.dP_ddelassus[:, _UPPER[0], _UPPER[1]] * _SHARES
     slopes = np.column_stack([d.dP_dv, by_delassus, d.dP_dfriction, d.dP_drestitution])
     placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
-    tree = _Tree.of(placed)
-    where = _place(placed, tree, contact, matrices, True, n)
-    of_data, responses, turned = np.empty((9, n)), np.empty((n, n)), np.empty((3, n))
+    tree = _Tree.of(placed) if by_q else _NO_TREE
+    tip, base, at, shifts, carrier = _place(placed, tree, contact, matrices, True, n)
+    of_data, forces, turned = np.empty((9, n)), np.empty((nv, n)), np.empty((3, n))
     if by_q:
-        free, of_all = free_velocities(model, locked), (y, v, impulse, of_data, responses, turned)
-        responses = _by_configuration(placed, tree, where, held, matrices, free, of_all)
+        inertia = composite_inertias(model, data, placed.q)
+        given = *tree, placed.cache.parents, inertia, tip, base, at, shifts, y, v, impulse
+        kernel.impact_slopes(*given, of_data, forces, turned)
+        sliding = _add_held(placed, tree, held, matrices, y, impulse, of_data, forces)
+        forces = _responses(placed, matrices, free_velocities(model, locked), forces, sliding)
     block = np.empty((nv + 3, 2 * nv + kernel.MORE))
-    rest = y, v, impulse, slopes, slope, by_q, of_data, responses, turned, block
-    kernel.assemble(where.at, where.carrier, rows, *rest)
+    rest = y, v, impulse, slopes, slope, by_q, of_data, forces, turned, block
+    kernel.assemble(at, carrier, np.ascontiguousarray(matrices.jacobian), *rest)
     return block, d.boundary
 
 
-def _by_configuration(
+def _add_held(
     placed: PlacedRobot,
     tree: _Tree,
-    where: _Place,
     held: tuple[Contact, ...],
     matrices: ContactMatrices,
-    free: NDArray[np.bool_],
-    of_all: tuple[Array, ...],
+    y: Array,
+    impulse: Array,
+    of_data: Array,
+    forces: Array,
 ) -> Array:
-    """Fill what `impact_slopes` does, with held contacts; return M⁻¹ times the forces. (D17)–(D21)"""
-    model, parents = placed.model, placed.cache.parents
-    check_joints(model)
-    inertia = composite_inertias(model, placed.data, placed.q)
-    tip, base, at, shifts, _ = where
-    kernel.impact_slopes(*tree, parents, inertia, tip, base, at, shifts, *of_all)
-    y, _, impulse, of_data, forces, _ = of_all
-    if not held:
-        lower, columns = np.empty_like(forces), forces * free[:, None]
-        half_solve(matrices.mass, parents, free.astype(np.float64), lower, np.empty((0, len(free))))
-        solve_mass(lower, parents, columns)
-        return columns
-    nv = len(free)
-    motions, moved = np.empty((model.njoints, 6)), np.empty((3, len(held), 3, nv))
-    pushes = matrices.held_response  # [h, world axis, i]
+    """Add to the slopes of W and to the forces what held contacts do; return dΓ Δ (3k, nv). (D21)"""
+    nv, pushes = len(forces), matrices.held_response  # [h, world axis, i]
+    motions, moved = np.empty((placed.model.njoints, 6)), np.empty((3, len(held), 3, nv))
     for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
         tip, base, at, shifts, _ = _place(placed, tree, anchor, geometry, False, nv)
         for i, x in enumerate(y):
@@ -386,19 +386,22 @@ def _by_configuration(
             places.velocity_slopes(*tree, tip, base, at, shifts, motions, False, moved[i, h])
         f1, f2, f3 = pushes[h] @ impulse
         places.force_slopes(*tree, at, shifts, f1, f2, f3, forces)
-    by_rows = moved.reshape(3, 3 * len(held), -1)
+    by_rows = moved.reshape(3, 3 * len(held), nv)
     of_rows = pushes.reshape(-1, 3).T @ by_rows  # [j, i, k]
     of_data[3:] += (of_rows + of_rows.transpose(1, 0, 2))[_UPPER]
-    rows = np.vstack([g.axes.T @ g.jacobian for g in matrices.held])
-    return _respond(matrices.mass, free, rows, forces, np.tensordot(impulse, by_rows, 1))
+    return np.tensordot(impulse, by_rows, 1)
 
 
-def _respond(mass: Array, free: NDArray[np.bool_], rows: Array, forces: Array, slip: Array) -> Array:
-    """Solve M x + rowsᵀλ = f, rows x = −slip, for columns (nv, n), with x = 0 where it is not free."""
-    found = np.zeros_like(forces)
-    mass, forces, rows = mass[np.ix_(free, free)], forces[free], rows[:, free]
-    n, m = len(mass), len(rows)
-    matrix = np.block([[mass, rows.T], [rows, np.zeros((m, m))]])
-    solution = np.linalg.lstsq(matrix, np.vstack([forces, -slip]), rcond=1e-12)[0]
-    found[free] = solution[:n]
-    return found
+def _responses(
+    placed: PlacedRobot, matrices: ContactMatrices, free: NDArray[np.bool_], forces: Array, sliding: Array
+) -> Array:
+    """Return x with M x + Γᵀλ = f, Γ x = −dΓ Δ for columns f (nv, n), x = 0 where it is not free. (D21)"""
+    mobility, lower = free.astype(np.float64), np.empty_like(matrices.mass)
+    rows = np.vstack([forces.T, *(anchor.axes.T @ anchor.jacobian for anchor in matrices.held)])
+    half_solve(matrices.mass, placed.cache.parents, mobility, lower, rows)
+    x, n = rows[: forces.shape[1]], forces.shape[1]
+    if matrices.held:
+        left, sizes, right = independent(rows[n:])
+        x -= (x @ right.T + (sliding.T @ left) / sizes) @ right
+    solve(lower, placed.cache.parents, x)
+    return np.ascontiguousarray((x * mobility).T)

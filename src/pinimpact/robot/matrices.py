@@ -237,6 +237,17 @@ def _responses(
     return delassus, response.T, held_response, lower, y
 
 
+def _rounding(rows: Array) -> float:
+    return 32.0 * _EPS * max(rows.shape)
+
+
+def independent(rows: Array) -> tuple[Array, Array, Array]:
+    """Return the singular value decomposition of rows, without singular values that are rounding."""
+    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
+    above = sizes > _rounding(rows) * sizes[0]
+    return left[:, above], sizes[above], right[above]
+
+
 def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
     """Project the rows of `anchored` out of the rows of `y` (both L⁻ᵀ of rows of Jacobians).
 
@@ -244,10 +255,8 @@ def _project_out(anchored: Array, y: Array) -> tuple[Array, Array]:
         The remaining y, exactly zero where it is within rounding of zero, and the (rows, 3) impulses of
         least norm that balance the rest.
     """
-    tolerance = 32.0 * _EPS * max(anchored.shape)
-    left, sizes, right = np.linalg.svd(anchored, full_matrices=False)
-    above = sizes > tolerance * sizes[0]
-    left, sizes, right = left[:, above], sizes[above], right[above]
+    tolerance = _rounding(anchored)
+    left, sizes, right = independent(anchored)
     balanced = right @ y.T
     impulses = -left @ (balanced / sizes[:, None])
     rest = y - balanced.T @ right

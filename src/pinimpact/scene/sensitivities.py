@@ -12,6 +12,7 @@ from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import RANK
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
@@ -67,10 +68,6 @@ def _radau(stages: int, decay: float, power: float) -> Radau:
 
 RULES = _radau(3, 3.0 / 35.0, 1.0), _radau(4, 1.0 / 385.0, 2.0)
 """Tried in this order: three stages do for the short steps of a control, four take fewer intervals else."""
-
-
-SINGULAR = 1e-11
-"""Part of the largest singular value below which forces do the same as others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,13 +260,13 @@ def _forces_that_stop(matrix: Array, velocities: Array, nodes: SlopesWithin) -> 
     shares = np.zeros((stages, m, stages, m))
     for i in range(stages):
         left, sizes, _ = np.linalg.svd(nodes.by_state[i, nv:, nv:] @ nodes.response[i])
-        null = left[:, sizes <= SINGULAR * sizes[0]]
+        null = left[:, sizes <= RANK * sizes[0]]
         shares[i, :, i, : nodes.touching] = moved.max() * (null @ null.T)[:, : nodes.touching]
     known = np.isfinite(velocities).all(axis=0)
     found, right = np.full_like(velocities, np.nan), np.zeros((2 * size, int(known.sum())))
     right[:size] = velocities[:, known]
     matrix = np.concatenate([matrix, shares.reshape(size, size)])
-    found[:, known] = np.linalg.lstsq(matrix, right, rcond=SINGULAR)[0]
+    found[:, known] = np.linalg.lstsq(matrix, right, rcond=RANK)[0]
     return found
 
 

@@ -158,17 +158,17 @@ def _dynamic_parameters(bodies, out):
         out[i, 9] = bodies[i, 21] + m * (c1 * c1 + c2 * c2)
 
 
-@declared(RobotWorkspace, FLOATS, FLOATS, float, bool, FLOAT_ROWS)
+@declared(RobotWorkspace, FLOATS, FLOATS, float, float, bool, FLOAT_ROWS)
 @jit
-def robot_slopes(work, q, v, e, by_q, out):
+def robot_slopes(work, q, v, e, slope, by_q, out):
     """Differentiate the impact of one contact.
 
     Args:
         work: `RobotWorkspace`.
         q: (nq,).
         v: (nv,) pre-impact velocity.
-        e: Coefficient of restitution, a number.
-        by_q, out: As in `assemble`.
+        e: Coefficient of restitution.
+        slope, by_q, out: As in `assemble`.
 
     Returns:
         Status as in `robot_impact`, and flags of `Boundary`.
@@ -216,5 +216,5 @@ def robot_slopes(work, q, v, e, by_q, out):
             *(work.frame_joint, work.carrier_joint, at, shifts, y, v, impulse, data, responses, turned),
         )
         solve_mass(lower, before, responses)
-    assemble(at, carrier, jacobian, y, v, impulse, slopes[3:], 0.0, by_q, data, responses, turned, out)
+    assemble(at, carrier, jacobian, y, v, impulse, slopes[3:], slope, by_q, data, responses, turned, out)
     return status, boundary[0]

@@ -10,11 +10,9 @@ from ..._compile.jit import inlined, jit
 from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, ones
 from ..._numeric.lu import factorize, substitute
+from ..._numeric.tolerances import RANK
 
 FLOAT_STACK4 = types.float64[:, :, :, ::1]
-
-RANK = 1e-10
-"""Part of the largest pivot below which impulses do the same as others."""
 
 TINY = np.finfo(np.float64).tiny
 
