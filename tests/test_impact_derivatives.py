@@ -339,7 +339,6 @@ HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
     [
         (replace(HERE, restitution=lambda speed: 0.5), "attribute `slope`"),
         (replace(HERE, rim=0.1), "lies flat"),
-        ([HERE, HERE], "contact"),
         (pinimpact.Contact(geometry="panda_hand_0", plane=Plane()), "RobotWrapper"),
     ],
 )

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from .robot.held import HeldContactWarning
     from .robot.inverse_kinematics import place_in_contact
     from .robot.loading import load_robot
+    from .robot.many_derivatives import ManyImpactDerivatives
     from .robot.many_impact import ManyHit
     from .robot.matrices import ContactMatrices, contact_matrices
     from .robot.pinocchio_bridge import PinocchioLayoutWarning
@@ -86,6 +87,7 @@ __all__ = [
     "LawError",
     "Linearization",
     "ManyHit",
+    "ManyImpactDerivatives",
     "ManyPath",
     "ManySolution",
     "Method",
@@ -129,6 +131,7 @@ _HOMES = {
     "robot.batch": ("Hits", "impacts"),
     "robot.contact": ("Contact",),
     "robot.derivatives": ("ImpactDerivatives", "impact_derivatives", "impact_rows"),
+    "robot.many_derivatives": ("ManyImpactDerivatives",),
     "robot.matrices": ("ContactMatrices", "contact_matrices"),
     "robot.pinocchio_bridge": ("PinocchioLayoutWarning",),
     "errors": (

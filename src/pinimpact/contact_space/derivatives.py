@@ -44,7 +44,7 @@ class Boundary(enum.IntFlag):
 _TEXTS = {
     Boundary.START_AT_REST: "v_t° = 0 and slip begins: v⁺ has slopes along directions of v_t° only.",
     Boundary.STICK_THRESHOLD: "The contact is at the threshold between stick and slip.",
-    Boundary.EVENTS_COINCIDE: "Slip ends just as compression or the impact does.",
+    Boundary.EVENTS_COINCIDE: "Events coincide, such as the end of slip and that of compression.",
     Boundary.JUMP: "v⁺ jumps here, or nearly has a slope without bound.",
     Boundary.GRAZING: "v₃° = 0: there is an impact on one side only.",
     Boundary.BOUND: "μ = 0, e = 0 or e = 1: slopes by it are those into the range.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +29,9 @@ from .robot_impact import LOCKED, impact
 from .shape_pair import closest_points, is_pair, shape_pair
 from .struck import strike
 from .touching import check_rims, touching_tips
+
+if TYPE_CHECKING:
+    from .many_derivatives import ManyImpactDerivatives
 
 Array = NDArray[np.float64]
 _SHARES = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
@@ -108,6 +111,16 @@ def _restitution(
     """Return e at the approach speed, and de/d(approach speed), 0 for a number."""
     if not callable(contact.restitution):
         return contact.restitution, 0.0
+    cache = data_cache(model, data)
+    velocity = contact_geometry(model, data, q, contact).velocity(finite_array("v", v, cache.v_shape))
+    speed = max(-float(velocity[2]), 0.0)
+    return contact.restitution_at(speed), slope_of_restitution(contact, speed)
+
+
+def slope_of_restitution(contact: Contact, speed: float) -> float:
+    """Return de/d(approach speed), 0 for a number."""
+    if not callable(contact.restitution):
+        return 0.0
     slope = getattr(contact.restitution, "slope", None)
     if not callable(slope):
         raise InputError(
@@ -116,22 +129,37 @@ def _restitution(
             field="restitution",
             value=contact.restitution,
         )
-    cache = data_cache(model, data)
-    velocity = contact_geometry(model, data, q, contact).velocity(finite_array("v", v, cache.v_shape))
-    speed = max(-float(velocity[2]), 0.0)
-    return contact.restitution_at(speed), float(slope(speed))
+    return float(slope(speed))
 
 
+@overload
+def impact_derivatives(
+    model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact, *more: Any, **options: Any
+) -> ImpactDerivatives: ...
+@overload
 def impact_derivatives(
     model: pin.Model,
     data: pin.Data,
     q: ArrayLike,
     v: ArrayLike,
-    contact: Contact,
+    contact: Sequence[Contact],
+    *more: Any,
+    **options: Any,
+) -> ManyImpactDerivatives: ...
+def impact_derivatives(
+    model: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contact: Contact | Sequence[Contact],
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
-) -> ImpactDerivatives:
-    """Return the exact derivatives of the impact of a robot at one contact.
+    simultaneous: str = "propagate",
+) -> ImpactDerivatives | ManyImpactDerivatives:
+    """Return the derivatives of the impact of a robot at a contact, or at several at one instant.
+
+    Those of one contact are exact. Those of a list are exact but for differences in contact space, which have
+    about ten digits. (docs/derivatives.md, 11)
 
     Args:
         model: Pinocchio model, or a RobotWrapper.
@@ -139,18 +167,27 @@ def impact_derivatives(
         q: (nq,) configuration.
         v: (nv,) velocity before the impact.
         contact: The contact that collides, of a collision shape too if it touches at one point; then `model`
-            is the RobotWrapper. A `restitution` that is a function needs an attribute ``slope``, its
-            derivative by the approach speed [s/m].
+            is the RobotWrapper; or a list of those that are closed at this instant, as in `impact`. A
+            `restitution` that is a function needs an attribute ``slope``, its derivative by the approach
+            speed [s/m].
         held: Contacts that hold during the impact.
         locked: Joints, by name or id, whose velocity the impact does not change.
+        simultaneous: Policy of `solve_impact`, for a list of contacts.
+
+    Returns:
+        `ImpactDerivatives`; `ManyImpactDerivatives` for a list of contacts, also of one.
 
     Raises:
-        InputError: As `impact`; a contact or a function e without derivatives; several contacts.
+        InputError: As `impact`; a contact or a function e without derivatives.
         UnknownNameError: A frame or joint that the model does not have.
         ModelError: The mass matrix is not positive definite; joints whose axes turn within the joint.
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
+    if isinstance(contact, Sequence) and not isinstance(contact, str):
+        from .many_derivatives import derivatives_at_many
+
+        return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous)
     block, boundary = _differentiated(model, data, q, v, contact, check_held(held), locked, True)
     return ImpactDerivatives(block, Boundary(boundary))
 
@@ -282,7 +319,7 @@ def _at_point(
     return block, boundary
 
 
-class _Tree(NamedTuple):
+class Tree(NamedTuple):
     """The motions (6, nv) of the velocities, and the joints that they belong to and that these stand on."""
 
     J: Array
@@ -290,7 +327,7 @@ class _Tree(NamedTuple):
     parent: NDArray[np.int64]
 
     @classmethod
-    def of(cls, placed: PlacedRobot) -> _Tree:
+    def of(cls, placed: PlacedRobot) -> Tree:
         """Return those of a robot at a configuration."""
         model = placed.model
         check_joints(model)
@@ -298,7 +335,7 @@ class _Tree(NamedTuple):
         return cls(joint_jacobian(model, placed.data, placed.q), joint, parent)
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """The joints of tip and surface, where a contact is, how that moves, and where its surface's body is."""
 
     tip: int
@@ -308,19 +345,19 @@ class _Place(NamedTuple):
     carrier: Array
 
 
-_NO_TREE = _Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+_NO_TREE = Tree(np.empty((6, 0), order="F"), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
 
-def _place(
-    placed: PlacedRobot, tree: _Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
-) -> _Place:
+def contact_place(
+    placed: PlacedRobot, tree: Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
+) -> Place:
     """Fill `at` and `shifts` of a contact; those of n velocities, all or none."""
     joints = contact_constants(placed.model, contact)[:2]
     at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
     frame, carrier = (np.ascontiguousarray(one[:3].T).ravel() for one in placed.placements(contact))
     rest = contact.constants.copy(), geometry.axes.ravel(), turns, *tree, *joints, at, shifts
     places.fill_place(frame, carrier, *rest)
-    return _Place(*joints, at, shifts, carrier)
+    return Place(*joints, at, shifts, carrier)
 
 
 def _by_matrices(
@@ -351,15 +388,15 @@ def _by_matrices(
     by_delassus = d.dP_ddelassus[:, _UPPER[0], _UPPER[1]] * _SHARES
     slopes = np.column_stack([d.dP_dv, by_delassus, d.dP_dfriction, d.dP_drestitution])
     placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
-    tree = _Tree.of(placed) if by_q else _NO_TREE
-    tip, base, at, shifts, carrier = _place(placed, tree, contact, matrices, True, n)
+    tree = Tree.of(placed) if by_q else _NO_TREE
+    tip, base, at, shifts, carrier = contact_place(placed, tree, contact, matrices, True, n)
     of_data, forces, turned = np.empty((9, n)), np.empty((nv, n)), np.empty((3, n))
     if by_q:
         inertia = composite_inertias(model, data, placed.q)
         given = *tree, placed.cache.parents, inertia, tip, base, at, shifts, y, v, impulse
         kernel.impact_slopes(*given, of_data, forces, turned)
         sliding = _add_held(placed, tree, held, matrices, y, impulse, of_data, forces)
-        forces = _responses(placed, matrices, free_velocities(model, locked), forces, sliding)
+        forces = responses(placed, matrices.held, free_velocities(model, locked), forces, sliding)
     block = np.empty((nv + 3, 2 * nv + kernel.MORE))
     rest = y, v, impulse, slopes, slope, by_q, of_data, forces, turned, block
     kernel.assemble(at, carrier, np.ascontiguousarray(matrices.jacobian), *rest)
@@ -368,7 +405,7 @@ def _by_matrices(
 
 def _add_held(
     placed: PlacedRobot,
-    tree: _Tree,
+    tree: Tree,
     held: tuple[Contact, ...],
     matrices: ContactMatrices,
     y: Array,
@@ -380,7 +417,7 @@ def _add_held(
     nv, pushes = len(forces), matrices.held_response  # [h, world axis, i]
     motions, moved = np.empty((placed.model.njoints, 6)), np.empty((3, len(held), 3, nv))
     for h, (anchor, geometry) in enumerate(zip(held, matrices.held, strict=True)):
-        tip, base, at, shifts, _ = _place(placed, tree, anchor, geometry, False, nv)
+        tip, base, at, shifts, _ = contact_place(placed, tree, anchor, geometry, False, nv)
         for i, x in enumerate(y):
             places.fill_motions(*tree, x, motions)
             places.velocity_slopes(*tree, tip, base, at, shifts, motions, False, moved[i, h])
@@ -392,15 +429,20 @@ def _add_held(
     return np.tensordot(impulse, by_rows, 1)
 
 
-def _responses(
-    placed: PlacedRobot, matrices: ContactMatrices, free: NDArray[np.bool_], forces: Array, sliding: Array
+def responses(
+    placed: PlacedRobot,
+    anchors: Sequence[ContactGeometry],
+    free: NDArray[np.bool_],
+    forces: Array,
+    sliding: Array,
 ) -> Array:
     """Return x with M x + Γᵀλ = f, Γ x = −dΓ Δ for columns f (nv, n), x = 0 where it is not free. (D21)"""
-    mobility, lower = free.astype(np.float64), np.empty_like(matrices.mass)
-    rows = np.vstack([forces.T, *(anchor.axes.T @ anchor.jacobian for anchor in matrices.held)])
-    half_solve(matrices.mass, placed.cache.parents, mobility, lower, rows)
-    x, n = rows[: forces.shape[1]], forces.shape[1]
-    if matrices.held:
+    mass, mobility = placed.mass_matrix(), free.astype(np.float64)
+    lower, n = np.empty_like(mass), forces.shape[1]
+    rows = np.vstack([forces.T, *(anchor.axes.T @ anchor.jacobian for anchor in anchors)])
+    half_solve(mass, placed.cache.parents, mobility, lower, rows)
+    x = rows[:n]
+    if anchors:
         left, sizes, right = independent(rows[n:])
         x -= (x @ right.T + (sliding.T @ left) / sizes) @ right
     solve(lower, placed.cache.parents, x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -95,13 +96,14 @@ def group_impact(
     """
     impulses = solved.solution.impulse
     pressed = impulses[:, 2].tolist()
+    group = replace(solved.group, sources=tuple(sources))
     struck = []
     for place, source in enumerate(sources):
         if pressed[place] > least * max(pressed):
-            make = partial(_of_group, solved.group, place, impulses[place], axes[place])
+            make = partial(_of_group, group, place, impulses[place], axes[place])
             struck.append(Struck(source, place, solved.resting[place], make))
     v_after, found = v + response @ impulses.ravel(), solved.solution
-    return GroupImpact(v_after, tuple(struck), solved.group, found.notes, found.story.bounded)
+    return GroupImpact(v_after, tuple(struck), group, found.notes, found.story.bounded)
 
 
 def of_hit(hit: Hit) -> tuple[ImpactProblem, Array]:

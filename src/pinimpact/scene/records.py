@@ -32,10 +32,12 @@ class ImpactGroup:
     Attributes:
         problem: That of all.
         policy: How it is resolved.
+        sources: Numbers of the contacts and, past those, limits; none if the group was loaded from a file.
     """
 
     problem: ImpactProblem
     policy: str
+    sources: tuple[int, ...] = ()
 
     __repr__ = short_repr
 

@@ -15,7 +15,9 @@ from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
 from ..robot.derivatives import derivatives_at_point
+from ..robot.many_derivatives import RowSlopes
 from ..robot.matrices import contact_matrices
+from ..robot.placed_robot import PlacedRobot
 from ..robot.shape_pair import closest_points
 from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.variations import stop
@@ -23,6 +25,7 @@ from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
 from .forces import ClosedSet
+from .group_saltation import DEPENDENT, REPRODUCED, GroupJump, Parameter
 from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
@@ -57,13 +60,6 @@ class Jump(NamedTuple):
     by_restitution: Array
     guard: Array
     boundary: Boundary
-
-
-class Parameter(NamedTuple):
-    """A coefficient by which a motion is differentiated: "friction" or "restitution" of a contact."""
-
-    kind: str
-    contact: int
 
 
 class Saltation:
@@ -173,7 +169,8 @@ class Saltation:
             events: Those of the user.
 
         Raises:
-            InputError: An impact at several contacts, numbers of the wrong shape of a `jacobian`.
+            InputError: Numbers of the wrong shape of a `jacobian`; an impact of two
+                collision shapes together with others.
         """
         called = self._called(events)
         if called:
@@ -192,7 +189,7 @@ class Saltation:
         closes = (modes[:count] == 0) & (later[:count] != 0)
         rates = np.append(before.at(t)[1], minus.acceleration), np.append(after.v, plus.acceleration)
         if impacts:
-            x = self._through_impact(x, impacts, closes, plus, rates)
+            x = self._through_impact(x, impacts, modes, closes, plus, rates)
         elif closes.any():
             return self._undefined(x, Boundary.GRAZING)
         elif (over := rolls_over(self._model, self._data, before, after)) is not None:
@@ -253,49 +250,94 @@ class Saltation:
         self,
         x: Array,
         impacts: Sequence[ImpactRecord],
+        modes: NDArray[np.int64],
         closes: NDArray[np.bool_],
         plus: ModeSlopes,
         rates: tuple[Array, Array],
     ) -> Array:
-        record = impacts[0]
-        if record.group is not None or len(impacts) > 1:
-            names = ", ".join(repr(one.source) for one in impacts)
-            raise InputError(
-                f"sensitivities: {names} collide together, or with something that is in contact, at t = "
-                f"{record.time:.6g} s; derivatives are available for impacts of one contact",
-                field="sensitivities",
-            )
-        number = self._source[record.source]
+        record, nv = impacts[0], len(x) // 2
+        group = None if record.group is None else record.group[0]
+        if any(one.group is None or one.group[0] is not group for one in impacts[1:]):
+            return self._undefined(x, Boundary.EVENTS_COINCIDE)  # one after the other at one instant
         closes = closes.copy()
-        closes[number] = False
+        closes[[self._source[record.source]] if group is None else list(group.sources)] = False
         error = self._error(record.v_before)
-        removed = record.v_after - rates[1][: len(record.v_after)]
-        slow = np.abs(removed).max(initial=0.0) <= 10.0 * error
-        work = self._dynamics.work
-        joints = (work.dry_friction > 0.0) & (np.abs(record.v_after) <= work.stick_speed)
-        if closes.any() or not (slow or np.abs(removed[joints]).max(initial=0.0) > 0.0):
+        removed = record.v_after - rates[1][:nv]
+        if closes.any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
-        if record.resting:
+        if any(one.resting for one in impacts):
             self.boundary |= Boundary.LAST_BOUNCE
-        jump = self.jump(number, record.q, record.v_before, record.resting)
-        nv = len(record.v_before)
-        closing = float(jump.guard @ rates[0][:nv])
+        if group is None:
+            jump = self.jump(self._source[record.source], record.q, record.v_before, record.resting)
+            guard = jump.guard
+        else:
+            of_all = GroupJump(
+                self._dynamics, self._model, self._data, self._held, self._locked, record, modes
+            )
+            strikes = np.flatnonzero(~of_all.closed & (of_all.rates <= SLOWEST * error))
+            if len(strikes) != 1:
+                return self._undefined(x, Boundary.EVENTS_COINCIDE)
+            guard = of_all.jacobian[strikes[0]]
+        closing = float(guard @ rates[0][:nv])
         if not -closing > SLOWEST * error:
             return self._undefined(x, Boundary.GRAZING)
-        shift = -(jump.guard @ x[:nv]) / closing
-        found = jump.by_state @ (x + np.outer(rates[0], shift)) - np.outer(rates[1], shift)
-        for column, parameter in enumerate(self.parameters, x.shape[1] - len(self.parameters)):
-            if parameter.contact == number:
+        shift = -(guard @ x[:nv]) / closing
+        moved = x + np.outer(rates[0], shift)
+        if group is None:
+            after = self._after_one(moved, record, jump)
+        else:
+            found = of_all.changes_after(moved, self.parameters)
+            if found is None:
+                return self._undefined(x, Boundary.JUMP)
+            after, depends, flags = found
+            self._flag(flags, [p for p, on in zip(self.parameters, depends, strict=True) if on])
+        result = np.vstack([moved[:nv], after])
+        if np.abs(removed).max(initial=0.0) > 10.0 * error:
+            result = self._without(result, removed, record.q, plus)
+        return np.asarray(result - np.outer(rates[1], shift))
+
+    def _without(self, x: Array, removed: Array, q: Array, plus: ModeSlopes) -> Array:
+        """Return changes after a velocity (nv,) that is too slow to matter has been taken away. (D31)
+
+        M times it is the least impulses that stop what is closed afterwards.
+        """
+        nv, response = len(removed), plus.inverse @ plus.rows[:, len(removed) :].T
+        forces = np.linalg.lstsq(response, removed, rcond=DEPENDENT)[0]
+        if not np.linalg.norm(response @ forces - removed) <= REPRODUCED * np.linalg.norm(removed):
+            return self._undefined(x, Boundary.EVENTS_COINCIDE)
+        work, end = self._dynamics.work, 0
+        contacts, impulses = [], []
+        for i, mode in zip(work.active_index.tolist(), work.active_mode.tolist(), strict=True):
+            start, end = end, end + (1 if mode == SLIP else 3)
+            contacts.append(self._dynamics.contacts[i])
+            impulses.append(np.append(np.zeros(3 - (end - start)), forces[start:end]))
+        if any(contact.pair is not None for contact in contacts):
+            return self._undefined(x, Boundary.FEATURES_MEET)
+        of_rows = RowSlopes(PlacedRobot(self._model, self._data, q), contacts)
+        bent = of_rows.forces(np.array(impulses)) - of_rows.of_mass(removed)
+        x = x.copy()
+        x[nv:] -= plus.inverse @ bent @ x[:nv]
+        return np.asarray(stop(plus.rows, response, nv, x))
+
+    def _after_one(self, moved: Array, record: ImpactRecord, jump: Jump) -> Array:
+        """Return changes of the velocity (nv, m) after the impact of a contact, for those just before it."""
+        number, nv = self._source[record.source], len(record.v_before)
+        after = jump.by_state[nv:] @ moved
+        on = [parameter for parameter in self.parameters if parameter.contact == number]
+        for column, parameter in enumerate(self.parameters, moved.shape[1] - len(self.parameters)):
+            if parameter in on and not (record.resting and parameter.kind == "restitution"):
                 by = jump.by_friction if parameter.kind == "friction" else jump.by_restitution
-                found[nv:, column] += 0.0 if record.resting and parameter.kind == "restitution" else by
-                if getattr(self._dynamics.contacts[number], parameter.kind) in _BOUNDS[parameter.kind]:
-                    self.boundary |= Boundary.BOUND
-        self.boundary |= jump.boundary & ~Boundary.BOUND
-        if not slow:  # joints that dry friction stops at once, being that slow: M v changes as rows say
-            still = pin.computeMinverse(self._model, self._data, record.q).copy()
-            found[nv:] += still @ self._mass_slopes(record.q, removed) @ found[:nv]
-            found = _onto(plus, found)
-        return np.asarray(found)
+                after[:, column] += by
+        self._flag(jump.boundary, on)
+        return np.asarray(after)
+
+    def _flag(self, flags: Boundary, on: Sequence[Parameter]) -> None:
+        """Take over flags of an impact that depends on some parameters."""
+        self.boundary |= flags & ~Boundary.BOUND
+        for parameter in on:
+            contact = self._dynamics.contacts[parameter.contact]
+            if getattr(contact, parameter.kind) in _BOUNDS[parameter.kind]:
+                self.boundary |= Boundary.BOUND
 
     def jump(self, number: int, q: Array, v: Array, resting: bool) -> Jump:
         """Return the derivatives of the impact of a contact or, past those, of a joint limit.

@@ -1,0 +1,266 @@
+"""Derivatives of impacts at many contacts, by differences in contact space. (docs/derivatives.md, 11)"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PinimpactError
+from .derivatives import Boundary
+from .inputs import Array
+from .many_inputs import ManyInputs
+from .many_solution import ManySolution
+from .problem import ZERO
+from .simultaneous import find_policy
+
+Impulses = Callable[[float], Array]
+
+FIRST, FINER, LEVELS = 4e-3, 0.25, 9
+"""The first step of differences, in parts of what makes a change as large as the data; how much shorter each
+one is than the last; how many are tried."""
+
+ACCURATE = 1e-10
+"""Part of a derivative by which those by two steps differ where no shorter one is tried: rounding's."""
+
+AGREED = 1e-6
+"""The same, and that of those to either side, beyond which there is no derivative."""
+
+AT_REST = 1e-12
+"""Part of the largest velocity below which one is zero, as is what impulses leave of it by rounding."""
+
+JUMPS = 1e-3
+"""Part of the impulses by which they change over the shortest step where they jump."""
+
+CENTRAL = np.array([45.0, -9.0, 1.0]) / 60.0
+ASIDE = np.array([18.0, -9.0, 2.0]) / 6.0
+INTO = np.array([360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60.0
+"""Weights of values at 1, 2, … steps: of both sides, of one, and of one where there is no other."""
+
+
+class Change(NamedTuple):
+    """A direction in which the data of an impact change, in the shapes of `ManyInputs`."""
+
+    velocity: Array
+    delassus: Array
+    friction: Array
+    restitution: Array
+    stiffness: Array
+
+
+class Slopes(NamedTuple):
+    """How the impulses of an impact change along directions.
+
+    Attributes:
+        impulse: (3n, m); NaN where there is no derivative.
+        shared: (m,) whether contacts share forces in a way that has a derivative too. If not, a column still
+            has the change of velocities, and of nothing else.
+        boundary: Flags of `Boundary`.
+    """
+
+    impulse: Array
+    shared: NDArray[np.bool_]
+    boundary: Boundary
+
+
+class _Slope(NamedTuple):
+    """A derivative.
+
+    Attributes:
+        impulse: (3n,) of P.
+        missed: By how much those of two steps differ, in velocities, of their size.
+        unshared: The same in impulses.
+        change: By how much P changes over the last step, of its size.
+    """
+
+    impulse: Array
+    missed: float
+    unshared: float
+    change: float
+
+
+def slopes_along(
+    inputs: ManyInputs, policy: str, solution: ManySolution, changes: Sequence[Change]
+) -> Slopes:
+    """Differentiate the impulses of an impact along directions, by differences of sixth order.
+
+    Changes of W keep its rank. There is no derivative where those to either side, or by the two best of some
+    steps, differ, where they are not linear in the direction, or if the impact is integrated by steps.
+
+    Args:
+        inputs: The problem.
+        policy: Name of its policy.
+        solution: The answer to it.
+        changes: The m directions.
+    """
+    impulse = solution.impulse.ravel()
+    if _by_steps(solution):
+        nothing = np.full((len(impulse), len(changes)), np.nan)
+        return Slopes(nothing, np.ones(len(changes), dtype=bool), Boundary.EVENTS_COINCIDE)
+    along = _Differences(inputs, policy, impulse)
+    found = [along.slope(change) for change in changes]
+    columns = np.array([one.impulse for one in found]).reshape(len(changes), -1).T.copy()
+    known = np.array([one.missed <= AGREED for one in found], dtype=bool)
+    boundary = Boundary.RANK if inputs.singular else Boundary.NONE
+    if (inputs.friction == 0.0).any() or ((inputs.restitution == 0.0) | (inputs.restitution == 1.0)).any():
+        boundary |= Boundary.BOUND
+    for change, slope, is_known in zip(changes, found, known.tolist(), strict=True):
+        if not is_known:
+            boundary |= _reason(inputs, change, slope)
+    moving = [k for k in np.flatnonzero(known).tolist() if along.size(changes[k]) > 0.0]
+    both = [k for k in moving if not along.one_sided(changes[k])]
+    if len(both) > 1 and not along.linear([changes[k] for k in both], columns[:, both]):
+        known[both] = False
+        boundary |= Boundary.EVENTS_COINCIDE
+    columns[:, ~known] = np.nan
+    return Slopes(columns, np.array([one.unshared <= AGREED for one in found], dtype=bool), boundary)
+
+
+def _by_steps(solution: ManySolution) -> bool:
+    """Whether an answer was integrated by steps, or is a bound's."""
+    return solution.story.bounded or (solution.events == 0 and bool(solution.impulse.any()))
+
+
+def _reason(inputs: ManyInputs, change: Change, slope: _Slope) -> Boundary:
+    """Return why there is no derivative along a change, as far as that is known."""
+    rest = AT_REST * float(np.abs(inputs.velocity).max(initial=0.0))
+    normal = np.abs(inputs.velocity[:, 2]) <= rest
+    if change.velocity[normal, 2].any():
+        return Boundary.GRAZING
+    still = np.abs(inputs.velocity[:, :2]).max(axis=1, initial=0.0) <= rest
+    if change.velocity[still, :2].any():
+        return Boundary.START_AT_REST
+    return Boundary.JUMP if slope.change > JUMPS else Boundary.EVENTS_COINCIDE
+
+
+class _Differences:
+    """Differences of the impulses P of an impact along directions of its data."""
+
+    def __init__(self, inputs: ManyInputs, policy: str, impulse: Array) -> None:
+        self._inputs, self._run, self._impulse = inputs, find_policy(policy).run, impulse
+        self._unknown = np.full_like(impulse, np.nan)
+        self._moves = np.flatnonzero(inputs.delassus.any(axis=1))
+        values, vectors = np.linalg.eigh(inputs.delassus[np.ix_(self._moves, self._moves)])
+        kept = values > ZERO * len(values) * values.max(initial=0.0)
+        roots = np.sqrt(values[kept])
+        self._factor, self._inverse = vectors[:, kept] * roots, (vectors[:, kept] / roots).T
+        self._speed = float(np.abs(inputs.velocity).max(initial=0.0)) or 1.0
+
+    def _of_factor(self, change: Change) -> Array:
+        """Return how L changes, W = L Lᵀ, such that W keeps its rank."""
+        moved = change.delassus[np.ix_(self._moves, self._moves)] @ self._inverse.T
+        return np.asarray(moved - 0.5 * self._factor @ (self._inverse @ moved))
+
+    def size(self, change: Change) -> float:
+        """Return the size of a change in parts of the data, zero for none."""
+        inputs, of_factor = self._inputs, self._of_factor(change)
+        within = self._inverse @ of_factor
+        beyond = of_factor - self._factor @ within
+        return max(
+            float(np.abs(change.velocity).max(initial=0.0)) / self._speed,
+            2.0 * float(np.linalg.norm(within)),
+            float(np.linalg.norm(beyond)) / (float(np.linalg.norm(self._factor)) or 1.0),
+            float((np.abs(change.friction) / np.maximum(inputs.friction, 1.0)).max(initial=0.0)),
+            float(np.abs(change.restitution).max(initial=0.0)),
+            float((np.abs(change.stiffness) / inputs.stiffness).max(initial=0.0)),
+        )
+
+    def _room(self, change: Change, sign: float) -> float:
+        """Return how far coefficients may change in a direction and stay in their ranges."""
+        inputs = self._inputs
+        values = np.concatenate([inputs.friction, inputs.restitution, 1.0 - inputs.restitution])
+        rates = -sign * np.concatenate([change.friction, change.restitution, -change.restitution])
+        falling = rates > 0.0
+        return float((values[falling] / rates[falling]).min(initial=np.inf))
+
+    def one_sided(self, change: Change) -> bool:
+        """Whether a coefficient is at a bound of its range, along a change."""
+        return min(self._room(change, 1.0), self._room(change, -1.0)) * self.size(change) < FIRST * FINER**3
+
+    def _impulses(self, change: Change, size: float) -> Impulses:
+        """Return P (3n,) as a function of the part of a change, NaN where it is integrated by steps."""
+        inputs, run, moves = self._inputs, self._run, np.ix_(self._moves, self._moves)
+        of_factor = self._of_factor(change) / size
+        turned = self._factor @ of_factor.T
+        turned, bent = turned + turned.T, of_factor @ of_factor.T
+        v, mu, e, stiffness = (
+            one / size for one in (change.velocity, change.friction, change.restitution, change.stiffness)
+        )
+
+        def at(s: float) -> Array:
+            delassus = inputs.delassus.copy()
+            delassus[moves] += s * turned + s * s * bent
+            problem = inputs._replace(
+                delassus=delassus,
+                velocity=inputs.velocity + s * v,
+                friction=inputs.friction + s * mu,
+                restitution=inputs.restitution + s * e,
+                stiffness=inputs.stiffness + s * stiffness,
+            )
+            try:
+                found = run(problem, False)
+            except PinimpactError:  # there is no answer that far away
+                return self._unknown
+            return self._unknown if _by_steps(found) else found.impulse.ravel()
+
+        return at
+
+    def slope(self, change: Change) -> _Slope:
+        """Return the derivative along a change."""
+        size = self.size(change)
+        if size == 0.0:
+            return _Slope(np.zeros_like(self._impulse), 0.0, 0.0, 0.0)
+        at, ahead, behind = self._impulses(change, size), self._room(change, 1.0), self._room(change, -1.0)
+        sign, h = 1.0 if ahead >= behind else -1.0, FIRST
+        if not (one_sided := self.one_sided(change)):
+            h = min(h, min(ahead, behind) * size / len(CENTRAL))
+        best = _Slope(self._unknown, np.inf, np.inf, 0.0)
+        last: Array | None = None
+        for _ in range(LEVELS):
+            now, bend = self._into(at, sign * h) if one_sided else self._both(at, h)
+            jump = self._apart(h * now, np.zeros_like(now))[1]
+            best = best._replace(change=jump)
+            if last is not None:
+                missed, unshared = self._apart(now, last)
+                missed = max(missed, self._apart(bend + now, now)[0])
+                if missed <= best.missed:
+                    best = _Slope(now * size, missed, unshared, jump)
+            if best.missed <= ACCURATE:
+                break
+            last, h = now, FINER * h
+        return best
+
+    def _apart(self, one: Array, other: Array) -> tuple[float, float]:
+        """Return by how much two derivatives differ in velocities and in impulses, in parts of their size."""
+
+        def part(weigh: Callable[[Array], Array]) -> float:
+            scale = max(float(np.linalg.norm(weigh(x))) for x in (self._impulse, one, other))
+            return float(np.linalg.norm(weigh(one - other))) / (scale or 1.0)
+
+        return part(lambda x: self._factor.T @ x[self._moves]), part(lambda x: x)
+
+    def _both(self, at: Impulses, h: float) -> tuple[Array, Array]:
+        """Return the derivative by steps h to both sides, and by how much those of the sides differ."""
+        right, left = ([at(side * k * h) for k in (1, 2, 3)] for side in (1.0, -1.0))
+        differences = np.array(right) - np.array(left)
+        sums = np.array(right) + np.array(left) - 2.0 * self._impulse
+        return CENTRAL @ differences / h, ASIDE @ sums / h
+
+    def _into(self, at: Impulses, h: float) -> tuple[Array, Array]:
+        """Return the derivative by steps h to one side."""
+        values = np.array([at(k * h) - self._impulse for k in range(1, 7)])
+        return INTO @ values / h, np.zeros_like(self._impulse)
+
+    def linear(self, changes: Sequence[Change], slopes: Array) -> bool:
+        """Whether the derivative along a sum of changes is that of their derivatives."""
+        weights = np.random.default_rng(0).choice([-1.0, 1.0], len(changes)) * np.linspace(
+            0.5, 1.0, len(changes)
+        )
+        weights /= [self.size(change) for change in changes]
+        total = Change(*(np.tensordot(weights, np.array(parts), 1) for parts in zip(*changes, strict=True)))
+        if self.size(total) == 0.0:
+            return True
+        found = self.slope(total)
+        return found.missed <= AGREED and self._apart(found.impulse, slopes @ weights)[0] <= AGREED

@@ -1,0 +1,266 @@
+"""Derivatives of the impact of a robot at many contacts. (docs/derivatives.md, 11)"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array
+from ..contact_space.derivatives import Boundary
+from ..contact_space.many_derivatives import Change, Slopes, slopes_along
+from ..contact_space.many_inputs import many_inputs
+from ..contact_space.simultaneous import compile_policy, find_policy
+from ..errors import InputError
+from ._kernels import configuration_slopes as places
+from .contact import Contact, check_contact, check_held
+from .derivatives import Place, Tree, contact_place, responses, slope_of_restitution
+from .held import check_at_rest
+from .many_impact import many_problem
+from .matrices import ManyMatrices, checked_matrices
+from .names import free_velocities, model_of
+from .placed_robot import PlacedRobot
+from .touching import check_rims
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ManyImpactDerivatives:
+    """How q̇⁺ and the impulses P of an impact at n contacts change; by q in the tangent space.
+
+    Columns that have no derivative hold NaN, see `boundary`.
+
+    Attributes:
+        v: (nv,) q̇⁺.
+        dv_dq, dv_dv: (nv, nv) ∂q̇⁺/∂q and ∂q̇⁺/∂q̇.
+        dv_dfriction, dv_drestitution: (nv, n) ∂q̇⁺/∂μ and ∂q̇⁺/∂e of each contact.
+        dP_dq, dP_dv: (n, 3, nv) ∂P/∂q and ∂P/∂q̇, of the impulses in world axes.
+        dP_dfriction, dP_drestitution: (n, 3, n) ∂P/∂μ and ∂P/∂e.
+        boundary: Flags of `Boundary`.
+    """
+
+    v: Array
+    dv_dq: Array
+    dv_dv: Array
+    dv_dfriction: Array
+    dv_drestitution: Array
+    dP_dq: Array
+    dP_dv: Array
+    dP_dfriction: Array
+    dP_drestitution: Array
+    boundary: Boundary
+
+    def __repr__(self) -> str:
+        count = self.dv_dfriction.shape[1]
+        return f"ManyImpactDerivatives(nv={len(self.v)}, contacts={count}, boundary={self.boundary!r})"
+
+
+class _Row(NamedTuple):
+    """Three rows of a Jacobian, of a contact, and how they change with q."""
+
+    tree: Tree
+    place: Place
+
+    def slopes(self, motions: Array, relative: bool = False) -> Array:
+        """Return ∂(J x)/∂q (3, nv) for the motions of x, as `velocity_slopes`. (D19)"""
+        tip, base, at, shifts, _ = self.place
+        out = np.empty((3, len(self.tree.joint)))
+        places.velocity_slopes(*self.tree, tip, base, at, shifts, motions, relative, out)
+        return out
+
+    def add_forces(self, force: Array, out: Array) -> None:
+        """Add ∂(JᵀP)/∂q (nv, nv) for a force (3,) in world axes. (D20)"""
+        f1, f2, f3 = force.tolist()
+        places.force_slopes(*self.tree, self.place.at, self.place.shifts, f1, f2, f3, out)
+
+    def turned(self, force: Array) -> Array:
+        """Return how a force (3,) that is fixed in the contact axes changes with q, (3, nv)."""
+        return np.cross(self.place.shifts[:, places.TURN : places.TURN + 3], force).T
+
+
+class RowSlopes:
+    """How the rows of contacts of a robot, and its mass, change with its configuration.
+
+    Args:
+        placed: The robot at its configuration.
+        contacts: The k contacts.
+    """
+
+    def __init__(self, placed: PlacedRobot, contacts: Sequence[Contact]) -> None:
+        model = placed.model
+        self._placed, self._tree = placed, Tree.of(placed)
+        self._data = model.createData()
+        self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
+        self.axes, self.rows = self.of(contacts, True)
+
+    def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[Array], list[_Row]]:
+        """Return axes and rows of contacts, with components along the axes or in the world."""
+        at, tree = [self._placed.geometry(contact) for contact in contacts], self._tree
+        rows = [
+            _Row(tree, contact_place(self._placed, tree, *one, turns, len(tree.joint)))
+            for one in zip(contacts, at, strict=True)
+        ]
+        return [one.axes for one in at], rows
+
+    def motions(self, x: Array) -> Array:
+        """Return the motions (joints, 6) of velocities x (nv,)."""
+        out = np.empty((self._placed.model.njoints, 6))
+        places.fill_motions(*self._tree, np.ascontiguousarray(x), out)
+        return out
+
+    def of_mass(self, x: Array) -> Array:
+        """Return D(x) = ∂(M x)/∂q (nv, nv)."""
+        model, data, q = self._placed.model, self._data, self._placed.q
+        return np.asarray(pin.computeRNEADerivatives(model, data, q, np.zeros(len(x)), x)[0] - self._still)
+
+    def forces(self, impulses: Array) -> Array:
+        """Return ∂(JᵀP)/∂q (nv, nv) for impulses (k, 3) that are fixed in the axes of the contacts."""
+        out = np.zeros((len(self._still), len(self._still)))
+        for row, axes, impulse in zip(self.rows, self.axes, impulses, strict=True):
+            row.add_forces(axes.T @ impulse, out)
+        return out
+
+
+class ManySlopes:
+    """How the data of an impact of a robot at n contacts and joint stops change with its configuration.
+
+    Args:
+        placed: The robot at its configuration.
+        contacts: The k contacts.
+        matrices: Of contacts and stops, which come last.
+        held: Held contacts.
+        free: (nv,) which velocities are not locked.
+
+    Attributes:
+        delassus: (nv, 3n, 3n) ∂W/∂q. (D17), (D21)
+    """
+
+    def __init__(
+        self,
+        placed: PlacedRobot,
+        contacts: Sequence[Contact],
+        matrices: ManyMatrices,
+        held: Sequence[Contact],
+        free: NDArray[np.bool_],
+    ) -> None:
+        self.matrices, self._free, self._placed = matrices, free, placed
+        self._robot = robot = RowSlopes(placed, contacts)
+        self._held = robot.of(held, False)[1]
+        nv, m = matrices.response.shape
+        moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))
+        for i, y in enumerate(matrices.response.T):
+            motions = robot.motions(y)
+            for k, row in enumerate(robot.rows):
+                moved[i, 3 * k : 3 * k + 3] = row.slopes(motions)
+            for k, row in enumerate(self._held):
+                self._moved_held[i, 3 * k : 3 * k + 3] = row.slopes(motions)
+        self._of_mass = np.array([robot.of_mass(y) for y in matrices.response.T])
+        pushes = matrices.held_response.reshape(-1, m)
+        moved += np.einsum("hj,ihk->ijk", pushes, self._moved_held)
+        moved += moved.transpose(1, 0, 2)
+        moved -= np.einsum("mi,jmk->ijk", matrices.response, self._of_mass)
+        self.delassus = np.ascontiguousarray(moved.transpose(2, 0, 1))
+
+    def velocity(self, v: Array) -> Array:
+        """Return ∂v°/∂q (3n, nv) at q̇ = v."""
+        out, motions = np.zeros((self.matrices.response.shape[1], len(v))), self._robot.motions(v)
+        for k, row in enumerate(self._robot.rows):
+            out[3 * k : 3 * k + 3] = row.slopes(motions, True)
+        return out
+
+    def change(self, impulse: Array) -> Array:
+        """Return how q̇⁺ changes with q (nv, nv) for impulses (3n,) fixed in the axes of contacts."""
+        matrices = self.matrices
+        forces = self._robot.forces(impulse.reshape(-1, 3)[: len(self._robot.rows)])
+        forces -= np.tensordot(impulse, self._of_mass, 1)
+        for row, push in zip(self._held, matrices.held_response @ impulse, strict=True):
+            row.add_forces(push, forces)
+        sliding = np.tensordot(impulse, self._moved_held, 1)
+        return responses(self._placed, matrices.held, self._free, forces, sliding)
+
+    def turned(self, impulse: Array) -> Array:
+        """Return how impulses (3n,) fixed in the axes of contacts change in the world, (n, 3, nv)."""
+        given = zip(self._robot.rows, self._robot.axes, impulse.reshape(-1, 3), strict=False)
+        return np.array([row.turned(axes.T @ one) for row, axes, one in given])
+
+
+def derivatives_at_many(
+    robot: pin.Model,
+    data: pin.Data,
+    q: ArrayLike,
+    v: ArrayLike,
+    contacts: Sequence[Contact],
+    held: Sequence[Contact],
+    locked: Sequence[str | int],
+    simultaneous: str,
+) -> ManyImpactDerivatives:
+    """Differentiate the impact of a robot at n contacts; see `impact_derivatives`."""
+    if not contacts:
+        raise InputError("contact: no contact given", field="contact", value=contacts)
+    held = check_held(held)
+    for contact in contacts:
+        check_contact("contact", contact)
+    placed, free = PlacedRobot(robot, data, q), free_velocities(model_of(robot), locked)
+    check_rims(placed, (*contacts, *held))
+    anchors, mobility = tuple(map(placed.geometry, held)), free.astype(np.float64)
+    matrices = checked_matrices(placed, contacts, anchors, mobility, np.zeros((0, len(free))))
+    v = finite_array("v", v, (len(free),))
+    check_at_rest(matrices.held, held, v)
+    velocity = matrices.velocity(v)
+    approach = np.maximum(-velocity[:, 2], 0.0).tolist()
+    bends = np.array([slope_of_restitution(c, speed) for c, speed in zip(contacts, approach, strict=True)])
+    compile_policy(simultaneous)
+    inputs = many_inputs(many_problem(contacts, matrices, velocity))
+    solution = find_policy(simultaneous).run(inputs, False)
+    of_matrices = ManySlopes(placed, contacts, matrices, held, free)
+    changes = state_changes(of_matrices.velocity(v), of_matrices.delassus, bends)
+    nv, n = matrices.response.shape[0], len(contacts)
+    changes += state_changes(matrices.jacobian, np.zeros((nv, 3 * n, 3 * n)), bends)
+    changes += [coefficient_change(n, friction=k) for k in range(n)]
+    changes += [coefficient_change(n, restitution=k) for k in range(n)]
+    found = slopes_along(inputs, simultaneous, solution, changes)
+    return _assembled(of_matrices, v, solution.impulse.ravel(), found)
+
+
+def _assembled(of_matrices: ManySlopes, v: Array, impulse: Array, found: Slopes) -> ManyImpactDerivatives:
+    """Return the derivatives by q, q̇, μ and e, from those in contact space. (D17)"""
+    matrices, nv, n = of_matrices.matrices, len(v), len(impulse) // 3
+    split = nv, 2 * nv, 2 * nv + n
+    by_q, by_v, by_friction, by_restitution = np.split(matrices.response @ found.impulse, split, axis=1)
+    slopes = np.where(found.shared, found.impulse, np.nan).reshape(n, 3, -1)
+    of_q, *others = np.split(np.einsum("nij,nik->njk", matrices.axes, slopes), split, axis=2)
+    by_q, by_v = by_q + of_matrices.change(impulse), by_v + np.eye(nv)
+    of_q, of_v, of_friction, of_restitution = of_q + of_matrices.turned(impulse), *others
+    return ManyImpactDerivatives(
+        *(v + matrices.response @ impulse, by_q, by_v, by_friction, by_restitution),
+        *(of_q, of_v, of_friction, of_restitution),
+        found.boundary,
+    )
+
+
+def state_changes(velocity: Array, delassus: Array, bends: Array) -> list[Change]:
+    """Return changes of an impact's data by columns of velocities (3n, m) and by matrices (m, 3n, 3n).
+
+    Args:
+        velocity: Of the contacts.
+        delassus: Of W.
+        bends: (n,) de/d(approach speed).
+    """
+    zero = np.zeros(len(bends))
+    return [
+        Change(column.reshape(-1, 3), matrix, zero, -bends * column[2::3], zero)
+        for column, matrix in zip(velocity.T, delassus, strict=True)
+    ]
+
+
+def coefficient_change(n: int, **of: int) -> Change:
+    """Return a change of one coefficient of a contact: its name and the number of the contact."""
+    numbers = {name: np.zeros(n) for name in ("friction", "restitution", "stiffness")}
+    for name, k in of.items():
+        numbers[name][k] = 1.0
+    return Change(np.zeros((n, 3)), np.zeros((3 * n, 3 * n)), **numbers)
