@@ -123,8 +123,8 @@ def _landing_reference() -> Any:
 REFERENCE_STEP = 5e-4
 """Of the independent integration, in its clock; halved twice until it is sure to 1e-7."""
 
-LITTLE = 0.01
-"""The restitution from which, with twice of it, the reference is extrapolated to e = 0."""
+LITTLE = 0.02, 0.01, 0.005, 0.0025, 0.00125
+"""Restitutions from which the reference is extrapolated to e = 0."""
 
 ALLOWED, ALLOWED_LIMIT = 1e-6, 5e-3
 """Parts of the largest velocity that an answer may be off the reference; the second for e = 0."""
@@ -136,11 +136,7 @@ def _off_the_reference(landing: Any, w: Array, velocity: Array, mu: Array, e: Ar
     numbers = w, velocity.ravel() / size, mu
     stiffness = np.full(len(mu), 1.0 / np.diag(w)[2::3].max())
     if not e.any():
-        less, more = (
-            landing(*numbers, np.full(len(mu), e), stiffness, 0.5 * REFERENCE_STEP)[0]
-            for e in (LITTLE, 2.0 * LITTLE)
-        )
-        return float(np.abs(after.ravel() / size - 2.0 * less + more).max()) / ALLOWED_LIMIT
+        return _off_the_limit(landing, numbers, stiffness, after.ravel() / size)
     step = REFERENCE_STEP * min(1.0, 5.0 * float(e.min()))
     off = error = np.inf
     for _ in range(3):
@@ -150,6 +146,23 @@ def _off_the_reference(landing: Any, w: Array, velocity: Array, mu: Array, e: Ar
             break
         step *= 0.25
     return max(off - error, 0.0) / ALLOWED
+
+
+def _off_the_limit(landing: Any, numbers: tuple[Array, ...], stiffness: Array, after: Array) -> float:
+    """Return what an answer at e = 0 is off the limit of small e, in parts of what it may be.
+
+    Two restitutions are extrapolated, and halved as long as that is far from the answer.
+    """
+    off, before = np.inf, None
+    for little in LITTLE:
+        step = 0.5 * REFERENCE_STEP * min(1.0, little / LITTLE[1])
+        now = landing(*numbers, np.full(len(stiffness), little), stiffness, step)[0]
+        if before is not None:
+            off = float(np.abs(after - 2.0 * now + before).max())
+        if off <= ALLOWED_LIMIT:
+            break
+        before = now
+    return off / ALLOWED_LIMIT
 
 
 def _cross(r: Array) -> Array:
