@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import pinimpact
-from pinimpact import Contact, InputError, Plane, Scene, SimulationError, simulate
+from pinimpact import Contact, InputError, JointPD, Plane, Scene, SimulationError, simulate
 
 from .scene_models import UP, G, ball, run, slider
 
@@ -182,3 +182,15 @@ def test_the_plan_tells_of_the_sampling_and_it_can_be_switched_off():
 def test_the_work_of_a_sampled_control_is_that_of_its_forces():
     trajectory = run(mass(lambda t, q, v: [2.0, 0, 0], period=0.03), np.zeros(3), np.zeros(3), 1.0)
     assert trajectory.energy.control[-1] == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
+@pytest.mark.parametrize("scheme", ["auto", "time-stepping"])
+def test_gains_that_are_too_high_for_the_period_end_with_an_error(scheme):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1e-3, 0.1), pin.SE3.Identity())
+    scene = Scene(model, control=JointPD(1.0, 5.0, [0.0]), period=0.01)  # v grows by d T/m = 50 a period
+    with pytest.raises(SimulationError, match="beyond all numbers") as error:
+        simulate(scene, [0.0], [1.0], 3.0, scheme=scheme)
+    assert 0.5 < error.value.partial.t[-1] < 3.0

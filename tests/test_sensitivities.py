@@ -238,6 +238,81 @@ def test_drives_that_saturate_and_a_belt():
     assert any(mode == "saturated" for _, mode in modes(run))
 
 
+def with_jacobian(stiffness, damping, q_ref):
+    """Return a PD control as a function with a derivative, for joints with one coordinate."""
+    n = len(q_ref)
+
+    def control(t, q, v):
+        return stiffness * (q_ref - q) - damping * v
+
+    control.jacobian = lambda t, q, v: np.hstack([-stiffness * np.eye(n), -damping * np.eye(n)])
+    return control
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.0625, 0.15])
+def test_a_sampled_control_of_a_mass(delay):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+    k, d, period, duration = 30.0, 2.0, 0.0625, 0.73
+    scene = Scene(model, control=with_jacobian(k, d, np.zeros(1)), period=period, delay=delay)
+    found = simulate(scene, [0.1], [0.2], duration, sensitivities="state").sensitivity(duration)
+    # x' = v, v' = u/2, u = −k x − d v of the sample that acts, all of it linear
+    x, t, force, waiting = np.eye(2), 0.0, np.zeros((1, 2)), []
+    samples = [period * i for i in range(12)]
+    changes = sorted({*samples, *(sample + delay for sample in samples), duration})
+    for time in [one for one in changes if one <= duration]:
+        h = time - t
+        x = np.array([[1.0, h], [0.0, 1.0]]) @ x + np.array([[0.5 * h * h], [h]]) @ force / 2.0
+        t = time
+        if any(abs(time - sample) < 1e-12 for sample in samples):
+            waiting.append((time + delay, np.array([[-k, -d]]) @ x))
+        if waiting and time >= waiting[0][0] - 1e-12:
+            force = waiting.pop(0)[1]
+    assert found.state == pytest.approx(x, abs=1e-13)
+    again = replace(scene, control=JointPD(k, d, [0.0]))
+    other = simulate(again, [0.1], [0.2], duration, sensitivities="state").sensitivity(duration)
+    assert other.state == pytest.approx(x, abs=1e-13)
+
+
+@pytest.mark.parametrize("period", [None, 0.013])
+def test_a_panda_bounces_under_a_control_that_is_a_function(period):
+    model, q, v, hand = panda(5)
+    control = with_jacobian(60.0, 5.0, q + 0.2)
+    scene = Scene(model, [hand], control=control, period=period, delay=0.004 if period else 0.0, **FREE)
+    run = agrees(scene, q, v, 0.16, 5, ("friction:hand", "restitution:hand"))
+    assert run.impacts
+
+
+def test_a_sampled_control_lets_a_block_slip_and_stick():
+    model = point("block")
+    model.gravity.linear[:] = 0.0, 0.0, -9.81
+    block = Contact("block centre", Plane(), 0.3, name="block")
+
+    def push(t, q, v):
+        return np.array([4.0 * np.cos(20.0 * t) + 3.0 * q[0] - v[0], 0.0, 0.0])
+
+    push.jacobian = lambda t, q, v: np.array([[3.0, 0, 0, -1.0, 0, 0], [0.0] * 6, [0.0] * 6])
+    scene = Scene(model, [block], control=push, period=0.05)
+    q, v = np.zeros(3), np.array([0.3, 0.0, 0.0])
+    run = simulate(scene, q, v, 1.0, sensitivities="state", **(EXACT | {"rtol": 1e-10}))
+    assert {mode for _, mode in modes(run)} >= {"stick", "slip"}
+    found = run.sensitivity(1.0)
+    assert not np.isnan(found.state).any()
+    for towards in np.eye(6)[[0, 3]]:  # along the slip
+        expected = slope(scene, q, v, 1.0, towards, step=1e-6)
+        assert np.abs(found.state @ towards - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1.0)
+
+
+def test_a_control_derivative_of_the_wrong_shape():
+    model, q, v, _ = panda(5)
+    control = with_jacobian(60.0, 5.0, q)
+    control.jacobian = lambda t, q, v: np.zeros((9, 9))
+    run = simulate(Scene(model, control=control, **FREE), q, v, 0.1, sensitivities="state")
+    with pytest.raises(pinimpact.InputError, match=r"jacobian.*\(9, 18\)"):
+        run.sensitivity(0.1)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_joints_with_dry_friction(seed):
     model, q, v, contact = panda(seed)
@@ -482,7 +557,6 @@ def test_what_has_no_derivative_is_refused():
             simulate(scene, q, v, duration, sensitivities=names, **options).sensitivity(duration)
 
     refuses("control", replace(scene, control=lambda t, q, v: np.zeros(9)))
-    refuses("control", replace(scene, control=JointPD(1.0, 1.0, q), period=0.01))
     kick = Event(lambda t, q, v: t - 0.05, lambda t, q, v: v, name="kick")
     refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +44,7 @@ def asked(control: Control, t: float, q: Array, v: Array) -> Array:
             field="control",
             value=tau,
         )
-    if not math.isfinite(tau.dot(tau)):
+    if not np.isfinite(tau).all():
         raise SimulationError(
             f"control: {tau.tolist()} returned at t = {t:.6g} s; numbers in it are not finite",
             field="control",
@@ -137,6 +136,13 @@ class Drives:
         forces[driven] = np.clip(law[driven], -self.limit[driven], self.limit[driven])
         return forces
 
+    def jacobian(self, t: float, q: Array, v: Array) -> Array:
+        """Return the derivative (nv, 2 nv) of the forces by q and v, zero for drives at their limits."""
+        law = self.stiffness * (self.reference - q[self.coordinate]) - self.damping * v
+        follows = np.zeros(len(v))
+        follows[self.velocity] = np.abs(law[self.velocity]) < self.limit[self.velocity]
+        return np.hstack([np.diag(-follows * self.stiffness), np.diag(-follows * self.damping)])
+
 
 @lru_cache(maxsize=64)
 def no_drives(nv: int) -> Drives:
@@ -185,6 +191,11 @@ class SampledControl:
         control: Asked once for each time, in order.
         period: T [s].
         delay: [s].
+
+    Attributes:
+        forces: Those that have acted, each (nv,),
+        acts_at: from these times on,
+        asked_at: and the times at which the control has been asked [s].
     """
 
     def __init__(self, control: Control, period: float, delay: float) -> None:
@@ -195,6 +206,9 @@ class SampledControl:
         self._delay = whole if abs(periods - whole) <= GRID else periods
         self._asked = self._acting = 0
         self._waiting: deque[Array] = deque()
+        self.forces: list[Array] = []
+        self.acts_at: list[float] = []
+        self.asked_at: list[float] = []
 
     @property
     def next(self) -> float:
@@ -216,7 +230,10 @@ class SampledControl:
         if t >= self._asked * self._period:
             self._waiting.append(asked(self._control, t, q.copy(), v.copy()).copy())
             self._asked += 1
+            self.asked_at.append(t)
         if self._waiting and t >= self._acts_at:
             self._acting += 1
-            return self._waiting.popleft()
+            self.acts_at.append(t)
+            self.forces.append(self._waiting.popleft())
+            return self.forces[-1]
         return None

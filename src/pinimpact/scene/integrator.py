@@ -123,12 +123,12 @@ class Integrator:
         seen_every = SEEN_EVERY * self.time_scale
         guards = as_events(scene.events) if "user events" not in without else ()
         self.events = EventWatch(guards, seen_every, self.state, self.record.events)
-        self._sampled = None
+        self.sampled = None
         self._continuous: Control | None = None
         if scene.control is not None and "control" not in without:
             if scene.period is not None:
                 control = scene.control.drives(model) if isinstance(scene.control, JointPD) else scene.control
-                self._sampled = SampledControl(control, scene.period, scene.delay)
+                self.sampled = SampledControl(control, scene.period, scene.delay)
             elif not isinstance(scene.control, JointPD):
                 self._continuous = scene.control
         sizes = self.extent, self.time_scale
@@ -173,8 +173,8 @@ class Integrator:
 
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen, and begin to move, under a constant force (nv,) if given."""
-        if self._sampled is not None:
-            tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
+        if self.sampled is not None:
+            tau = self.sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
             self.work.control_force[:] = tau
         self.instant.settle(starting=True)
@@ -189,7 +189,7 @@ class Integrator:
             until: The time [s].
             report: Called with the time reached and `until`, after every step.
         """
-        state, sampled = self.state, self._sampled
+        state, sampled = self.state, self.sampled
         while state.t < until and state.ended_by is None:
             stop = until
             if sampled is not None and sampled.next < until - ROUNDING * until:

@@ -52,7 +52,8 @@ class Scene:
             joint limits are those of the model.
         contacts: The contacts.
         control: control(t, q, v) -> (nv,) generalized forces, or a `JointPD`, or None. Without `period` it
-            must depend on its arguments only; it is called as often as the steps need.
+            must depend on its arguments only; it is called as often as the steps need. Sensitivities use its
+            attribute ``jacobian``, see `simulate`.
         period: Period T [s] of a sampled control. It is called once at each of the times 0, T, 2T, …, in this
             order and after the events at these times; its force is constant until the next one acts. It may
             have a state.

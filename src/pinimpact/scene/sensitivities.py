@@ -18,6 +18,7 @@ from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ._kernels.contact_forces import RIGID
 from ._kernels.variations import changes_at_end, stage_equations
+from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
@@ -98,9 +99,12 @@ def check_supported(scene: Scene, scheme: str) -> None:
     value: Any = None
     if scheme == "time-stepping":
         what, value = "time steps", scheme
-    if scene.control is not None and (scene.period is not None or not isinstance(scene.control, JointPD)):
+    acts = scene.control is not None and "control" not in scene.without
+    compiled = isinstance(scene.control, JointPD) and scene.period is None
+    if acts and not compiled and jacobian_of(scene) is None:
         what, value = (
-            "the control, whose derivative is not known; give a JointPD without period",
+            "the control, whose derivative is not known; give it an attribute jacobian, a function of t, q "
+            "and v that returns the derivative (nv, 2 nv) of the forces by q and v",
             scene.control,
         )
     for event in as_events(scene.events):
@@ -178,6 +182,9 @@ class MotionSlopes:
         self._nv = nv
         self._given = 0 if tau is None else nv
         self._count = len(found)
+        self._control = None if scene.period is not None else jacobian_of(scene)
+        self.force = np.zeros((nv, 2 * nv + self._given + self._count))
+        self.force[:, 2 * nv : 2 * nv + self._given] = np.eye(nv, self._given)
 
     def initial(self) -> Array:
         """Return the changes at the start, (2nv, 2nv + the force's + parameters)."""
@@ -193,12 +200,20 @@ class MotionSlopes:
         """Return changes at the end of an interval, which is halved down to the tolerance."""
         h = end - start
         for rule in RULES:
-            nodes = self.saltation.slopes.within(step, start + h * rule.nodes)
+            nodes = self._slopes_within(step, start + h * rule.nodes)
             found, error = self._collocate(rule, nodes, h, x)
             if error <= self._rtol or h <= SHORTEST * (step.end - step.start):
                 return found
         middle = start + 0.5 * h
         return self._across(self._across(x, step, start, middle), step, middle, end)
+
+    def _slopes_within(self, step: DenseStep, times: Array) -> SlopesWithin:
+        """Return the slopes of the motion at some times, those of a control included."""
+        nodes = self.saltation.slopes.within(step, times)
+        if self._control is not None:
+            for t, inverse, by_state in zip(times.tolist(), nodes.inverse, nodes.by_state, strict=True):
+                by_state[: self._nv] += inverse @ forces_by_state(self._control, t, *step.at(t))
+        return nodes
 
     def _intervals(self, step: DenseStep, until: float) -> list[tuple[float, float]]:
         """Return parts of a step in each of which no slip slows down, or speeds up, by much."""
@@ -229,7 +244,7 @@ class MotionSlopes:
         """Return changes after a time h, by the slopes at the nodes, and their relative error. (D23, D24)"""
         nv, turned, slopes = self._nv, self.saltation.slopes.turned, nodes[:5]
         matrix, right, vanishing, start, moved = stage_equations(
-            *(h, *rule[:3], turned, self._given, *slopes, x)
+            *(h, *rule[:3], turned, self.force, *slopes, x)
         )
         n, m = x.shape[1], len(vanishing)
         right[..., :n] += nodes.by_state[:, :nv] @ start
@@ -280,6 +295,7 @@ class Sensitivities:
         impacts: Its impacts.
         events: Its user events.
         stepped: The intervals that time steps have crossed.
+        held: The forces of a sampled control.
     """
 
     def __init__(
@@ -290,9 +306,11 @@ class Sensitivities:
         impacts: Sequence[ImpactRecord],
         events: Sequence[EventRecord],
         stepped: Sequence[SteppedInterval],
+        held: HeldForces | None = None,
     ) -> None:
         self._slopes, self._names, self._steps = slopes, names, steps
         self._impacts, self._events, self._stepped = impacts, events, stepped
+        self._held = held
         self._starts: list[tuple[Array, Boundary]] = []
 
     def changes(self, number: int, t: float) -> tuple[Array, Boundary]:
@@ -300,7 +318,15 @@ class Sensitivities:
         saltation = self._slopes.saltation
         x, boundary = self._at_start(number)
         saltation.boundary = boundary
+        self._hold(number)
         return self._slopes.along(x, self._steps[number], t), saltation.boundary
+
+    def _hold(self, number: int) -> None:
+        """Let the force of a sampled control act that does in the step of a number."""
+        if self._held is not None:
+            now = self._held.at(self._steps[number].start)
+            slopes = self._slopes
+            slopes.saltation.slopes.tau[:], slopes.force = (0.0, 0.0 * slopes.force) if now is None else now
 
     def _at_start(self, number: int) -> tuple[Array, Boundary]:
         saltation, steps = self._slopes.saltation, self._steps
@@ -317,13 +343,24 @@ class Sensitivities:
             struck = [record for record in self._impacts if record.time == now]
             called = [record for record in self._events if record.time == now]
             if k == 0:
-                saltation.boundary = Boundary.NONE
-                x = saltation.start(self._slopes.initial(), steps[0], struck, called)
+                x, saltation.boundary = self._slopes.initial(), Boundary.NONE
+                if self._held is not None:  # asked before the events at the start
+                    v = struck[0].v_before if struck else steps[0].v
+                    self._held.ask(now, steps[0].q, v, x)
+                    self._hold(0)
+                x = saltation.start(x, steps[0], struck, called)
             else:
                 before = steps[k - 1]
                 x, saltation.boundary = self._starts[-1]
+                self._hold(k - 1)
                 x = self._slopes.along(x, before, before.end)
-                x = saltation.cross(x, before, steps[k], struck, called)
+                if self._held is None or not self._held.begins(now):
+                    x = saltation.cross(x, before, steps[k], struck, called)
+                elif struck or called:  # whatever comes first decides
+                    saltation.boundary |= Boundary.EVENTS_COINCIDE
+                    x = np.full_like(x, np.nan)
+                if self._held is not None:
+                    self._held.ask(now, steps[k].q, steps[k].v, x)
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
 

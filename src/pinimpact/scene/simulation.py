@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..checks import choice, function
 from ..errors import PinimpactError, SimulationError
 from .alternating import Alternating
+from .control_slopes import HeldForces, jacobian_of
 from .integrator import Integrator, Report
 from .options import Options, check_numbers
 from .scene import Scene
@@ -63,8 +64,10 @@ def simulate(
             their error, and a `SteppedWarning` reports the first one.
         dt: Length of the time steps [s]; with "auto" the longest one.
         sensitivities: What `Trajectory.sensitivity` differentiates by: "state" for the initial state, and
-            "friction:CONTACT", "restitution:CONTACT" with names of contacts. Not for controls of
-            functions, callbacks without `jacobian`, collision shapes and time steps.
+            "friction:CONTACT", "restitution:CONTACT" with names of contacts. A control that is a function
+            needs an attribute ``jacobian``, a function of t, q and v that returns the derivative (nv, 2 nv)
+            of the forces by q, in the tangent space, and v. Not for time steps, and callbacks of events
+            without `jacobian`.
 
     Raises:
         UnknownNameError: Unknown scheme, or a contact in `sensitivities`.
@@ -80,13 +83,17 @@ def simulate(
         function("progress", progress, "a function of the time and the duration")
     names = parse(scene, sensitivities, scheme) if sensitivities else ()
     options = Options(rtol, atol, max_step, max_impacts, dt)
-    trajectory = _run(integrator_of(scheme, scene, q0, v0, options), float(duration), progress)
+    integrator = integrator_of(scheme, scene, q0, v0, options)
+    trajectory = _run(integrator, float(duration), progress)
     if names:
         own = Integrator(scene, q0, v0, options)
         parameters = [name for name in names if name != "state"]
         slopes = MotionSlopes(scene, own.dynamics, own.model, parameters, None, rtol)
+        jacobian, sampled = jacobian_of(scene), integrator.sampled
+        held = None if jacobian is None or sampled is None else HeldForces(sampled, jacobian)
         trajectory.sensitivities = Sensitivities(
-            *(slopes, names, trajectory._segments, trajectory.impacts, trajectory.events, trajectory.stepped)
+            *(slopes, names, trajectory._segments, trajectory.impacts, trajectory.events),
+            *(trajectory.stepped, held),
         )
     return trajectory
 

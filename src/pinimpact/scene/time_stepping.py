@@ -100,8 +100,8 @@ class TimeStepping(Integrator):
 
     def begin(self, tau: Array | None = None) -> None:
         """Let what happens at the start happen; see `Integrator.begin`."""
-        if self._sampled is not None:
-            tau = self._sampled.at(self.state.t, self.state.q, self.state.v)
+        if self.sampled is not None:
+            tau = self.sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
             self.work.control_force[:] = tau
         self._collide()
@@ -171,6 +171,12 @@ class TimeStepping(Integrator):
             *(system, rows, state.warm_start, state.pushed, found),
         )
         self.dynamics.check()
+        if not np.isfinite(found.v_end).all():
+            raise IrregularMotionError(
+                f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
+                "for instance with gains that are too high for its period",
+                field="scene",
+            )
         if off > FAILED:
             raise IrregularMotionError(
                 f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "

@@ -18,12 +18,12 @@ TINY = np.finfo(np.float64).tiny
 
 
 @declared(
-    *(float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, INTEGERS, int),
+    *(float, FLOATS, FLOAT_ROWS, FLOAT_ROWS, INTEGERS, FLOAT_ROWS),
     *(FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_STACK, FLOAT_ROWS),
 )
 @jit
 def stage_equations(
-    h, nodes, weights, twice, turned, given, by_state, response, inverse, by_friction, turning, x
+    h, nodes, weights, twice, turned, force, by_state, response, inverse, by_friction, turning, x
 ):
     """Return the equations of the rates of δv at the stages. (D24)
 
@@ -31,9 +31,9 @@ def stage_equations(
         h: Length of the interval [s].
         nodes, weights, twice: c (s,), A and A² (s, s) of the method.
         turned: (k,) the velocities of joints that turn.
-        given: By how many generalized forces the motion is differentiated.
+        force: (nv, n) changes of a generalized force that is constant.
         by_state, response, inverse, by_friction, turning: See `slopes_along`.
-        x: (2 nv, n) changes at the start: by states, forces and parameters.
+        x: (2 nv, n) changes at the start, the last by parameters.
 
     Returns:
         The matrix of the rates (s nv, s nv); their right-hand sides without those of the state, and for each
@@ -42,19 +42,22 @@ def stage_equations(
         (s, k, s, k).
     """
     stages, rows, nv = by_state.shape[0], by_state.shape[1], len(x) // 2
-    m, n, first = rows - nv, x.shape[1], x.shape[1] - by_friction.shape[2] - given
+    m, n, first = rows - nv, x.shape[1], x.shape[1] - by_friction.shape[2]
     start, right = np.empty((stages, 2 * nv, n)), np.zeros((stages, nv, n + stages * m))
     for i in range(stages):
         for r in range(nv):
             for c in range(n):
                 start[i, r, c] = x[r, c] + h * nodes[i] * x[nv + r, c]
                 start[i, nv + r, c] = x[nv + r, c]
-            for c in range(given):
-                right[i, r, first + c] = inverse[i, r, c]
             for c in range(by_friction.shape[2]):
-                right[i, r, first + given + c] = by_friction[i, r, c]
+                right[i, r, first + c] = by_friction[i, r, c]
             for c in range(m):
                 right[i, r, n + i * m + c] = response[i, r, c]
+        for k in range(nv):
+            for c in range(n):
+                if force[k, c] != 0.0:
+                    for r in range(nv):
+                        right[i, r, c] += inverse[i, r, k] * force[k, c]
     moved = _turn(h, weights, twice, turned, turning, start)
     straight = ones(nv)
     for k in turned:

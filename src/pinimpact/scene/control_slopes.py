@@ -1,0 +1,63 @@
+"""How the forces of a control follow changes of the state. (docs/derivatives.md, 9)"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_array
+from .controls import JointPD, SampledControl
+from .scene import Scene
+
+Array = NDArray[np.float64]
+ControlJacobian = Callable[[float, Array, Array], ArrayLike]
+"""jacobian(t, q, v) -> (nv, 2 nv) of the forces by q, in the tangent space, and v."""
+
+
+def jacobian_of(scene: Scene) -> ControlJacobian | None:
+    """Return the derivative of a control that is a function, or sampled; None where it is not known."""
+    control = scene.control if "control" not in scene.without else None
+    if isinstance(control, JointPD):
+        return control.drives(scene.model).jacobian if scene.period is not None else None
+    jacobian = getattr(control, "jacobian", None)
+    return jacobian if callable(jacobian) else None
+
+
+def forces_by_state(jacobian: ControlJacobian, t: float, q: Array, v: Array) -> Array:
+    """Return what a jacobian does, checked, (nv, 2 nv)."""
+    return finite_array("jacobian", jacobian(t, q.copy(), v.copy()), (len(v), 2 * len(v)))
+
+
+class HeldForces:
+    """The forces of a sampled control along a motion, and how they change with it.
+
+    Args:
+        control: The control, which has been asked along the motion.
+        jacobian: Its derivative.
+    """
+
+    def __init__(self, control: SampledControl, jacobian: ControlJacobian) -> None:
+        self._control, self._jacobian = control, jacobian
+        self._changes: list[Array] = []
+
+    def ask(self, t: float, q: Array, v: Array, x: Array) -> None:
+        """Note how the force changes for which the control is asked at this time, at changes x (2 nv, n)."""
+        asked = self._control.asked_at
+        if len(self._changes) < len(asked) and asked[len(self._changes)] == t:
+            self._changes.append(forces_by_state(self._jacobian, t, q, v) @ x)
+
+    def begins(self, t: float) -> bool:
+        """Return whether a force begins to act at this time."""
+        k = self._number(t)
+        return k >= 0 and self._control.acts_at[k] == t
+
+    def at(self, t: float) -> tuple[Array, Array] | None:
+        """Return the force (nv,) that acts from a time on, and its change (nv, n); None before the first."""
+        k = self._number(t)
+        return None if k < 0 else (self._control.forces[k], self._changes[k])
+
+    def _number(self, t: float) -> int:
+        return bisect_right(self._control.acts_at, t) - 1
