@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -53,6 +53,7 @@ class Jump(NamedTuple):
         by_friction, by_restitution: (nv,) of the velocity.
         guard: (nv,) ∂(gap)/∂q.
         boundary: Flags of `Boundary`.
+        v: (nv,) the velocity.
     """
 
     by_state: Array
@@ -60,6 +61,7 @@ class Jump(NamedTuple):
     by_restitution: Array
     guard: Array
     boundary: Boundary
+    v: Array
 
 
 class Saltation:
@@ -267,9 +269,12 @@ class Saltation:
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if any(one.resting for one in impacts):
             self.boundary |= Boundary.LAST_BOUNCE
-        if group is None:
-            jump = self.jump(self._source[record.source], record.q, record.v_before, record.resting)
+        alone = group is None or (len(group.sources) == 1 and group.policy == "propagate")
+        if alone:
+            jump, change = self._jump_of(record), record.v_after - record.v_before
             guard = jump.guard
+            if not np.abs(jump.v - record.v_after).max() <= REPRODUCED * np.abs(change).max():
+                return self._undefined(x, Boundary.JUMP)
         else:
             of_all = GroupJump(
                 self._dynamics, self._model, self._data, self._held, self._locked, record, modes
@@ -283,7 +288,7 @@ class Saltation:
             return self._undefined(x, Boundary.GRAZING)
         shift = -(guard @ x[:nv]) / closing
         moved = x + np.outer(rates[0], shift)
-        if group is None:
+        if alone:
             after = self._after_one(moved, record, jump)
         else:
             found = of_all.changes_after(moved, self.parameters)
@@ -319,27 +324,33 @@ class Saltation:
         x[nv:] -= plus.inverse @ bent @ x[:nv]
         return np.asarray(stop(plus.rows, response, nv, x))
 
+    def _jump_of(self, record: ImpactRecord) -> Jump:
+        """Return the derivatives of an impact that only one contact or limit takes part in."""
+        number, resting, law = self._source[record.source], record.resting, None
+        if record.group is not None:  # others that are closed are lifted
+            resting, law = float(record.group[0].problem.restitution[0]) == 0.0, "energetic"
+        return self.jump(number, record.q, record.v_before, resting, law)
+
     def _after_one(self, moved: Array, record: ImpactRecord, jump: Jump) -> Array:
         """Return changes of the velocity (nv, m) after the impact of a contact, for those just before it."""
         number, nv = self._source[record.source], len(record.v_before)
         after = jump.by_state[nv:] @ moved
         on = [parameter for parameter in self.parameters if parameter.contact == number]
         for column, parameter in enumerate(self.parameters, moved.shape[1] - len(self.parameters)):
-            if parameter in on and not (record.resting and parameter.kind == "restitution"):
-                by = jump.by_friction if parameter.kind == "friction" else jump.by_restitution
-                after[:, column] += by
+            if parameter in on:
+                after[:, column] += jump.by_friction if parameter.kind == "friction" else jump.by_restitution
         self._flag(jump.boundary, on)
         return np.asarray(after)
 
     def _flag(self, flags: Boundary, on: Sequence[Parameter]) -> None:
         """Take over flags of an impact that depends on some parameters."""
-        self.boundary |= flags & ~Boundary.BOUND
+        self.boundary |= flags & ~Boundary.BOUND  # parameters have it
         for parameter in on:
             contact = self._dynamics.contacts[parameter.contact]
             if getattr(contact, parameter.kind) in _BOUNDS[parameter.kind]:
                 self.boundary |= Boundary.BOUND
 
-    def jump(self, number: int, q: Array, v: Array, resting: bool) -> Jump:
+    def jump(self, number: int, q: Array, v: Array, resting: bool, law: str | None = None) -> Jump:
         """Return the derivatives of the impact of a contact or, past those, of a joint limit.
 
         Args:
@@ -347,6 +358,7 @@ class Saltation:
             q: (nq,) configuration.
             v: (nv,) velocity before it.
             resting: Whether restitution is left out.
+            law: Another law than the contact's.
         """
         contacts = self._dynamics.contacts
         nv = len(v)
@@ -360,14 +372,19 @@ class Saltation:
             points = closest_points(self._model, self._data, q, self._pairs[contact.pair])
             contact, lasting, swapped = points[0][1:]
             lasting = lasting if len(points) == 1 else None
-        if resting:
-            contact = replace(contact, restitution=0.0)
-            lasting = lasting and replace(lasting, restitution=0.0)
+        bounces = contact.restitution != 0.0
+        other: dict[str, Any] = {"restitution": 0.0} if resting else {}
+        other |= {"law": law} if law is not None else {}
+        if other:
+            contact = replace(contact, **other)
+            lasting = lasting and replace(lasting, **other)
         point, rest = (contact, lasting, swapped), (self._held, self._locked)
         d = derivatives_at_point(self._model, self._data, q, v, point, *rest)
         by_state[nv:, :nv], by_state[nv:, nv:] = d.dv_dq, d.dv_dv
         guard = contact_matrices(self._model, self._data, q, contact).jacobian[2]
-        return Jump(by_state, d.dv_dfriction, d.dv_drestitution, guard, d.boundary)
+        by_restitution = np.zeros(nv) if resting and bounces else d.dv_drestitution
+        flags = d.boundary | (Boundary.LAST_BOUNCE if resting and bounces else Boundary.NONE)
+        return Jump(by_state, d.dv_dfriction, by_restitution, guard, flags, d.v)
 
     def _jump_at_limit(self, k: int, q: Array, v: Array, resting: bool, by_state: Array) -> Jump:
         """v⁺ = v − (1 + e) v_j y/y_j, y = M⁻¹e_j, and ∂y/∂q = −M⁻¹ ∂(M y)/∂q."""
@@ -390,7 +407,7 @@ class Saltation:
         by_state[nv:, nv + j] += factor * y
         guard = np.zeros(nv)
         guard[j] = limit.sign
-        return Jump(by_state, zero, zero, guard, Boundary.NONE)
+        return Jump(by_state, zero, zero, guard, Boundary.NONE, v + factor * v[j] * y)
 
     def _mass_slopes(self, q: Array, x: Array) -> Array:
         """Return ∂(M x)/∂q."""

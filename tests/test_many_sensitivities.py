@@ -1,0 +1,164 @@
+"""Derivatives of motions through impacts at several contacts against differences of `simulate`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Boundary, Contact, Plane, Scene, Stepper, simulate
+
+from .robot_cases import load
+from .test_sensitivities import FREE, agrees, modes
+
+pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.JointLimitWarning")
+
+
+def groups(run):
+    """Return the sources of each impact at several contacts."""
+    found = {}
+    for record in run.impacts:
+        if record.group is not None:
+            found.setdefault(record.time, set()).add(record.source)
+    return list(found.values())
+
+
+def landing(mu, e, v, dry=0.0):
+    """Return solo12 with two feet just above the floor, tilted, and a state in which they land in turn."""
+    model, data = load("solo12")
+    model.friction = np.r_[np.zeros(6), dry * np.ones(12)]
+    model.damping, model.armature = (
+        np.r_[np.zeros(6), 0.05 * np.ones(12)],
+        np.r_[np.zeros(6), 0.01 * np.ones(12)],
+    )
+    common = {"law": "energetic", "radius": 0.016}
+    feet = [
+        Contact("FL_FOOT", Plane(), mu, 0.0, name="first", **common),
+        Contact("HR_FOOT", Plane(), 0.5, e, name="second", **common),
+    ]
+    q = pin.integrate(
+        model, np.array(pinimpact.load_robot("solo12").q0), np.r_[0, 0, 0, 0.05, 0.04, 0, np.zeros(12)]
+    )
+    q = np.array(pinimpact.place_in_contact(model, data, q, feet[:1]))
+    q[2] += 0.005
+    swing = np.random.default_rng(3).normal(size=12)
+    return Scene(model, feet, **FREE), q, np.r_[v, 0, 0, 0, 0.05 * swing]
+
+
+def test_a_foot_strikes_while_another_sticks():
+    scene, q, v = landing(2.0, 0.0, [0.0, 0.0, -0.3])
+    run = agrees(scene, q, v, 0.03, 1, ("friction:second",))
+    assert {"first", "second"} in groups(run)
+    assert {("first", "stick"), ("second", "stick")} <= modes(run)
+
+
+def test_a_foot_bounces_while_another_slides():
+    scene, q, v = landing(0.05, 0.4, [0.5, 0.1, -0.3])
+    run = agrees(scene, q, v, 0.018, 2, ("friction:first", "restitution:second"))
+    assert {"first", "second"} in groups(run)
+    assert ("first", "slip") in modes(run)
+
+
+def test_joints_with_dry_friction_take_part():
+    scene, q, v = landing(2.0, 0.0, [0.5, 0.1, -0.3], dry=0.3)
+    run = agrees(scene, q, v, 0.03, 3)
+    assert groups(run)
+    assert any(mode == "stuck" for _, mode in modes(run))
+
+
+@pytest.mark.parametrize("e", [0.0, 0.4])
+def test_three_feet(e):
+    # bounces below the resting speed are taken away with all they do to what slides
+    model, _ = load("solo12")
+    q = np.array(pinimpact.load_robot("solo12").q0)
+    q[2] += 0.05
+    q = pin.integrate(model, q, np.array([0, 0, 0, 0.15, 0.1, 0.1, *np.zeros(12)]))
+    v = np.array([0.5, 0.3, -0.5, *0.3 * np.random.default_rng(3).normal(size=15)])
+    feet = [
+        Contact(f"{leg}_FOOT", Plane(), mu, bounce, "energetic", radius=0.016, name=leg)
+        for leg, mu, bounce in (("FL", 0.8, 0.0), ("HR", 0.5, e), ("FR", 0.5, e))
+    ]
+    run = agrees(Scene(model, feet, **FREE), q, v, 0.12, 1, ("friction:HR",))
+    assert groups(run)
+
+
+def arm():
+    """Return three links whose elbow hangs on its lower limit."""
+    model, parent = pin.Model(), 0
+    for i, lower in enumerate((-10.0, -0.3, -10.0)):
+        kind = pin.JointModelRY() if i < 2 else pin.JointModelRX()
+        at = pin.SE3(np.eye(3), np.array([0.5 * (i > 0), 0.0, 0.0]))
+        most, bounds = np.array([100.0]), (np.array([lower]), np.array([10.0]))
+        parent = model.addJoint(parent, kind, at, f"j{i}", most, most, *bounds)
+        link = pin.Inertia(1.0, np.array([0.25, 0.02 * i, 0.01]), np.diag([0.01, 0.03, 0.03]))
+        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([0.5, 0.1, 0.0]))
+    model.addFrame(pin.Frame("tip", parent, 0, tip, pin.FrameType.OP_FRAME))
+    return model
+
+
+@pytest.mark.parametrize(("e", "dry"), [(0.5, 0.0), (0.0, 0.0), (0.5, 0.5)])
+def test_a_joint_limit_takes_part(e, dry):
+    # the tip strikes while the elbow is on its limit, or the elbow while the tip is on the floor
+    model = arm()
+    model.friction[:] = dry
+    tip = Contact("tip", Plane(point=(0, 0, -0.45)), 0.3, e, "energetic", name="tip")
+    run = agrees(
+        Scene(model, [tip], limit_restitution=0.0), *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.1]]), 0.5, 0
+    )
+    assert {"tip", "j1 lower"} in groups(run)
+
+
+@pytest.mark.parametrize(("mu", "e"), [(1.0, 0.3), (0.1, 0.0)])
+def test_a_planar_biped(mu, e):
+    # W is singular, and a foot that is closed is lifted by the other one's impact
+    model = pin.Model()
+    upright = pin.SE3(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0), np.zeros(3))
+    base = model.addJoint(0, pin.JointModelPlanar(), upright, "base")
+    model.appendBodyToJoint(base, pin.Inertia(5.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    for side in "lr":
+        parent, height = base, -0.1
+        for name, mass, inertia in (("hip", 1.0, 0.02), ("knee", 0.5, 0.01)):
+            at = pin.SE3(np.eye(3), np.array([0.0, height, 0.0]))
+            parent, height = model.addJoint(parent, pin.JointModelRZ(), at, side + name), -0.4
+            link = pin.Inertia(mass, np.array([0.0, -0.2, 0.0]), inertia * np.eye(3))
+            model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+        tip = pin.SE3(np.eye(3), np.array([0.0, -0.4, 0.0]))
+        model.addFrame(pin.Frame(side, parent, 0, tip, pin.FrameType.OP_FRAME))
+    feet = [
+        Contact(name, Plane(), *of, "energetic", name=name) for name, *of in (("l", mu, 0.0), ("r", 0.5, e))
+    ]
+    q, data = np.array([0, 1, 1, 0, 0.3, -0.2, -0.25, -0.1]), model.createData()
+    v = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3, 0.2])
+    q[1] -= min(foot.gap(model, data, q) for foot in feet) - 0.02
+    run = agrees(Scene(model, feet), q, v, 0.15, 0, ("friction:r",))
+    assert len(run.impacts) >= 2
+
+
+def test_linearize_through_it():
+    scene, q, v = landing(2.0, 0.0, [0.0, 0.0, -0.3])
+    exact = {"rtol": 1e-12, "atol": 1e-14}
+    stepper, tau = Stepper(scene, q, v, **exact), 0.1 * np.r_[np.zeros(6), np.ones(12)]
+    stepper.step(tau, 0.0125)  # one foot has landed
+    q, v = stepper.q, stepper.v
+    A, B = found = stepper.linearize(tau, 0.01)
+    assert found.boundary in (Boundary.NONE, Boundary.CLOSED)
+    rng = np.random.default_rng(1)
+    dx, du = rng.normal(size=36), rng.normal(size=18)
+    # changes of the state that keep the foot where it is and at rest
+    foot = pinimpact.contact_matrices(scene.model, scene.model.createData(), q, scene.contacts[1]).jacobian
+    dx[:18] = 0.0
+    dx[18:] -= np.linalg.pinv(foot) @ foot @ dx[18:]
+
+    def after(h):
+        other = Stepper(scene, q, v + h * dx[18:], **exact)
+        return np.concatenate(other.step(tau + h * du, 0.01))
+
+    a, b, c, d = (after(k * 2e-5) for k in (-2, -1, 1, 2))
+    middle = after(0.0)[: len(q)]
+    a, b, c, d = (np.r_[pin.difference(scene.model, middle, x[:19]), x[19:]] for x in (a, b, c, d))
+    expected = (a - 8 * b + 8 * c - d) / 24e-5
+    assert np.linalg.norm(A @ dx + B @ du - expected) < 1e-6 * np.linalg.norm(expected)
+    run = simulate(scene, q, v, 0.01)
+    assert groups(run)
