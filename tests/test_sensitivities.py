@@ -284,24 +284,63 @@ def test_a_panda_bounces_under_a_control_that_is_a_function(period):
     assert run.impacts
 
 
-def test_a_sampled_control_lets_a_block_slip_and_stick():
+@pytest.mark.parametrize("across", [0.0, 1.0])
+def test_a_sampled_control_lets_a_block_slip_and_stick(across):
+    # where slip turns, errors of steps leave a speed at its end
     model = point("block")
     model.gravity.linear[:] = 0.0, 0.0, -9.81
     block = Contact("block centre", Plane(), 0.3, name="block")
 
     def push(t, q, v):
-        return np.array([4.0 * np.cos(20.0 * t) + 3.0 * q[0] - v[0], 0.0, 0.0])
+        return np.array([4.0 * np.cos(20.0 * t) + 3.0 * q[0] - v[0], across * (0.5 - v[1]), 0.0])
 
-    push.jacobian = lambda t, q, v: np.array([[3.0, 0, 0, -1.0, 0, 0], [0.0] * 6, [0.0] * 6])
+    push.jacobian = lambda t, q, v: np.array([[3.0, 0, 0, -1, 0, 0], [0, 0, 0, 0, -across, 0], [0] * 6])
     scene = Scene(model, [block], control=push, period=0.05)
-    q, v = np.zeros(3), np.array([0.3, 0.0, 0.0])
+    q, v = np.zeros(3), np.array([0.3, 0.1 * across, 0.0])
     run = simulate(scene, q, v, 1.0, sensitivities="state", **(EXACT | {"rtol": 1e-10}))
     assert {mode for _, mode in modes(run)} >= {"stick", "slip"}
     found = run.sensitivity(1.0)
     assert not np.isnan(found.state).any()
-    for towards in np.eye(6)[[0, 3]]:  # along the slip
+    for towards in np.eye(6)[[0, 1, 3, 4] if across else [0, 3]]:  # along the plane
         expected = slope(scene, q, v, 1.0, towards, step=1e-6)
         assert np.abs(found.state @ towards - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1.0)
+
+
+@pytest.mark.parametrize("period", [None, 1e-3])
+def test_a_quadruped_lands_and_trots(period):
+    model, _ = load("solo12")
+    q = np.array(pinimpact.load_robot("solo12").q0)
+    q[7:] = np.tile([0.0, 0.7, -1.4], 4)
+    names = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+    feet = [Contact(name, Plane(), 0.7, radius=0.016, name=name) for name in names]
+    q = pinimpact.place_in_contact(model, model.createData(), q, feet)
+
+    def control(t, at, v):
+        target, phase = q[7:].copy(), np.sin(4.0 * np.pi * t)
+        for leg in (0, 3) if phase > 0.0 else (1, 2):
+            target[3 * leg : 3 * leg + 3] += abs(phase) * np.array([0.0, 0.35, -0.7])
+        return np.concatenate([np.zeros(6), 12.0 * (target - at[7:]) - 0.3 * v[6:]])
+
+    by_state = np.zeros((18, 36))
+    by_state[6:, 6:18], by_state[6:, 24:] = -12.0 * np.eye(12), -0.3 * np.eye(12)
+    control.jacobian = lambda t, q, v: by_state
+    rng = np.random.default_rng(3)
+    above = q + np.eye(19)[2] * 0.02
+    q0 = pin.integrate(model, above, np.concatenate([np.zeros(3), 0.02 * rng.normal(size=15)]))
+    scene, v0 = Scene(model, feet, control=control, period=period), 0.05 * rng.normal(size=18)
+    run = simulate(scene, q0, v0, 0.3, sensitivities="state", **(EXACT | {"rtol": 1e-10}))
+    towards, e = rng.normal(size=36), 1e-7
+    left, right = (
+        simulate(scene, pin.integrate(model, q0, s * towards[:18]), v0 + s * towards[18:], 0.3, **EXACT)
+        for s in (-e, e)
+    )
+    moved = pin.difference(model, left.q[-1], right.q[-1]), right.v[-1] - left.v[-1]
+    expected = np.concatenate(moved) / (2.0 * e)
+    found = run.sensitivity(0.3).state @ towards
+    assert np.linalg.norm(found - expected) <= 1e-6 * np.linalg.norm(expected)
+    # feet strike while others are closed, slip and stick
+    assert sum(record.group is not None for record in run.impacts) > 5
+    assert {"stick", "slip"} <= {mode for _, mode in modes(run)}
 
 
 def test_a_control_derivative_of_the_wrong_shape():

@@ -263,7 +263,7 @@ class Saltation:
             return self._undefined(x, Boundary.EVENTS_COINCIDE)  # one after the other at one instant
         closes = closes.copy()
         closes[[self._source[record.source]] if group is None else list(group.sources)] = False
-        error = self._error(record.v_before)
+        error = self.error(record.v_before)
         removed = record.v_after - rates[1][:nv]
         if closes.any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
@@ -415,7 +415,8 @@ class Saltation:
         still = pin.computeGeneralizedGravityDerivatives(model, data, q).copy()
         return np.asarray(pin.computeRNEADerivatives(model, data, q, np.zeros(len(x)), x)[0] - still)
 
-    def _error(self, v: Array) -> float:
+    def error(self, v: Array) -> float:
+        """Return the error of a velocity that the tolerances allow."""
         work = self._dynamics.work
         return float(work.atol + work.rtol * np.abs(v).max(initial=0.0))
 

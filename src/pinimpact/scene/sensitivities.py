@@ -16,17 +16,17 @@ from .._numeric.tolerances import RANK
 from ..checks import in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
-from ._kernels.contact_forces import RIGID
+from ._kernels.contact_forces import RIGID, SLIP, STICK
 from ._kernels.variations import changes_at_end, stage_equations
 from .control_slopes import HeldForces, forces_by_state, jacobian_of
 from .controls import JointPD
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .events import as_events
-from .forces import StepForces
+from .forces import ClosedSet, StepForces
 from .mode_slopes import SlopesWithin
 from .records import EventRecord, ImpactRecord, Sensitivity, SteppedInterval
-from .saltation import Parameter, Saltation
+from .saltation import SLOWEST, Parameter, Saltation
 from .scene import Scene
 
 Array = NDArray[np.float64]
@@ -355,7 +355,9 @@ class Sensitivities:
                 self._hold(k - 1)
                 x = self._slopes.along(x, before, before.end)
                 if self._held is None or not self._held.begins(now):
-                    x = saltation.cross(x, before, steps[k], struck, called)
+                    stuck = k if struck or called else self._next_stick(k)
+                    x = saltation.cross(x, before, steps[stuck], struck, called)
+                    self._starts += [(x, saltation.boundary)] * (stuck - k)
                 elif struck or called:  # whatever comes first decides
                     saltation.boundary |= Boundary.EVENTS_COINCIDE
                     x = np.full_like(x, np.nan)
@@ -363,6 +365,35 @@ class Sensitivities:
                     self._held.ask(now, steps[k].q, steps[k].v, x)
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
+
+    def _next_stick(self, k: int) -> int:
+        """Return the step in which slip sticks that has ended before step k but for errors, else k.
+
+        Errors of steps leave a speed where slip ends, with which it goes on in another direction for no time.
+        """
+        steps, saltation = self._steps, self._slopes.saltation
+        closed, begun = steps[k - 1].closed, steps[k].start
+        if not isinstance(closed, ClosedSet) or closed is steps[k].closed or not closed.slips:
+            return k
+        slow = SLOWEST * saltation.error(steps[k].v)
+
+        def slowed(step: DenseStep) -> NDArray[np.int64]:
+            speeds = saltation.slopes.speeds(step, np.array([step.end]))[0]
+            contacts = np.flatnonzero(closed.modes)[: len(speeds)]
+            return contacts[(closed.modes[contacts] == SLIP) & (speeds <= slow)]
+
+        ends = slowed(steps[k - 1])
+        times = [*(one.time for one in self._impacts), *(one.time for one in self._events)]
+        for m in range(k, len(steps) if len(ends) else k):
+            now = steps[m].closed
+            happens = any(begun < time <= steps[m].start for time in times)
+            if happens or not isinstance(now, ClosedSet):
+                break
+            if (now.modes[ends] == STICK).any():
+                return m
+            if not np.array_equal(now.modes, closed.modes) or not np.isin(ends, slowed(steps[m])).any():
+                break
+        return k
 
     def at(self, number: int, t: float) -> Sensitivity:
         """Return the sensitivity at a time in the step of a number."""
