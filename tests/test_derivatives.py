@@ -318,6 +318,69 @@ def test_rank_is_flagged():
     assert np.abs(d.dP_ddelassus[0, 0, :] - other.dP_ddelassus[0, 0, :])[[0, 2]].max() < 1e-12
 
 
+THRESHOLD = np.array([[1.0, 0.0, RATIO[0]], [0.0, 1.0, RATIO[1]], [RATIO[0], RATIO[1], 1.0]])
+SIDES = {
+    # W, v, μ, the power of the reference's step, and columns along which the boundary goes on
+    "start at rest": (W0, [0.0, 0.0, -1.0], 0.05, 20, []),
+    "grazing": (W0, [1.0, 0.0, 0.0], 0.3, 12, []),
+    "threshold": (THRESHOLD, [0.0, 0.0, -1.0], RATIO[2], 12, []),
+    "slip ends with compression": (np.eye(3), [0.5, 0.0, -1.0], 0.5, 12, [6]),
+    "slip ends with the impact": (np.eye(3), [0.75, 0.0, -1.0], 0.5, 12, [6]),
+}
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("kind", SIDES)
+def test_derivatives_to_one_side(kind, side):
+    W, v, mu, power, along = SIDES[kind]
+    problem = ImpactProblem(W, v, mu, 0.5)
+    both = columns_of(pinimpact.solve_impact(problem, derivatives=True).derivatives)
+    found = columns_of(pinimpact.solve_impact(problem, derivatives=True, side=side).derivatives)
+    missing = np.isnan(both).any(axis=0)
+    assert np.array_equal(found[:, ~missing], both[:, ~missing])
+    assert np.flatnonzero(np.isnan(found).any(axis=0)).tolist() == along
+    wanted = [k for k in np.flatnonzero(missing).tolist() if k not in along]
+    reference = slopes(W, v, mu, 0.5, "poisson", wanted, side, power)
+    assert np.abs(found - reference)[:, wanted].max() < 2e-8
+
+
+def test_where_v_jumps_only_one_side_has_a_slope():
+    # no impact for the least separation, and for the least approach the one that takes place here
+    problem = ImpactProblem(
+        np.array([[1.2, 0.0, 1.0], [0.0, 8.0, 0.0], [1.0, 0.0, 1.0]]), [1.0, 0, 0], 1.5, 0.5
+    )
+    ahead, behind = (pinimpact.solve_impact(problem, derivatives=True, side=s).derivatives for s in (1, -1))
+    assert np.isnan(ahead.dv_dv[:, 2]).all()
+    reference = slopes(problem.delassus, problem.velocity, 1.5, 0.5, "poisson", [2], -1)
+    assert np.abs(columns_of(behind)[:, 2] - reference[:, 2]).max() < 1e-9
+
+
+def test_slopes_that_grow_without_bound_have_no_side():
+    # a root of the distance to an event at which the peak of v₃ just reaches the goal of Newton's law
+    W, v, mu = np.array([[1.2, 0, 1], [0, 8, 0], [1, 0, 1]]), np.array([0.5, 12, -0.5]), 1.5
+    low, high = 0.01, 0.99
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        flags = pinimpact.solve_impact(ImpactProblem(W, v, mu, middle, "newton")).flags
+        low, high = (low, middle) if Flag.SECOND_COMPRESSION in flags else (middle, high)
+    problem = ImpactProblem(W, v, mu, low, "newton")
+    found = pinimpact.solve_impact(problem, derivatives=True, side=-1).derivatives
+    assert np.isnan(found.dv_drestitution).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"derivatives": True, "side": 2}, "1 or −1"),
+        ({"derivatives": True, "side": True}, "1 or −1"),
+        ({"side": 1}, "without derivatives"),
+    ],
+)
+def test_sides_that_there_are_not(options, words):
+    with pytest.raises(pinimpact.InputError, match=f"side: .*{words}"):
+        pinimpact.solve_impact(ImpactProblem(W0, [1, 0, -1], 0.3, 0.5), **options)
+
+
 def test_boundaries_have_sentences():
     assert len((Boundary.JUMP | Boundary.RANK).describe()) == 2
     assert Boundary.NONE.describe() == ()

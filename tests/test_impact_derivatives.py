@@ -8,6 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from mpmath import mp, mpf
 
 import pinimpact
 from pinimpact import Boundary, Contact, ImpactProblem, Plane, Shape, Sphere
@@ -17,6 +18,7 @@ from pinimpact.robot.data_cache import data_cache
 from pinimpact.robot.names import free_velocities
 from pinimpact.robot.shape_pair import shape_pair
 
+from .reference.reference import solve_reference
 from .robot_cases import FRAMES, gripper, load, random_state
 from .test_contacts_matrices import INERTIAL
 from .test_shape_pairs import two_bodies
@@ -328,6 +330,75 @@ def test_a_ball_where_features_meet(place, meet):
     for of_q in (d.dv_dq, d.dP_dq):
         assert np.isnan(of_q).all() == meet
     assert np.isfinite(d.dv_dv).all()
+
+
+# ---- to one side
+
+
+def slope_to(side, function, n, step=STEP):
+    """Return the derivatives of a function of (n,) at zero to one side, by differences of third order."""
+    here, columns = function(np.zeros(n)), []
+    for unit in np.eye(n) * step * side:
+        a, b, c = (function(k * unit) for k in (1, 2, 3))
+        columns.append((-11 * here + 18 * a - 9 * b + 2 * c) / (6 * side * step))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_ball_where_features_meet_to_one_side(side):
+    robot = two_bodies(BALL, BRICK)
+    q = np.array([0.2, 0.06, 0.2, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1.0])
+    v = np.array([-1.0, -1.0, -1.0, *np.zeros(9)])
+    contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.5)
+    d = pinimpact.impact_derivatives(robot, robot.data, q, v, contact, side=side)
+
+    def after(e):
+        hit = pinimpact.impact(robot, robot.data, pin.integrate(robot.model, q, e), v, contact)
+        return np.concatenate([hit.v, hit.impulse_world])
+
+    expected, known = slope_to(side, after, 12), np.isfinite(d.dv_dq).all(axis=0)
+    assert known[[0, 6, 10]].all()  # along x and about y
+    assert close(d.dv_dq[:, known], expected[:12, known])
+    assert close(d.dP_dq[:, known], expected[12:, known])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_start_at_rest_to_one_side(side):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = pin.Inertia(1.0, np.array([0.01, 0.02, 0.0]), np.diag([0.02, 0.03, 0.01]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    place = pin.SE3(np.eye(3), np.array([0.1, 0.05, -0.2]))
+    model.addFrame(pin.Frame("tip", joint, place, pin.FrameType.OP_FRAME))
+    data, contact = model.createData(), Contact("tip", Plane(), 0.1, 0.5)
+    q, v = pin.neutral(model), np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    both = pinimpact.impact_derivatives(model, data, q, v, contact)
+    assert both.boundary == Boundary.START_AT_REST
+    missing = np.isnan(both.dv_dv).any(axis=0)
+    assert missing.tolist() == [True, True, False, True, True, True]  # that along z changes no slip
+    d = pinimpact.impact_derivatives(model, data, q, v, contact, side=side)
+    assert np.array_equal(d.dv_dv[:, 2], both.dv_dv[:, 2])
+    problem = pinimpact.impact(model, data, q, v, contact).problem
+    rows, h = pinimpact.contact_matrices(model, data, q, contact).jacobian, mpf(10) ** -20
+    with mp.workdps(60):
+        W, P = [[mpf(x) for x in row] for row in problem.delassus.tolist()], []
+        for change in (np.zeros(3), *rows.T * side):
+            at = [
+                mpf(a) + h * mpf(b) for a, b in zip(problem.velocity.tolist(), change.tolist(), strict=True)
+            ]
+            P.append(solve_reference(W, at, mpf(0.1), mpf(0.5), "poisson", digits=50).impulse)
+        expected = np.array(
+            [[float((b - a) / h) * side for a, b in zip(P[0], one, strict=True)] for one in P[1:]]
+        )
+    assert close(d.dP_dv, expected.T, 1e-7)
+    assert np.isfinite(d.block).all()
+    assert close(
+        slope_to(
+            side, lambda e: pinimpact.impact(model, data, pin.integrate(model, q, e), v, contact).v, 6, 1e-9
+        ),
+        d.dv_dq,
+        1e-3,
+    )
 
 
 MODEL, DATA = load("panda")

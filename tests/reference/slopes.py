@@ -12,10 +12,10 @@ INPUTS = 11
 """v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e, in this order."""
 
 
-def slopes(W, v, mu, e, law: str, columns=range(INPUTS)) -> np.ndarray:
+def slopes(W, v, mu, e, law: str, columns=range(INPUTS), to: int = 0, power: int = 12) -> np.ndarray:
     """Return ∂(v⁺, P) by the inputs, (6, 11), to some twenty digits; one-sided where μ or e is at a bound.
 
-    Columns that are not wanted are zero.
+    Columns that are not wanted are zero. With `to` all are one-sided, for changes 10^-power of that sign.
     """
     at = [mpf(float(x)) for x in (*v, *np.asarray(W)[np.triu_indices(3)], mu, e)]
 
@@ -29,8 +29,9 @@ def slopes(W, v, mu, e, law: str, columns=range(INPUTS)) -> np.ndarray:
     found = np.zeros((6, INPUTS))
     with mp.workdps(80):
         for column in columns:
-            h = STEP
+            h = STEP if not to else mpf(10) ** -power
             side = 1 if column >= 9 and at[column] == 0 else -1 if column == 10 and at[column] == 1 else 0
+            side = to or side
             if side:
                 parts = [answer(column, k * side * h) for k in range(3)]
                 change = [(-3 * a + 4 * b - c) / (2 * side * h) for a, b, c in zip(*parts, strict=True)]

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..status import Status
 from .inputs import FACTOR, Array, Inputs
+from .one_sided import fill_one_sided_of_problem
 
 
 class Boundary(enum.IntFlag):
@@ -118,8 +120,16 @@ def empty_slopes(count: int) -> tuple[Array, NDArray[np.int64]]:
     return np.empty((count, 6, 14)), np.empty(count, dtype=np.int64)
 
 
-def derivatives_of(inputs: Inputs) -> Derivatives:
-    """Return the derivatives of a problem that has an answer, given by its numbers."""
+def derivatives_of(inputs: Inputs, side: int | None = None) -> Derivatives:
+    """Return the derivatives of a problem that has an answer; for `side` see `solve_impact`."""
+    values, slopes, boundary, _ = _differentiated(inputs)
+    if side is not None:
+        fill_one_sided_of_problem(inputs, slopes, values, side, _answered)
+    return named_derivatives(slopes, Boundary(boundary))
+
+
+def _differentiated(inputs: Inputs) -> tuple[Array, Array, int, int]:
+    """Return v⁺ and P (6,) of a problem, their slopes (6, 14), `Boundary` and status."""
     w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, scale, factor = inputs
     slopes, boundary = empty_slopes(1)
     matrix = np.array([[[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]])
@@ -130,7 +140,12 @@ def derivatives_of(inputs: Inputs) -> Derivatives:
         *(matrix, np.array([[v1, v2, v3]]), coefficients[0], coefficients[1], law, coefficients[2], factors),
         (numbers, codes, slopes, boundary),
     )
-    return named_derivatives(slopes[0], Boundary(boundary[0]))
+    return numbers[0, :6], slopes[0], int(boundary[0]), int(codes[0, 0])
+
+
+def _answered(inputs: Inputs) -> tuple[Array, Array] | None:
+    values, slopes, _, status = _differentiated(inputs)
+    return (values, slopes) if 0 <= status <= Status.LOCKED else None
 
 
 def check_derivatives(wanted: bool, what: str) -> None:

@@ -10,6 +10,7 @@ from ..errors import InputError
 from .derivatives import check_derivatives, derivatives_of
 from .many_solution import ManySolution
 from .one_contact import solve_inputs
+from .one_sided import check_side
 from .problem import ImpactProblem, contact_inputs, single_precision_hint
 from .simultaneous import solve_many
 from .solution import Solution
@@ -23,6 +24,7 @@ def solve_impact(
     *,
     simultaneous: None = ...,
     derivatives: bool = ...,
+    side: int | None = ...,
     **options: Any,
 ) -> Solution: ...
 
@@ -40,6 +42,7 @@ def solve_impact(
     *,
     simultaneous: str | None = None,
     derivatives: bool = False,
+    side: int | None = None,
     **options: Any,
 ) -> Solution | ManySolution:
     """Solve a frictional impact.
@@ -50,6 +53,8 @@ def solve_impact(
         record: Whether to record the path.
         simultaneous: Policy for n contacts, by default ``"propagate"``; see `POLICIES`.
         derivatives: Whether to compute ``solution.derivatives``, for one contact and ``"exact"``.
+        side: 1 or −1, for one contact: columns without derivative are those to this side where they exist,
+            for a change of that sign. (docs/derivatives.md, 6)
         **options: Options of the method or policy, such as ``steps=`` of ``"euler"``.
 
     Returns:
@@ -67,6 +72,7 @@ def solve_impact(
             field="problem",
             value=problem,
         )
+    check_side(side, "" if derivatives else "impacts without derivatives=True")
     if np.ndim(problem.velocity) == 2 or simultaneous is not None:
         if np.ndim(problem.velocity) != 2:
             raise InputError(
@@ -87,5 +93,5 @@ def solve_impact(
             raise
         raise InputError(f"{error}{hint}", field="delassus", value=problem.delassus) from None
     if derivatives:
-        solution.derivatives = derivatives_of(inputs)
+        solution.derivatives = derivatives_of(inputs, side)
     return solution

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import above_zero, finite_array, float_array
 from ..contact_space.derivatives import Boundary
+from ..contact_space.one_sided import check_side
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.solve import solve_impact
 from ..errors import InputError, ModelError
@@ -24,6 +25,7 @@ from .forest import composite_inertias, joint_jacobian
 from .held import check_at_rest
 from .matrices import ContactMatrices, contact_geometry, contact_matrices, independent
 from .names import free_velocities, model_of
+from .one_sided import fill_one_sided_of_robot
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
 from .shape_pair import closest_points, is_pair, shape_pair
@@ -155,6 +157,7 @@ def impact_derivatives(
     held: Sequence[Contact] = (),
     locked: Sequence[str | int] = (),
     simultaneous: str = "propagate",
+    side: int | None = None,
 ) -> ImpactDerivatives | ManyImpactDerivatives:
     """Return the derivatives of the impact of a robot at a contact, or at several at one instant.
 
@@ -173,6 +176,8 @@ def impact_derivatives(
         held: Contacts that hold during the impact.
         locked: Joints, by name or id, whose velocity the impact does not change.
         simultaneous: Policy of `solve_impact`, for a list of contacts.
+        side: 1 or −1, for one contact: columns without derivative are those to this side where they exist,
+            for a change of that sign. (docs/derivatives.md, 6)
 
     Returns:
         `ImpactDerivatives`; `ManyImpactDerivatives` for a list of contacts, also of one.
@@ -187,8 +192,19 @@ def impact_derivatives(
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         from .many_derivatives import derivatives_at_many
 
+        check_side(side, "n contacts")
         return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous)
-    block, boundary = _differentiated(model, data, q, v, contact, check_held(held), locked, True)
+    check_side(side)
+    rest = check_held(held), locked, True
+    block, boundary = _differentiated(model, data, q, v, contact, *rest)
+    if side is not None and np.isnan(block).any():
+        own, cache = model_of(model), data_cache(model_of(model), data)
+        at = float_array("q", q, cache.q_shape), float_array("v", v, cache.v_shape)
+
+        def evaluate(q: Array, v: Array, contact: Contact) -> Array:
+            return _differentiated(model, data, q, v, contact, *rest)[0]
+
+        fill_one_sided_of_robot(block, side, own, *at, contact, evaluate)
     return ImpactDerivatives(block, Boundary(boundary))
 
 

@@ -25,7 +25,7 @@ from .configuration_slopes import (
     velocity_slopes,
 )
 from .contact_kinematics import fill_by_axes
-from .placement import along, cross, rotate
+from .placement import cross, rotate, rotate_back
 from .robot_impact import NOT_NORMALIZED, SINGULAR_MASS, all_finite, evaluate, meet, parts
 from .robot_workspace import RobotWorkspace
 from .tree import factor, solve, solve_mass
@@ -91,6 +91,12 @@ def impact_slopes(
     turn_slopes(shifts, f1, f2, f3, turned)
 
 
+@inlined
+def by(slope, change):
+    """Return a slope times a change: none for none, where the slope is NaN too."""
+    return slope * change if change != 0.0 else 0.0
+
+
 @declared(
     *(FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLOATS, FLOAT_ROWS, float, bool, FLOAT_ROWS),
     *(FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS),
@@ -113,20 +119,23 @@ def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, re
     first, more = 0 if by_q else nv, 2 * nv
     rows = np.empty((3, more + MORE))
     x1, x2, x3 = at[POINT] - at[ORIGIN], at[POINT + 1] - at[ORIGIN + 1], at[POINT + 2] - at[ORIGIN + 2]
+    moving = np.empty((6, 3))  # what its velocities along and about its axes are at the point
+    for j in range(3):
+        d1, d2, d3 = carrier[3 * j], carrier[3 * j + 1], carrier[3 * j + 2]
+        moving[j, 0], moving[j, 1], moving[j, 2] = rotate_back(at, d1, d2, d3)
+        d1, d2, d3 = cross(d1, d2, d3, x1, x2, x3)
+        moving[3 + j, 0], moving[3 + j, 1], moving[3 + j, 2] = rotate_back(at, d1, d2, d3)
     for i in range(3):
         row, s = rows[i], slopes[i]
         s1, s2, s3 = s[0], s[1], s[2] - slope * s[10]
         for k in range(first, nv):
-            row[k] = s1 * data[0, k] + s2 * data[1, k] + s3 * data[2, k]
+            row[k] = by(s1, data[0, k]) + by(s2, data[1, k]) + by(s3, data[2, k])
             for j in range(3, 9):
-                row[k] += s[j] * data[j, k]
+                row[k] += by(s[j], data[j, k])
         for k in range(nv):
-            row[nv + k] = s1 * jacobian[0, k] + s2 * jacobian[1, k] + s3 * jacobian[2, k]
-        u1, u2, u3 = rotate(at, s1, s2, s3)
-        w1, w2, w3 = cross(x1, x2, x3, u1, u2, u3)
-        for j in range(3):
-            row[more + SURFACE + j] = -along(carrier, 3 * j, u1, u2, u3)
-            row[more + SURFACE + 3 + j] = -along(carrier, 3 * j, w1, w2, w3)
+            row[nv + k] = by(s1, jacobian[0, k]) + by(s2, jacobian[1, k]) + by(s3, jacobian[2, k])
+        for j in range(6):
+            row[more + SURFACE + j] = -by(s1, moving[j, 0]) - by(s2, moving[j, 1]) - by(s3, moving[j, 2])
         row[more + FRICTION], row[more + RESTITUTION], row[more + VALUE] = s[9], s[10], impulse[i]
     for m in range(nv):
         y1, y2, y3 = y[0, m], y[1, m], y[2, m]

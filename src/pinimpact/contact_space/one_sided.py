@@ -1,0 +1,122 @@
+"""Derivatives to one side where there are none to both. (docs/derivatives.md, 6)"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import in_short
+from ..errors import InputError
+from .inputs import NO_FACTOR, Inputs
+
+Array = NDArray[np.float64]
+
+STEPS = 1e-6, 1e-8, 1e-10, 1e-12
+"""Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
+
+SETTLED, KNOWN, NEAR = 1e-10, 1e-5, 1e-4
+"""Distances of slopes from their limit, over their size: rounding; from which on none is nearer; and the
+largest. The error of the limit is about the square."""
+
+FOLLOWS = 0.05
+"""Difference of slope and values up to which they do: at a jump or a root it is at least a half."""
+
+
+def check_side(side: int | None, without: str = "") -> None:
+    """Refuse sides but 1 and −1, and all for what has no derivatives to one side."""
+    if side is None:
+        return
+    what = f"not available for {without}" if without else f"{in_short(side)} given; 1 or −1 is expected"
+    if without or isinstance(side, bool) or side not in (1, -1):
+        raise InputError(f"side: {what}", field="side", value=side)
+
+
+def fill_one_sided(
+    slopes: Array,
+    values: Array,
+    sizes: Array,
+    side: int,
+    moved: Callable[[int, float], tuple[Array, Array] | None],
+) -> None:
+    """Fill columns that are NaN with their limits to one side, where these exist.
+
+    Args:
+        slopes: (m, n) of the values by the inputs.
+        values: (m,).
+        sizes: (n,) of the inputs.
+        side: 1 or −1.
+        moved: Returns the values, and their slopes by an input, where that input is moved by a step; None if
+            there are none.
+    """
+    for k in np.flatnonzero(np.isnan(slopes).any(axis=0) & (sizes > 0.0)).tolist():
+        unit, best, nearest = side * sizes[k], None, NEAR
+        for h in STEPS:
+            near = [moved(k, n * h * unit) for n in (1.0, 2.0, 4.0)]
+            found = [one[1] for one in near if one is not None]
+            if len(found) < len(near) or not np.isfinite(found).all():
+                break
+            limit, distance = _limit(*found)
+            if distance <= nearest:
+                best, nearest = limit, distance
+            if distance <= KNOWN:
+                break
+        beyond = moved(k, STEPS[0] * unit)
+        if best is None or beyond is None:
+            continue
+        change, size = (beyond[0] - values) / (STEPS[0] * unit), np.linalg.norm(values) / sizes[k]
+        if np.linalg.norm(change - best) <= FOLLOWS * (np.linalg.norm(best) + STEPS[0] * size):
+            slopes[:, k] = best
+
+
+def _limit(once: Array, twice: Array, again: Array) -> tuple[Array, float]:
+    """Return the limit of slopes at h, 2h and 4h, which go as c hᵖ towards it, and its distance. (D32)"""
+    size, change, more = (float(np.linalg.norm(x)) for x in (once, twice - once, again - twice))
+    if max(change, more) <= SETTLED * size:
+        return once, 0.0
+    if not (more > change > 0.0 and size > 0.0):
+        return once, np.inf
+    rest = (twice - once) / (more / change - 1.0)
+    return once - rest, float(np.linalg.norm(rest)) / size
+
+
+_ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+def fill_one_sided_of_problem(
+    inputs: Inputs,
+    slopes: Array,
+    values: Array,
+    side: int,
+    evaluate: Callable[[Inputs], tuple[Array, Array] | None],
+) -> None:
+    """Fill slopes (6, 14) of an impact in contact space to one side, where there are none to both.
+
+    Args:
+        inputs: The problem.
+        slopes: Those of v⁺ and P.
+        values: v⁺ and P (6,).
+        side: 1 or −1.
+        evaluate: Returns values and slopes of a problem; None if it has no answer.
+    """
+    W, mu = np.array(inputs[:6])[_ENTRY], inputs[9]
+    sizes = np.sqrt(np.outer(W.diagonal(), W.diagonal())).ravel()
+    speed = float(np.linalg.norm(inputs[6:9]))
+    every = np.concatenate([np.full(3, speed), sizes, [mu if mu > 0.0 else 1.0, 1.0]])
+
+    def moved(k: int, h: float) -> tuple[Array, Array] | None:
+        x: list[Any] = list(inputs)
+        if 3 <= k < 12:
+            i, j = divmod(k - 3, 3)
+            x[_ENTRY[i, j]] += h if i == j else 0.5 * h  # W is symmetric, and both entries count
+            x[13] = NO_FACTOR
+        else:
+            x[6 + k if k < 3 else k - 3] += h
+        if x[9] < 0.0 or not 0.0 <= x[10] <= 1.0:
+            return None
+        found = evaluate(tuple(x))
+        return None if found is None else (found[0], found[1][:, k])
+
+    fill_one_sided(slopes, values, every, side, moved)
