@@ -14,7 +14,7 @@ from .inputs import NO_FACTOR, Inputs
 
 Array = NDArray[np.float64]
 
-STEPS = 1e-6, 1e-8, 1e-10, 1e-12
+STEPS = 1e-5, 1e-6, 1e-8, 1e-10, 1e-12
 """Parts of its size by which an input is moved off a boundary, the first one by which the limit is known."""
 
 SETTLED, KNOWN, NEAR = 1e-10, 1e-5, 1e-4

@@ -306,6 +306,8 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
         n1 = n2 = gain = 0.0
         if not last_needed < i <= stop:
             n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values, found)
+            if math.isnan(found[VT1, 0]):
+                boundary |= STICK_THRESHOLD
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
             rest_at = p3

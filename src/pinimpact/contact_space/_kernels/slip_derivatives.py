@@ -50,6 +50,9 @@ TAIL = 1e-13
 UNSEEN = 1e-20
 """Tangent of an angle that changes no double: slip this close to an invariant direction is straight."""
 
+MOST = 1e5
+"""Panels that a move may take. Only slow slip that hardly gains speed needs more, at the stick threshold."""
+
 HALF_ANGLE, INVARIANT, STRAIGHT = 0, 1, 2
 """What a panel's length is: x of (3.9), L of (4.2), s of (3.5)."""
 
@@ -415,7 +418,7 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
         fast: The speed at its end.
 
     Returns:
-        ∫∫σ dP₃ dP₃ (2) over the move.
+        ∫∫σ dP₃ dP₃ (2) over the move. Sensitivities are NaN where it would need too many panels.
     """
     i1 = i2 = m1 = m2 = left = size = 0.0
     kind, first = int(STRAIGHT), slip.speed  # int(): numba 0.61 cannot unify its literals
@@ -435,6 +438,10 @@ def cross_move(units, slip, length, root, span, fast, mu, k1, k2, works, values,
         left = left / p.m0 if p.m0 != 0.0 else span / slip.speed
         steepest = max(abs(p.m0), 0.5 * abs(p.p1))
         size = EFOLDS / steepest if steepest > 0.0 else left
+    if math.inf > abs(left) > MOST * (EFOLDS if kind == INVARIANT else abs(size)):
+        for j in range(DATA - 1):
+            found[VT1, j] = found[VT2, j] = found[PATH, j] = math.nan
+        return 0.5 * span * span * slip.s1, 0.5 * span * span * slip.s2
     while abs(left) > 0.0:
         step, part, whole, form = min(size, left), min(size, left), 0.0, kind
         if kind == INVARIANT:
