@@ -110,6 +110,13 @@ def test_a_joint_limit_takes_part(e, dry):
     assert {"tip", "j1 lower"} in groups(run)
 
 
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_a_joint_limit_beside_a_locked_joint(e):
+    scene = Scene(arm(), [], limit_restitution=e, locked=["j2"])
+    run = agrees(scene, *np.array([[-0.2, -0.25, 0.05], [0.3, -0.2, 0.0]]), 0.1, 1)
+    assert run.impacts[0].source == "j1 lower"
+
+
 @pytest.mark.parametrize(("mu", "e"), [(1.0, 0.3), (0.1, 0.0)])
 def test_a_planar_biped(mu, e):
     # W is singular, and a foot that is closed is lifted by the other one's impact

@@ -617,7 +617,6 @@ def test_what_has_no_derivative_is_refused():
 
 def test_contacts_that_close_at_one_instant_have_no_derivative():
     contacts = [Contact(f"{name} centre", Plane(), 0.3, 0.5) for name in "ab"]
-    model = point("a", "b")
     rod = pin.Model()
     joint = rod.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "rod")
     rod.appendBodyToJoint(joint, pin.Inertia.FromCylinder(1.0, 0.05, 1.0), pin.SE3.Identity())
@@ -630,9 +629,24 @@ def test_contacts_that_close_at_one_instant_have_no_derivative():
     after = run.sensitivity(0.2)
     assert np.isnan(after.state).all()
     assert after.boundary & Boundary.EVENTS_COINCIDE
-    # balls that do not feel each other collide at the same time all the same
-    run = simulate(Scene(model, contacts), np.array([0, 0, 0.1, 1, 0, 0.1]), v, 0.2, sensitivities="state")
-    assert np.isnan(run.sensitivity(0.2).state).all()
+
+
+def test_balls_that_do_not_feel_each_other_close_at_one_instant():
+    # each has the derivatives that it has alone
+    contacts = [Contact(f"{name} centre", Plane(), 0.3, 0.5, name=name) for name in "ab"]
+    q, v = np.array([0.0, 0.0, 0.1, 1.0, 0.0, 0.1]), np.array([0.3, 0.1, 0.0, 0.0, 0.2, 0.0])
+    run = simulate(Scene(point("a", "b"), contacts), q, v, 0.2, sensitivities=("state", "friction:b"))
+    found = run.sensitivity(0.2)
+    for name, contact, own in zip("ab", contacts, (slice(3), slice(3, 6)), strict=True):
+        scene = Scene(point(name), [contact])
+        alone = simulate(scene, q[own], v[own], 0.2, sensitivities=("state", f"friction:{name}")).sensitivity(
+            0.2
+        )
+        rows = np.r_[np.arange(6)[own], 6 + np.arange(6)[own]]
+        assert np.allclose(found.state[np.ix_(rows, rows)], alone.state, atol=1e-12)
+        by = alone.parameters[f"friction:{name}"] if name == "b" else 0.0
+        assert np.allclose(found.parameters["friction:b"][rows], by, atol=1e-12)
+    assert not found.boundary
 
 
 def test_events_without_callback_change_nothing():

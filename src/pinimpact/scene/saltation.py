@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,25 +12,21 @@ from ..checks import finite_array, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
-from ..robot.derivatives import derivatives_at_point
 from ..robot.many_derivatives import RowSlopes
-from ..robot.matrices import contact_matrices
 from ..robot.placed_robot import PlacedRobot
-from ..robot.shape_pair import closest_points
 from ._kernels.contact_forces import SLIP, STICK
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
 from .forces import ClosedSet
-from .group_saltation import DEPENDENT, REPRODUCED, GroupJump, Parameter
+from .impact_jumps import DEPENDENT, REPRODUCED, ImpactJumps, Parameter
 from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
 from .records import EventRecord, ImpactRecord
 from .rolling_over import rolls_over
 from .scene import Scene
-from .switched_off import held_contacts, locked_joints
 
 Array = NDArray[np.float64]
 
@@ -43,25 +37,6 @@ CONTINUOUS = 1e-5
 """Part of the acceleration by which it may differ at an event that does not change it."""
 
 _BOUNDS = {"friction": (0.0,), "restitution": (0.0, 1.0)}
-
-
-class Jump(NamedTuple):
-    """The velocity after an impact by what is before it.
-
-    Attributes:
-        by_state: (2nv, 2nv) of the state, in the tangent space.
-        by_friction, by_restitution: (nv,) of the velocity.
-        guard: (nv,) ∂(gap)/∂q.
-        boundary: Flags of `Boundary`.
-        v: (nv,) the velocity.
-    """
-
-    by_state: Array
-    by_friction: Array
-    by_restitution: Array
-    guard: Array
-    boundary: Boundary
-    v: Array
 
 
 class Saltation:
@@ -89,11 +64,7 @@ class Saltation:
         self.parameters = tuple(parameters)
         self.boundary = Boundary.NONE
         self._dynamics, self._model, self._data = dynamics, model, model.createData()
-        self._pairs = scene.layout().pairs
-        self._held, self._locked = tuple(held_contacts(scene)), locked_joints(scene)
-        self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
-        labels = [contact.label for contact in dynamics.contacts]
-        self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
+        self._jumps = ImpactJumps(scene, dynamics, model)
         self._bilateral = dynamics.work.bilateral.astype(bool)
         self._events = {event.label: event for event in as_events(scene.events) if event.jacobian is not None}
 
@@ -191,7 +162,7 @@ class Saltation:
         closes = (modes[:count] == 0) & (later[:count] != 0)
         rates = np.append(before.at(t)[1], minus.acceleration), np.append(after.v, plus.acceleration)
         if impacts:
-            x = self._through_impact(x, impacts, modes, closes, plus, rates)
+            x = self._through_impact(x, impacts, (modes, later), plus, rates)
         elif closes.any():
             return self._undefined(x, Boundary.GRAZING)
         elif (over := rolls_over(self._model, self._data, before, after)) is not None:
@@ -252,54 +223,50 @@ class Saltation:
         self,
         x: Array,
         impacts: Sequence[ImpactRecord],
-        modes: NDArray[np.int64],
-        closes: NDArray[np.bool_],
+        modes: tuple[NDArray[np.int64], NDArray[np.int64]],
         plus: ModeSlopes,
         rates: tuple[Array, Array],
     ) -> Array:
-        record, nv = impacts[0], len(x) // 2
-        group = None if record.group is None else record.group[0]
-        if any(one.group is None or one.group[0] is not group for one in impacts[1:]):
-            return self._undefined(x, Boundary.EVENTS_COINCIDE)  # one after the other at one instant
-        closes = closes.copy()
-        closes[[self._source[record.source]] if group is None else list(group.sources)] = False
-        error = self.error(record.v_before)
-        removed = record.v_after - rates[1][:nv]
-        if closes.any():
+        """Return changes after the impacts of one instant, with modes, v and v̇ before and after them."""
+        records = [*{id(one if one.group is None else one.group[0]): one for one in impacts}.values()]
+        nv, work = len(x) // 2, self._dynamics.work
+        count = work.contacts + work.limits
+        taking_part = np.zeros(count, dtype=bool)
+        for record in records:
+            taking_part[list(self._jumps.sources(record))] = True
+        before, later = (one[:count] != 0 for one in modes)
+        if (later & ~before & ~taking_part).any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         if any(one.resting for one in impacts):
             self.boundary |= Boundary.LAST_BOUNCE
-        alone = group is None or (len(group.sources) == 1 and group.policy == "propagate")
-        if alone:
-            jump, change = self._jump_of(record), record.v_after - record.v_before
-            guard = jump.guard
-            if not np.abs(jump.v - record.v_after).max() <= REPRODUCED * np.abs(change).max():
-                return self._undefined(x, Boundary.JUMP)
-        else:
-            of_all = GroupJump(
-                self._dynamics, self._model, self._data, self._held, self._locked, record, modes
-            )
-            strikes = np.flatnonzero(~of_all.closed & (of_all.rates <= SLOWEST * error))
-            if len(strikes) != 1:
+        active = (before | later | taking_part)[: work.contacts] | self._bilateral
+        island = self._jumps.islands(active) if len(records) > 1 else np.zeros(nv, dtype=np.int64)
+        error = self.error(impacts[0].v_before)
+        jumps = [self._jumps.of(record, modes[0]) for record in records]
+        shifts, shifted = np.zeros_like(x), np.zeros(nv, dtype=bool)
+        for jump in jumps:
+            guard = jump.guard(SLOWEST * error)
+            if guard is None:
                 return self._undefined(x, Boundary.EVENTS_COINCIDE)
-            guard = of_all.jacobian[strikes[0]]
-        closing = float(guard @ rates[0][:nv])
-        if not -closing > SLOWEST * error:
-            return self._undefined(x, Boundary.GRAZING)
-        shift = -(guard @ x[:nv]) / closing
-        moved = x + np.outer(rates[0], shift)
-        if alone:
-            after = self._after_one(moved, record, jump)
-        else:
-            found = of_all.changes_after(moved, self.parameters)
-            if found is None:
+            own = island == island[np.argmax(np.abs(guard))]
+            if (own & shifted).any():  # one after the other at one instant
+                return self._undefined(x, Boundary.EVENTS_COINCIDE)
+            shifted |= own
+            closing = float(guard @ rates[0][:nv])
+            if not -closing > SLOWEST * error:
+                return self._undefined(x, Boundary.GRAZING)
+            shifts[np.tile(own, 2)] = -(guard @ x[:nv]) / closing
+        result = x + rates[0][:, None] * shifts
+        for jump in jumps:
+            passed = jump.after(result, self.parameters)
+            if passed is None:
                 return self._undefined(x, Boundary.JUMP)
-            after, depends, flags = found
-            self._flag(flags, [p for p, on in zip(self.parameters, depends, strict=True) if on])
-        result = np.vstack([moved[:nv], after])
+            result = np.vstack([result[:nv], passed.after])
+            self._flag(passed.boundary, passed.depends)
+        removed = impacts[-1].v_after - rates[1][:nv]
         if np.abs(removed).max(initial=0.0) > 10.0 * error:
-            result = self._without(result, removed, record.q, plus)
-        return np.asarray(result - np.outer(rates[1], shift))
+            result = self._without(result, removed, impacts[0].q, plus)
+        return np.asarray(result - rates[1][:, None] * shifts)
 
     def _without(self, x: Array, removed: Array, q: Array, plus: ModeSlopes) -> Array:
         """Return changes after a velocity (nv,) that is too slow to matter has been taken away. (D31)
@@ -324,24 +291,6 @@ class Saltation:
         x[nv:] -= plus.inverse @ bent @ x[:nv]
         return np.asarray(stop(plus.rows, response, nv, x))
 
-    def _jump_of(self, record: ImpactRecord) -> Jump:
-        """Return the derivatives of an impact that only one contact or limit takes part in."""
-        number, resting, law = self._source[record.source], record.resting, None
-        if record.group is not None:  # others that are closed are lifted
-            resting, law = float(record.group[0].problem.restitution[0]) == 0.0, "energetic"
-        return self.jump(number, record.q, record.v_before, resting, law)
-
-    def _after_one(self, moved: Array, record: ImpactRecord, jump: Jump) -> Array:
-        """Return changes of the velocity (nv, m) after the impact of a contact, for those just before it."""
-        number, nv = self._source[record.source], len(record.v_before)
-        after = jump.by_state[nv:] @ moved
-        on = [parameter for parameter in self.parameters if parameter.contact == number]
-        for column, parameter in enumerate(self.parameters, moved.shape[1] - len(self.parameters)):
-            if parameter in on:
-                after[:, column] += jump.by_friction if parameter.kind == "friction" else jump.by_restitution
-        self._flag(jump.boundary, on)
-        return np.asarray(after)
-
     def _flag(self, flags: Boundary, on: Sequence[Parameter]) -> None:
         """Take over flags of an impact that depends on some parameters."""
         self.boundary |= flags & ~Boundary.BOUND  # parameters have it
@@ -349,71 +298,6 @@ class Saltation:
             contact = self._dynamics.contacts[parameter.contact]
             if getattr(contact, parameter.kind) in _BOUNDS[parameter.kind]:
                 self.boundary |= Boundary.BOUND
-
-    def jump(self, number: int, q: Array, v: Array, resting: bool, law: str | None = None) -> Jump:
-        """Return the derivatives of the impact of a contact or, past those, of a joint limit.
-
-        Args:
-            number: Which.
-            q: (nq,) configuration.
-            v: (nv,) velocity before it.
-            resting: Whether restitution is left out.
-            law: Another law than the contact's.
-        """
-        contacts = self._dynamics.contacts
-        nv = len(v)
-        by_state = np.eye(2 * nv)
-        if number >= len(contacts):
-            return self._jump_at_limit(number - len(contacts), q, v, resting, by_state)
-        contact = contacts[number]
-        lasting: Contact | None = contact
-        swapped = False
-        if contact.pair is not None:  # the features that meet, as `q` has them
-            points = closest_points(self._model, self._data, q, self._pairs[contact.pair])
-            contact, lasting, swapped = points[0][1:]
-            lasting = lasting if len(points) == 1 else None
-        bounces = contact.restitution != 0.0
-        other: dict[str, Any] = {"restitution": 0.0} if resting else {}
-        other |= {"law": law} if law is not None else {}
-        if other:
-            contact = replace(contact, **other)
-            lasting = lasting and replace(lasting, **other)
-        point, rest = (contact, lasting, swapped), (self._held, self._locked)
-        d = derivatives_at_point(self._model, self._data, q, v, point, *rest)
-        by_state[nv:, :nv], by_state[nv:, nv:] = d.dv_dq, d.dv_dv
-        guard = contact_matrices(self._model, self._data, q, contact).jacobian[2]
-        by_restitution = np.zeros(nv) if resting and bounces else d.dv_drestitution
-        flags = d.boundary | (Boundary.LAST_BOUNCE if resting and bounces else Boundary.NONE)
-        return Jump(by_state, d.dv_dfriction, by_restitution, guard, flags, d.v)
-
-    def _jump_at_limit(self, k: int, q: Array, v: Array, resting: bool, by_state: Array) -> Jump:
-        """v⁺ = v − (1 + e) v_j y/y_j, y = M⁻¹e_j, and ∂y/∂q = −M⁻¹ ∂(M y)/∂q."""
-        limit, nv = self._dynamics.limits[k], len(v)
-        if self._held or self._locked:
-            raise InputError(
-                f"sensitivities: the joint limit {limit.name!r} is hit in a scene with held contacts or "
-                "locked joints; derivatives are not available for that",
-                field="sensitivities",
-                value=limit.name,
-            )
-        e = 0.0 if resting else self._limit_restitution
-        j = limit.index_v
-        zero = np.zeros(nv)
-        inverse = pin.computeMinverse(self._model, self._data, q).copy()
-        y = inverse[:, j]
-        of_y = -inverse @ self._mass_slopes(q, y)
-        factor = -(1.0 + e) / y[j]
-        by_state[nv:, :nv] = factor * v[j] * (of_y - np.outer(y / y[j], of_y[j]))
-        by_state[nv:, nv + j] += factor * y
-        guard = np.zeros(nv)
-        guard[j] = limit.sign
-        return Jump(by_state, zero, zero, guard, Boundary.NONE, v + factor * v[j] * y)
-
-    def _mass_slopes(self, q: Array, x: Array) -> Array:
-        """Return ∂(M x)/∂q."""
-        model, data = self._model, self._data
-        still = pin.computeGeneralizedGravityDerivatives(model, data, q).copy()
-        return np.asarray(pin.computeRNEADerivatives(model, data, q, np.zeros(len(x)), x)[0] - still)
 
     def error(self, v: Array) -> float:
         """Return the error of a velocity that the tolerances allow."""

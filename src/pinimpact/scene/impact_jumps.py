@@ -1,0 +1,305 @@
+"""The velocity after an impact of a scene, by what is before it. (docs/derivatives.md, 9 and 11)"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..contact_space.derivatives import Boundary
+from ..contact_space.many_derivatives import Change, slopes_along
+from ..contact_space.many_inputs import many_inputs
+from ..contact_space.problem import ImpactProblem
+from ..contact_space.simultaneous import find_policy
+from ..errors import InputError
+from ..robot.contact import Contact
+from ..robot.derivatives import derivatives_at_point, slope_of_restitution
+from ..robot.many_derivatives import ManySlopes, coefficient_change
+from ..robot.matrices import checked_matrices, contact_matrices
+from ..robot.names import free_velocities
+from ..robot.placed_robot import PlacedRobot
+from ..robot.shape_pair import closest_points
+from ._kernels.contact_forces import SLIP
+from .dynamics import SceneDynamics
+from .records import ImpactRecord
+from .scene import Scene
+from .switched_off import held_contacts, locked_joints
+
+Array = NDArray[np.float64]
+
+DEPENDENT = 1e-12
+"""Part of the largest singular value below which changes are combinations of others."""
+
+REPRODUCED = 1e-6
+"""Part of the change of velocity to which an impact is computed again for its derivatives."""
+
+
+class Parameter(NamedTuple):
+    """A coefficient by which a motion is differentiated: "friction" or "restitution" of a contact."""
+
+    kind: str
+    contact: int
+
+
+class Passed(NamedTuple):
+    """What changes come to at an impact.
+
+    Attributes:
+        after: (nv, m) the changes of the velocity after it.
+        depends: The parameters on which it depends.
+        boundary: Flags of `Boundary`.
+    """
+
+    after: Array
+    depends: tuple[Parameter, ...]
+    boundary: Boundary
+
+
+class ImpactJumps:
+    """Differentiates the impacts of a scene.
+
+    Args:
+        scene: The scene.
+        dynamics: Its dynamics.
+        model: Its model.
+    """
+
+    def __init__(self, scene: Scene, dynamics: SceneDynamics, model: pin.Model) -> None:
+        self.dynamics, self.model, self.data = dynamics, model, model.createData()
+        self.held, self.locked = tuple(held_contacts(scene)), locked_joints(scene)
+        self.free = free_velocities(model, self.locked)
+        self._pairs = scene.layout().pairs
+        self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
+        labels = [contact.label for contact in dynamics.contacts]
+        self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
+        self._roots = np.arange(model.njoints)  # of the tree of each joint
+        for joint, parent in enumerate(model.parents):
+            if parent > 0:
+                self._roots[joint] = self._roots[parent]
+
+    def sources(self, record: ImpactRecord) -> tuple[int, ...]:
+        """Return the numbers of the contacts and, past those, limits that take part in an impact."""
+        return (self._source[record.source],) if record.group is None else record.group[0].sources
+
+    def islands(self, active: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return numbers (nv,) of the islands of velocities that trees and active contacts connect."""
+        island, work = np.arange(len(self._roots)), self.dynamics.work
+        for a, b in self._roots[work.contact_joints[active]].tolist():
+            if a > 0 and b > 0:  # the world connects nothing
+                island[island == island[a]] = island[b]
+        return np.asarray(island[self._roots[work.velocity_joint]])
+
+    def of(self, record: ImpactRecord, modes: NDArray[np.int64]) -> SingleJump | GroupJump:
+        """Return the derivatives of an impact, with the modes of contacts and limits before it."""
+        group = None if record.group is None else record.group[0]
+        if group is not None and (len(group.sources) > 1 or group.policy != "propagate"):
+            return GroupJump(self, record, modes)
+        (number,), resting, law = self.sources(record), record.resting, None
+        if group is not None:  # others that are closed are lifted
+            resting, law = float(group.problem.restitution[0]) == 0.0, "energetic"
+        if number >= len(self.dynamics.contacts):
+            return self._of_limit(number - len(self.dynamics.contacts), record, resting)
+        return self._of_contact(number, record, resting, law)
+
+    def _of_contact(self, number: int, record: ImpactRecord, resting: bool, law: str | None) -> SingleJump:
+        """Return the derivatives of the impact of a contact, without restitution or by another law."""
+        contact = self.dynamics.contacts[number]
+        lasting: Contact | None = contact
+        swapped, nv = False, len(record.v_before)
+        if contact.pair is not None:  # the features that meet, as `q` has them
+            points = closest_points(self.model, self.data, record.q, self._pairs[contact.pair])
+            contact, lasting, swapped = points[0][1:]
+            lasting = lasting if len(points) == 1 else None
+        rests = resting and contact.restitution != 0.0
+        other: dict[str, Any] = {"restitution": 0.0} if resting else {}
+        other |= {"law": law} if law is not None else {}
+        if other:
+            contact = replace(contact, **other)
+            lasting = lasting and replace(lasting, **other)
+        point, rest = (contact, lasting, swapped), (self.held, self.locked)
+        d = derivatives_at_point(self.model, self.data, record.q, record.v_before, point, *rest)
+        guard = contact_matrices(self.model, self.data, record.q, contact).jacobian[2]
+        by_restitution = np.zeros(nv) if rests else d.dv_drestitution
+        flags = d.boundary | (Boundary.LAST_BOUNCE if rests else Boundary.NONE)
+        by = {"friction": d.dv_dfriction, "restitution": by_restitution}
+        return SingleJump(record, number, np.hstack([d.dv_dq, d.dv_dv]), by, guard, flags, d.v)
+
+    def _of_limit(self, k: int, record: ImpactRecord, resting: bool) -> SingleJump:
+        """P = −(1 + e) u/w of a joint limit that approaches at u, with w = W₃₃."""
+        limit, nv = self.dynamics.limits[k], len(record.v_before)
+        e = 0.0 if resting else self._limit_restitution
+        guard = np.zeros(nv)
+        guard[limit.index_v] = limit.sign
+        placed = PlacedRobot(self.model, self.data, record.q)
+        anchors, mobility = tuple(map(placed.geometry, self.held)), self.free.astype(np.float64)
+        matrices = checked_matrices(placed, (), anchors, mobility, guard[None])
+        slopes, y = ManySlopes(placed, (), matrices, self.held, self.free), matrices.response[:, 2]
+        w, rate = float(matrices.delassus[2, 2]), float(guard @ record.v_before)
+        impulse = -(1.0 + e) * rate / w
+        of_q = slopes.change(np.array([0.0, 0.0, impulse]))
+        of_q -= np.outer(y, impulse / w * slopes.delassus[:, 2, 2])
+        of_v = np.eye(nv) - (1.0 + e) / w * np.outer(y, guard)
+        after, number = record.v_before + impulse * y, len(self.dynamics.contacts) + k
+        return SingleJump(record, number, np.hstack([of_q, of_v]), {}, guard, Boundary.NONE, after)
+
+
+class SingleJump(NamedTuple):
+    """The velocity after an impact that one contact or limit takes part in, by what is before it.
+
+    Attributes:
+        record: The impact.
+        number: Of the contact or, past those, limit.
+        by_state: (nv, 2nv) of the state, in the tangent space.
+        by: (nv,) of the velocity, by kind of parameter.
+        approach: (nv,) ∂(gap)/∂q.
+        boundary: Flags of `Boundary`.
+        v: (nv,) the velocity.
+    """
+
+    record: ImpactRecord
+    number: int
+    by_state: Array
+    by: dict[str, Array]
+    approach: Array
+    boundary: Boundary
+    v: Array
+
+    def guard(self, least: float) -> Array | None:
+        """Return ∂(gap)/∂q (nv,) of what closes."""
+        return self.approach
+
+    def after(self, x: Array, parameters: Sequence[Parameter]) -> Passed | None:
+        """Return what changes (2nv, m) before the impact come to; see `GroupJump.after`."""
+        after, on = self.by_state @ x, [one for one in parameters if one.contact == self.number]
+        change = np.abs(self.record.v_after - self.record.v_before).max()
+        if not np.abs(self.v - self.record.v_after).max() <= REPRODUCED * change:
+            return None
+        for column, parameter in enumerate(parameters, x.shape[1] - len(parameters)):
+            if parameter in on:
+                after[:, column] += self.by[parameter.kind]
+        return Passed(after, tuple(on), self.boundary)
+
+
+class GroupJump:
+    """The velocity after an impact at several contacts and limits, by what is before it.
+
+    Args:
+        scene: What differentiates the impacts of the scene.
+        record: One of the records of the impact.
+        modes: Of contacts and, past those, limits before it; zero is open.
+
+    Raises:
+        InputError: A contact of two collision shapes is among them.
+    """
+
+    def __init__(self, scene: ImpactJumps, record: ImpactRecord, modes: NDArray[np.int64]) -> None:
+        assert record.group is not None
+        group, dynamics, nv = record.group[0], scene.dynamics, len(record.v_before)
+        self._group, self._record, self._sources = group, record, np.array(group.sources, dtype=np.int64)
+        count = len(dynamics.contacts)
+        self._contacts = [dynamics.contacts[i] for i in group.sources if i < count]
+        for contact in self._contacts:
+            if contact.pair is not None:
+                raise InputError(
+                    f"sensitivities: {contact.label!r}, a contact of two collision shapes, takes part in an "
+                    f"impact at several contacts at t = {record.time:.6g} s; they are not available there",
+                    field="sensitivities",
+                )
+        limits = [dynamics.limits[i - count] for i in group.sources if i >= count]
+        stops = np.zeros((len(limits), nv))
+        for row, limit in zip(stops, limits, strict=True):
+            row[limit.index_v] = limit.sign
+        placed = PlacedRobot(scene.model, scene.data, record.q)
+        anchors, mobility = tuple(map(placed.geometry, scene.held)), scene.free.astype(np.float64)
+        self._matrices = checked_matrices(placed, self._contacts, anchors, mobility, stops)
+        self._slopes = ManySlopes(placed, self._contacts, self._matrices, scene.held, scene.free)
+        velocity, now = self._matrices.velocity(record.v_before), modes[self._sources]
+        self._rates, self._closed = velocity[:, 2].copy(), now > 0
+        # what is closed has velocities only by the error of steps
+        self._still = np.column_stack([now > SLIP, now > SLIP, now > 0])
+        self._still[len(self._contacts) :, :2] = False
+        velocity[self._still] = 0.0
+        problem = group.problem
+        self._inputs = many_inputs(
+            ImpactProblem(
+                *(self._matrices.delassus, velocity, problem.friction, problem.restitution, problem.law),
+                problem.surface_velocity,
+                stiffness=problem.stiffness,
+            )
+        )
+
+    def guard(self, least: float) -> Array | None:
+        """Return ∂(gap)/∂q (nv,) of what closes; None if several do, or nothing.
+
+        Args:
+            least: The speed of approach below which an open contact may close or not.
+        """
+        strikes = np.flatnonzero(~self._closed & (self._rates <= least))
+        return self._matrices.jacobian[3 * strikes[0] + 2] if len(strikes) == 1 else None
+
+    def after(self, x: Array, parameters: Sequence[Parameter]) -> Passed | None:
+        """Return what changes (2nv, m) before the impact come to, of which the last are of parameters.
+
+        None if the impact is not the recorded one, so that it has another outcome nearby.
+        """
+        nv, record, inputs = len(x) // 2, self._record, self._inputs
+        solution = find_policy(self._group.policy).run(inputs, False)
+        impulse, change = solution.impulse.ravel(), record.v_after - record.v_before
+        response = self._matrices.response
+        if not np.abs(response @ impulse - change).max() <= REPRODUCED * np.abs(change).max():
+            return None
+        velocity = self._slopes.velocity(record.v_before) @ x[:nv] + self._matrices.jacobian @ x[nv:]
+        velocity[self._still.ravel()] = 0.0
+        known = np.isfinite(x).all(axis=0)
+        basis, weights = _basis(velocity[:, known], x[:nv, known], np.abs(inputs.velocity).max())
+        changes = [self._change(*np.split(column, [len(velocity)])) for column in basis.T]
+        columns, first = [], x.shape[1] - len(parameters)
+        for column, parameter in enumerate(parameters, first):
+            places = np.flatnonzero(self._sources == parameter.contact).tolist()
+            if places and self._matters(parameter, places[0]):
+                changes.append(coefficient_change(len(self._sources), **{parameter.kind: places[0]}))
+                columns.append(column)
+        found = slopes_along(inputs, self._group.policy, solution, changes)
+        after = np.full((nv, x.shape[1]), np.nan)
+        after[:, known] = x[nv:, known] + self._slopes.change(impulse) @ x[:nv, known]
+        after[:, known] += response @ found.impulse[:, : len(weights)] @ weights
+        after[:, columns] += response @ found.impulse[:, len(weights) :]
+        return Passed(after, tuple(parameters[k - first] for k in columns), found.boundary)
+
+    def _matters(self, parameter: Parameter, place: int) -> bool:
+        """Whether an impact depends on a coefficient of a contact; not on e where a bounce would rest."""
+        used = self._inputs.restitution[place]
+        return parameter.kind == "friction" or (
+            not self._closed[place] and used == self._contacts[place].restitution
+        )
+
+    def _change(self, velocity: Array, of_q: Array) -> Change:
+        """Return the change of the impact's data for a change of velocities (3n,) and of q (nv,)."""
+        inputs, k = self._inputs, len(self._contacts)
+        delassus = np.tensordot(of_q, self._slopes.delassus, 1)
+        velocity = velocity.reshape(-1, 3).copy()
+        velocity[self._still] = 0.0
+        restitution, stiffness = np.zeros(len(velocity)), np.zeros(len(velocity))
+        for i, contact in enumerate(self._contacts):
+            if inputs.restitution[i] > 0.0:
+                bend = slope_of_restitution(contact, max(-float(inputs.velocity[i, 2]), 0.0))
+                restitution[i] = -bend * velocity[i, 2]
+        if 0 < k < len(velocity):  # κ w of a limit is the mean of the contacts'
+            w, dw = inputs.delassus.diagonal()[2::3], delassus.diagonal()[2::3]
+            moved = float(np.mean(inputs.stiffness[:k] * dw[:k]))
+            stiffness[k:] = (moved - inputs.stiffness[k:] * dw[k:]) / w[k:]
+        return Change(velocity, delassus, np.zeros(len(velocity)), restitution, stiffness)
+
+
+def _basis(velocity: Array, of_q: Array, speed: float) -> tuple[Array, Array]:
+    """Return directions (3n + nv, r) that velocities (3n, m) and q's changes (nv, m) combine, and weights."""
+    size = speed or 1.0
+    left, values, right = np.linalg.svd(np.vstack([velocity / size, of_q]), full_matrices=False)
+    kept = values > DEPENDENT * values.max(initial=0.0)
+    basis = left[:, kept]
+    basis[: len(velocity)] *= size
+    return basis, values[kept, None] * right[kept]
