@@ -396,15 +396,18 @@ def touches(a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> 
     return distinct
 
 
-def alone(touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float) -> bool:
-    """Whether no other features are as close at the place of a contact point that `touches` returns."""
+def at_one_place(
+    touch: Touch, a: PlacedShape, b: PlacedShape, normal: Array, tolerance: float
+) -> list[Touch]:
+    """Return a contact point that `touches` returns, and other features that are as close at its place."""
     near = COINCIDE * (a.shape.reach + b.shape.reach)
     found = nearest_features(a, b, normal, 4.0 * tolerance / min(a.shape.reach, b.shape.reach))
     if touch.kind == "vertex-vertex":  # of an edge that ends here the closest point may be the end
         i, j = touch.features
         found += _ending(a, i, b, j, near) + [other.mirrored for other in _ending(b, j, a, i, near)]
-    apart = [(one.point - touch.point, one.other - touch.other) for one in found]
-    return sum(float(np.linalg.norm(pair)) <= near for pair in apart) <= 1
+    others = [one for one in found if (one.kind, one.features) != (touch.kind, touch.features)]
+    apart = [np.append(one.point - touch.point, one.other - touch.other) for one in others]
+    return [touch, *(one for one, by in zip(others, apart, strict=True) if np.linalg.norm(by) <= near)]
 
 
 def _ending(a: PlacedShape, i: int, b: PlacedShape, j: int, near: float) -> list[Touch]:

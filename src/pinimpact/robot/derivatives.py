@@ -28,7 +28,7 @@ from .names import free_velocities, model_of
 from .one_sided import fill_one_sided_of_robot
 from .placed_robot import ContactGeometry, PlacedRobot
 from .robot_impact import LOCKED, impact
-from .shape_pair import closest_points, is_pair, shape_pair
+from .shape_pair import closest_points, is_pair, known, shape_pair
 from .struck import strike
 from .touching import check_rims, touching_tips
 
@@ -280,7 +280,7 @@ def _of_shape(
     if not isinstance(contact, Contact):
         check_contact("contact", contact)
     if is_pair(robot, contact):
-        points = [one[1:] for one in closest_points(robot, data, q, shape_pair(robot, contact))]
+        points = [known(place)[1:] for place in closest_points(robot, data, q, shape_pair(robot, contact))]
     else:
         points = [(tip, tip, False) for tip in touching_tips(robot, data, q, contact)]
     if len(points) != 1:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..geometry.collision_shapes import collision_model, find_shape
-from ..geometry.convex_pair import Touch, alone, gap, touches
+from ..geometry.convex_pair import Touch, at_one_place, gap, touches
 from ..geometry.convex_shape import PlacedShape, cross
 from ..geometry.lines import Edge, Line
 from ..geometry.plane import Plane
@@ -247,10 +247,8 @@ class _Side:
         }
 
 
-def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) -> list[PointContact]:
-    """Return the contacts of single points for the closest points of two shapes at a configuration.
-
-    Their `lasting` is also None where other features are as close at the same place.
+def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) -> list[list[PointContact]]:
+    """Return the closest points of two shapes at a configuration, each as contacts of all features there.
 
     Args:
         robot: The robot or its model.
@@ -262,16 +260,39 @@ def closest_points(robot: Any, data: pin.Data, q: ArrayLike, pair: ShapePair) ->
     placed = pair.placed(data)
     found = gap(*placed)
     tolerance = NEAREST * (pair.a.shape.reach + pair.b.shape.reach) + abs(found.value)
-    points = [
-        point_contact(pair, data, placed, found.normal, touch, pair.basis)
+    return [
+        [
+            point_contact(pair, data, placed, found.normal, one, pair.basis)
+            for one in at_one_place(touch, *placed, found.normal, tolerance)
+        ]
         for touch in touches(*placed, found.normal, tolerance)
     ]
-    return [
-        point if alone(point.touch, *placed, found.normal, tolerance) else point._replace(lasting=None)
-        for point in points
-    ]
+
+
+def known(place: list[PointContact]) -> PointContact:
+    """Return the contact at a place, with `lasting` None where several features are there."""
+    return place[0] if len(place) == 1 else place[0]._replace(lasting=None)
+
+
+def contact_now(
+    model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact, pair: ShapePair | None
+) -> tuple[Contact, Contact | None, bool]:
+    """Return `instant`, `lasting` and `swapped`, as of a `PointContact`, of a contact that touches.
+
+    Args:
+        model: The model of the robot.
+        data: Its data, see `closest_points`.
+        q: (nq,) configuration.
+        contact: The contact.
+        pair: The two shapes that it is of, or None. If they touch at several places `lasting` is None.
+    """
+    if pair is None:
+        return contact, contact, False
+    places = closest_points(model, data, q, pair)
+    _, instant, lasting, swapped = known(places[0])
+    return instant, lasting if len(places) == 1 else None, swapped
 
 
 def touching_points(robot: Any, data: pin.Data, q: ArrayLike, contact: Contact) -> list[Contact]:
     """Return the contacts of `closest_points` at this instant, for a contact of two shapes."""
-    return [point.instant for point in closest_points(robot, data, q, shape_pair(robot, contact))]
+    return [place[0].instant for place in closest_points(robot, data, q, shape_pair(robot, contact))]

@@ -16,13 +16,12 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
-from ..robot.contact import Contact
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes, coefficient_change
 from ..robot.matrices import checked_matrices, contact_matrices
 from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
-from ..robot.shape_pair import closest_points
+from ..robot.shape_pair import contact_now
 from ._kernels.contact_forces import SLIP
 from .dynamics import SceneDynamics
 from .records import ImpactRecord
@@ -72,7 +71,7 @@ class ImpactJumps:
         self.dynamics, self.model, self.data = dynamics, model, model.createData()
         self.held, self.locked = tuple(held_contacts(scene)), locked_joints(scene)
         self.free = free_velocities(model, self.locked)
-        self._pairs = scene.layout().pairs
+        self.pairs = scene.layout().pairs
         self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
         labels = [contact.label for contact in dynamics.contacts]
         self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
@@ -107,13 +106,9 @@ class ImpactJumps:
 
     def _of_contact(self, number: int, record: ImpactRecord, resting: bool, law: str | None) -> SingleJump:
         """Return the derivatives of the impact of a contact, without restitution or by another law."""
-        contact = self.dynamics.contacts[number]
-        lasting: Contact | None = contact
-        swapped, nv = False, len(record.v_before)
-        if contact.pair is not None:  # the features that meet, as `q` has them
-            points = closest_points(self.model, self.data, record.q, self._pairs[contact.pair])
-            contact, lasting, swapped = points[0][1:]
-            lasting = lasting if len(points) == 1 else None
+        contact, nv = self.dynamics.contacts[number], len(record.v_before)
+        pair = None if contact.pair is None else self.pairs[contact.pair]
+        contact, lasting, swapped = contact_now(self.model, self.data, record.q, contact, pair)
         rests = resting and contact.restitution != 0.0
         other: dict[str, Any] = {"restitution": 0.0} if resting else {}
         other |= {"law": law} if law is not None else {}

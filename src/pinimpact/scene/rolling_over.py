@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,35 +21,61 @@ from ..geometry._kernels.constants import (
     TIP,
     VELOCITY,
 )
+from ..robot.contact import Contact, contact_constants
 from ..robot.forest import joint_jacobian
 from ..robot.names import motion_signs
+from ..robot.shape_pair import ShapePair, closest_points
 from .dense_step import DenseStep
 
 Array = NDArray[np.float64]
 
 
-def rolls_over(model: pin.Model, data: Any, before: DenseStep, after: DenseStep) -> Array | None:
+def rolls_over(
+    contacts: Sequence[Contact],
+    pairs: Mapping[Contact, ShapePair],
+    model: pin.Model,
+    data: Any,
+    before: DenseStep,
+    after: DenseStep,
+) -> Array | None:
     """Return ∂g/∂q (nv,), up to a factor, of how far a ball is over, or None if it does not roll over.
 
-    It is measured along n × e for an edge e of a face, along e for the end of an edge.
+    It is measured along n × e for an edge e of a face, along e for the end of an edge. The ball may fly off.
 
     Args:
+        contacts: The contacts of the scene.
+        pairs: The shapes, by their contact.
         model: The robot.
         data: Its data, which change.
         before: The step that ends there.
         after: The next one.
     """
     one, other = before.closed, after.closed
-    if one is None or other is None or not np.array_equal(one.modes, other.modes):
+    if one is None:
         return None
-    apart = [*range(AXES), *range(KIND, CONSTANTS)]
-    changed = np.flatnonzero((one.constants != other.constants)[:, apart].any(axis=1))
-    if len(changed) != 1:
+    later = np.zeros_like(one.modes) if other is None else other.modes
+    closed, changed = np.flatnonzero(one.modes[: len(contacts)]), np.flatnonzero(one.modes != later)
+    if len(changed) == 0 and other is not None:
+        apart = [*range(AXES), *range(KIND, CONSTANTS)]
+        rows = np.flatnonzero((one.constants != other.constants)[:, apart].any(axis=1)).tolist()
+        features = [(other.constants[k], other.joints[k]) for k in rows]
+    else:
+        rows = [k for k, i in enumerate(closed.tolist()) if changed.tolist() == [i] and later[i] == 0]
+        features = []
+        for k, pair in ((k, contacts[closed[k]].pair) for k in rows):
+            places = [] if pair is None else closest_points(model, data, after.q, pairs[pair])
+            found = [point.lasting for point in places[0]] if len(places) == 1 else []
+            every = [contact_constants(model, contact) for contact in found if contact is not None]
+            kind = one.constants[k, KIND]
+            features += [(c, np.array([tip, base])) for tip, base, c in every if c[KIND] != kind]
+    if len(rows) != 1 or len(features) != 1:
         return None
-    k = int(changed[0])
-    line, joints, beside, joints_beside = one.constants[k], one.joints[k], other.constants[k], other.joints[k]
-    if line[KIND] != LINE:
-        line, joints, beside, joints_beside = beside, joints_beside, line, joints
+    return _guard(model, data, after.q, [(one.constants[rows[0]], one.joints[rows[0]]), features[0]])
+
+
+def _guard(model: pin.Model, data: Any, q: Array, sides: list[tuple[Array, Array]]) -> Array | None:
+    """Return ∂g/∂q at q for constants and joints of contacts on a line, and on what it bounds or ends in."""
+    (line, joints), (beside, joints_beside) = sorted(sides, key=lambda side: side[0][KIND] != LINE)
     along, flat = line[LINE_AXIS:CONSTANTS], beside[KIND] == PLANE
     known = np.array_equal(joints, joints_beside) if flat else beside[KIND] == SPHERE
     if line[KIND] != LINE or not known:
@@ -56,7 +83,7 @@ def rolls_over(model: pin.Model, data: Any, before: DenseStep, after: DenseStep)
     if flat:
         along = np.cross(beside[AXES + 6 : VELOCITY], along)
     tip, base = joints.tolist()
-    moves = joint_jacobian(model, data, after.q)
+    moves = joint_jacobian(model, data, q)
     centre, along = data.oMi[tip].act(line[TIP:RADIUS]), data.oMi[base].rotation @ along
     rows = along @ moves[:3] + np.cross(centre, along) @ moves[3:]
     return np.asarray(motion_signs(model, tip, base) * rows)

@@ -152,7 +152,7 @@ class Saltation:
             return self._through_callback(x, before, after, *called[0])
         if not impacts and before.closed is after.closed:
             return x
-        t, work = before.end, self._dynamics.work
+        t, work, robot = before.end, self._dynamics.work, (self._model, self._data)
         modes, later = self._modes(before), self._modes(after)
         minus = self.slopes.at(before, t)
         dry = before.closed.sliding if before.closed is not None else np.zeros(work.nv)
@@ -165,8 +165,13 @@ class Saltation:
             x = self._through_impact(x, impacts, (modes, later), plus, rates)
         elif closes.any():
             return self._undefined(x, Boundary.GRAZING)
-        elif (over := rolls_over(self._model, self._data, before, after)) is not None:
-            x = x - np.outer(rates[0] - rates[1], over @ x[: len(over)] / (over @ before.at(t)[1]))
+        elif (
+            over := rolls_over(self._dynamics.contacts, self._jumps.pairs, *robot, before, after)
+        ) is not None:
+            passing = float(over @ rates[0][: len(over)])
+            if not abs(passing) > SLOWEST * self.error(after.v):
+                return self._undefined(x, Boundary.GRAZING)
+            x = x - np.outer(rates[0] - rates[1], over @ x[: len(over)] / passing)
         else:
             ends = [slip for slip in minus.slips if later[slip.contact] == STICK]
             turns = [slip for slip in minus.slips if _reversed(slip, plus, later)]
