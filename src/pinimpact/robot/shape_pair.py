@@ -277,7 +277,7 @@ def known(place: list[PointContact]) -> PointContact:
 def contact_now(
     model: pin.Model, data: pin.Data, q: ArrayLike, contact: Contact, pair: ShapePair | None
 ) -> tuple[Contact, Contact | None, bool]:
-    """Return `instant`, `lasting` and `swapped`, as of a `PointContact`, of a contact that touches.
+    """Return a contact as it is at a configuration: `instant`, `lasting` and `swapped` of a `PointContact`.
 
     Args:
         model: The model of the robot.
