@@ -155,7 +155,8 @@ def test_held_contacts_and_locked_joints(locked):
     model, data = load("solo12")
     rng = np.random.default_rng(8)
     contact = Contact("FL_FOOT", Plane(normal=(0.1, 0, 1)), friction=0.5, restitution=0.3, radius=0.016)
-    held = [Contact(foot, Plane(normal=(0, 0.1, 1)), radius=0.016) for foot in ("FR_FOOT", "HL_FOOT")]
+    held = [Contact("FR_FOOT", Plane(normal=(0, 0.1, 1)), radius=0.016)]
+    held.append(Contact("HL_FOOT", Plane(normal=(0, 0.1, 1)), radius=0.016, rim=0.02, axis=(0.1, 1.0, 0.2)))
     q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv) * 0.3)
 
     def after(q, v):  # held feet that move a little are no error here
@@ -423,6 +424,30 @@ HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
 def test_what_has_no_derivatives_is_refused(contact, words):
     with pytest.raises(pinimpact.InputError, match=words):
         pinimpact.impact_derivatives(MODEL, DATA, pin.neutral(MODEL), np.ones(9), contact)
+
+
+def test_the_tips_of_a_shape_that_touch_a_plane_are_the_contact():
+    robot, rng = two_bodies(BRICK, coal.Cylinder(0.1, 0.2)), np.random.default_rng(3)
+    q, v = np.array([0, 0, 0.1, 0, 0, 0, 1, 3, 0, 0, 0, 0, 0, 1.0]), rng.normal(size=12)
+    v[2] = v[8] = -2.0
+    given, rest = (robot, robot.data), {"friction": 0.3, "restitution": 0.5}
+    flat = Contact(geometry="a", plane=Plane(), **rest)
+    many = pinimpact.impact_derivatives(*given, q, v, flat)
+    low = [tip for tip in flat.tips(robot) if tip.gap(robot.model, robot.data, q) < 0.1]
+    assert len(low) == 4
+    expected = pinimpact.impact_derivatives(*given, q, v, low)
+    assert np.array_equal(many.dv_dq, expected.dv_dq, equal_nan=True)
+    assert np.array_equal(many.dP_dv, expected.dP_dv, equal_nan=True)
+    # a cylinder on its rim
+    q = pin.integrate(robot.model, q, np.array([0, 0, 0, 0.3, 0.2, 0, 0, 0, 0, 1.2, 0.3, 0]))
+    for contact in (flat, Contact(geometry="b", plane=Plane(), **rest)):
+        d = pinimpact.impact_derivatives(*given, q, v, contact)
+
+        def after(e, contact=contact):
+            return pinimpact.impact(*given, pin.integrate(robot.model, q, e), v, contact).v
+
+        assert close(d.dv_dq, slope(after, 12))
+        assert d.dP_dv.any()
 
 
 def test_shapes_that_touch_at_several_points_are_refused():

@@ -169,10 +169,10 @@ def impact_derivatives(
         data: Its data; `contact_matrices` lists the fields that change.
         q: (nq,) configuration.
         v: (nv,) velocity before the impact.
-        contact: The contact that collides, of a collision shape too if it touches at one point; then `model`
-            is the RobotWrapper; or a list of those that are closed at this instant, as in `impact`. A
-            `restitution` that is a function needs an attribute ``slope``, its derivative by the approach
-            speed [s/m].
+        contact: The contact that collides, or a list of those that are closed at this instant, as in
+            `impact`. For a collision shape its lowest tips take part, for two shapes their one closest point;
+            then `model` is the RobotWrapper. A `restitution` that is a function needs an attribute ``slope``,
+            its derivative by the approach speed [s/m].
         held: Contacts that hold during the impact.
         locked: Joints, by name or id, whose velocity the impact does not change.
         simultaneous: Policy of `solve_impact`, for a list of contacts.
@@ -180,7 +180,7 @@ def impact_derivatives(
             for a change of that sign. (docs/derivatives.md, 6)
 
     Returns:
-        `ImpactDerivatives`; `ManyImpactDerivatives` for a list of contacts, also of one.
+        `ImpactDerivatives`; `ManyImpactDerivatives` for a list, also of one, and for several tips.
 
     Raises:
         InputError: As `impact`; a contact or a function e without derivatives.
@@ -189,6 +189,9 @@ def impact_derivatives(
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
+    if isinstance(contact, Contact) and contact.geometry is not None and not is_pair(model, contact):
+        tips = touching_tips(model, data, q, contact)
+        contact = tips[0] if len(tips) == 1 else tips
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         from .many_derivatives import derivatives_at_many
 
