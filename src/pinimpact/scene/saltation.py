@@ -142,8 +142,7 @@ class Saltation:
             events: Those of the user.
 
         Raises:
-            InputError: Numbers of the wrong shape of a `jacobian`; an impact of two
-                collision shapes together with others.
+            InputError: A `jacobian` of the wrong shape; an impact of two collision shapes with others.
         """
         called = self._called(events)
         if called:
