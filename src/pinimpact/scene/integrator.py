@@ -53,7 +53,7 @@ SEEN_EVERY = 0.25
 that comes after a long time without one is seen, unless it is over within some hundredth of that scale."""
 
 BEYOND = 1.3
-"""No step is taken beyond so many times a bounce that has just begun."""
+"""No step is taken beyond so many times a bounce that has just begun, or what is left of a slip."""
 
 ROUNDING = 1e-15
 """A sample of a control closer to the end of a run than this part of its time is at the end."""
@@ -314,7 +314,7 @@ class Integrator:
             is short enough.
         """
         state, work, t = self.state, self.work, self.state.t
-        natural, h = h, min(h, self.max_step, state.bounce)
+        natural, h = h, min(h, self.max_step, state.bounce, BEYOND * work.slip_ends)
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:

@@ -71,6 +71,7 @@ def begin(work, t, q, v):
     turn_references(work, work.contact_velocity)
     record_sample(work, 0, 0.0)
     work.slip_stiffness = stiffness_of_slip(work)
+    work.slip_ends = _slip_ends(work, rates[0])
     work.drive_rate = rate_of_drives(work)
     work.previous_length = 0.0
     guess = math.inf
@@ -87,6 +88,23 @@ def begin(work, t, q, v):
             if fall > 0.0:
                 guess = min(guess, 2.0 * gaps[i, 1] / fall)
     return guess
+
+
+@inlined
+def _slip_ends(work, rates):
+    """Return a guess of the time until the first slip ends, at the rates (2 nv, …) of the start."""
+    ends, n = math.inf, work.nv
+    jacobian, reference = work.contact_jacobian, work.slip_reference
+    for k in range(len(work.active_mode)):
+        if work.active_mode[k] == SLIP:
+            rate = along(work, k, work.contact_acceleration)
+            for j in range(n):
+                turned = reference[k, 0] * jacobian[k, 0, j] + reference[k, 1] * jacobian[k, 1, j]
+                rate += turned * (rates[n + j] - work.acceleration[j])
+            speed = along(work, k, work.contact_velocity)
+            if rate < 0.0 < speed:
+                ends = min(ends, -speed / rate)
+    return ends
 
 
 @declared(SceneWorkspace)
@@ -160,8 +178,12 @@ def finish(work, t, h, error, explicit):
         work.slip_stiffness = stiffness
         turn_references(work, velocity)
         work.sample_margins[0] = work.end_margin
+        work.slip_ends = math.inf
         for k in range(len(velocity)):
-            work.sample_slip[0, k] = along(work, k, velocity)
+            before, now = work.sample_slip[0, k], along(work, k, velocity)
+            work.sample_slip[0, k] = now
+            if work.active_mode[k] == SLIP and 0.0 < now < before:
+                work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
     elif work.event_time == -math.inf:  # the step will be tried again, shorter
         restore_directions(work)

@@ -156,6 +156,7 @@ class SceneWorkspace(Workspace):
     rate_bounds = reals(4, "nv", meaning="see `dense_output.rate_bounds`")
     dense_coefficients = reals(DENSE_TERMS, "rates", meaning="dense output, see `dense_output.interpolate`")
     slip_stiffness = real("how fast the direction of slip settles at the start [1/s], see `step_radau`")
+    slip_ends = real("a guess of the time until the first slip ends [s], infinite if none slows down")
     drive_rate = real("how fast the drives settled where the motion began [1/s], see `step_drives`")
     previous_length = real("of the step before [s], 0 where there is none")
     previous_error = real("of the step before, over the tolerance")
