@@ -6,7 +6,8 @@ Run from the root of the repository. Each problem is changed along a random dire
 differences at both steps and to either side agree with each other and not with the derivative, and no flag of
 `Boundary` is set, differences in multiple precision decide. They also decide where derivatives without a flag
 miss what needs no differences: how P changes with all velocities, with all masses and with the axes, and the
-closed form without friction. With --keep the counts of impacts are written to docs/figures.
+closed form without friction. As many impacts at several contacts as motions are compared with differences at
+two steps. With --keep the counts of impacts are written to docs/figures.
 """
 
 from __future__ import annotations
@@ -178,6 +179,59 @@ def motions(rng: np.random.Generator, count: int) -> None:
     print(f"others: {dict(counts)}")
 
 
+def several(rng: np.random.Generator, count: int) -> None:
+    """Compare derivatives of impacts at two to four feet with differences at two steps, and print them."""
+    counts: Counter[str] = Counter()
+    errors: list[float] = []
+    model, data = load("solo12")
+    start, nv = np.array(pinimpact.load_robot("solo12").q0), model.nv
+    for _ in range(count):
+        n = int(rng.integers(2, 5))
+        contacts = [
+            pinimpact.Contact(
+                *(f"{leg}_FOOT", pinimpact.Plane(normal=(*0.2 * rng.normal(size=2), 1.0))),
+                *(rng.choice([0.0, 0.1, 0.4, 0.8]), rng.choice([0.0, 0.3, 0.6, 1.0]), "energetic"),
+                radius=0.016,
+            )
+            for leg in rng.permutation(["FL", "FR", "HL", "HR"])[:n]
+        ]
+        q = pin.integrate(model, start, 0.2 * rng.normal(size=nv))
+        v = rng.normal(size=nv) - 1.5 * np.eye(nv)[2]
+        mu, e = (np.array([getattr(c, name) for c in contacts]) for name in ("friction", "restitution"))
+        towards = [*rng.normal(size=(2, nv)), rng.normal(size=n) * mu, rng.normal(size=n) * e * (1.0 - e)]
+        d = pinimpact.impact_derivatives(model, data, q, v, contacts)
+        by = d.dv_dq, d.dv_dv, d.dv_dfriction, d.dv_drestitution
+        mine = sum(columns[:, t != 0.0] @ t[t != 0.0] for columns, t in zip(by, towards, strict=True))
+
+        def after(s: float, at: Any = (q, v, mu, e, contacts, towards)) -> np.ndarray:
+            q, v, mu, e, contacts, towards = at
+            changed = [
+                replace(c, friction=m, restitution=b)
+                for c, m, b in zip(contacts, mu + s * towards[2], e + s * towards[3], strict=True)
+            ]
+            return pinimpact.impact(
+                model, data, pin.integrate(model, q, s * towards[0]), v + s * towards[1], changed
+            ).v
+
+        by_steps, size = [], float(np.linalg.norm(v))
+        for h in (1e-4, 3e-5):
+            a, b, c, f = (after(s) for s in (-2 * h, -h, h, 2 * h))
+            by_steps.append((a - 8 * b + 8 * c - f) / (12 * h))
+        agree = float(np.linalg.norm(by_steps[0] - by_steps[1])) < AGREED * size
+        if not np.isfinite(mine).all():
+            counts["flagged, differences agree" if agree else "flagged"] += 1
+        elif not agree:
+            counts["without differences"] += 1
+        else:
+            errors.append(float(np.linalg.norm(mine - by_steps[0])) / float(np.linalg.norm(by_steps[0])))
+            if errors[-1] > 10.0 * AGREED:
+                print(f"  off by {errors[-1]:.1e}: {contacts}, {q.tolist()}, {v.tolist()}")
+    print(
+        f"{len(errors)} impacts at several contacts compared, errors: median {np.median(errors):.1e}, "
+        f"max. {max(errors):.1e}; others: {dict(counts)}"
+    )
+
+
 def cost() -> None:
     """Print what derivatives cost, over the solution itself."""
     rng = np.random.default_rng(1)
@@ -287,6 +341,7 @@ def main() -> None:
     else:
         print(table, end="")
     motions(np.random.default_rng(arguments.seed), arguments.motions)
+    several(np.random.default_rng(arguments.seed), arguments.motions)
     cost()
     cost_of_steps()
 

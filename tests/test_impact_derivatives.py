@@ -402,13 +402,6 @@ def test_a_start_at_rest_to_one_side(side):
     )
 
 
-def test_sides_of_an_impact_at_several_contacts_are_refused():
-    model, data = load("solo12")
-    feet = [Contact(foot, Plane(), 0.3, 0.5) for foot in ("FL_FOOT", "FR_FOOT")]
-    with pytest.raises(pinimpact.InputError, match="side: not available for n contacts"):
-        pinimpact.impact_derivatives(model, data, pin.neutral(model), np.ones(18), feet, side=1)
-
-
 MODEL, DATA = load("panda")
 HERE = Contact("panda_hand_tcp", Plane(), 0.3, 0.5)
 

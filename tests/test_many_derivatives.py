@@ -265,6 +265,20 @@ def test_a_foot_at_rest_has_sides():
     assert np.isfinite(d.dv_dfriction).all()
 
 
+@pytest.mark.parametrize(("side", "ball"), [(1, 2), (-1, 3)])
+def test_balls_at_rest_to_one_side(side, ball):
+    model, contacts, q = chain(4, 0.5, (1.0, 2.0, 1.0))
+    data, v = model.createData(), np.array([1.0, 0.0, 0.0, 0.0])
+    both = impact_derivatives(model, data, q, v, contacts)
+    assert np.isnan(both.dv_dv[:, 2:]).all()
+    d = impact_derivatives(model, data, q, v, contacts, side=side)
+    h = 1e-4 * side
+    a, b, c = (impact(model, data, q, v + s * np.eye(4)[ball], contacts).v for s in (0.0, h, 2 * h))
+    assert np.allclose(d.dv_dv[:, ball], (-3 * a + 4 * b - c) / (2 * h), atol=1e-5)
+    assert d.boundary & Boundary.GRAZING
+    assert np.array_equal(d.dv_dv[:, :2], both.dv_dv[:, :2])
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_no_finite_number_is_wrong(seed):
     # balls at rest, ties and symmetries: what is finite is the slope to either side
@@ -290,6 +304,8 @@ def test_bad_input():
         impact_derivatives(model, data, q, v, ["FL_FOOT"])
     with pytest.raises(pinimpact.UnknownNameError, match="policy"):
         impact_derivatives(model, data, q, v, CONTACTS["floor and slope"], simultaneous="at once")
+    with pytest.raises(pinimpact.InputError, match="side: 2 given"):
+        impact_derivatives(model, data, q, v, CONTACTS["floor and slope"], side=2)
     varying = replace(CONTACTS["floor and slope"][0], restitution=lambda speed: 0.5)
     with pytest.raises(pinimpact.InputError, match="slope"):
         impact_derivatives(model, data, q, v, [varying])

@@ -82,7 +82,11 @@ class _Slope(NamedTuple):
 
 
 def slopes_along(
-    inputs: ManyInputs, policy: str, solution: ManySolution, changes: Sequence[Change]
+    inputs: ManyInputs,
+    policy: str,
+    solution: ManySolution,
+    changes: Sequence[Change],
+    side: int | None = None,
 ) -> Slopes:
     """Differentiate the impulses of an impact along directions, by differences of sixth order.
 
@@ -94,6 +98,7 @@ def slopes_along(
         policy: Name of its policy.
         solution: The answer to it.
         changes: The m directions.
+        side: 1 or −1: where there is no derivative that to this side is taken, if it exists.
     """
     impulse = solution.impulse.ravel()
     if _by_steps(solution):
@@ -114,7 +119,11 @@ def slopes_along(
     if len(both) > 1 and not along.linear([changes[k] for k in both], columns[:, both]):
         known[both] = False
         boundary |= Boundary.EVENTS_COINCIDE
-    columns[:, ~known] = np.nan
+    for k in np.flatnonzero(~known).tolist():
+        columns[:, k] = np.nan
+        if side is not None:
+            found[k] = along.slope(changes[k], float(side))
+            columns[:, k] = found[k].impulse if found[k].missed <= AGREED else np.nan
     return Slopes(columns, np.array([one.unshared <= AGREED for one in found], dtype=bool), boundary)
 
 
@@ -207,18 +216,19 @@ class _Differences:
 
         return at
 
-    def slope(self, change: Change) -> _Slope:
-        """Return the derivative along a change."""
+    def slope(self, change: Change, side: float = 0.0) -> _Slope:
+        """Return the derivative along a change, or that to a side, 1 or −1."""
         size = self.size(change)
         if size == 0.0:
             return _Slope(np.zeros_like(self._impulse), 0.0, 0.0, 0.0)
         at, ahead, behind = self._impulses(change, size), self._room(change, 1.0), self._room(change, -1.0)
-        sign, h = 1.0 if ahead >= behind else -1.0, FIRST
-        if not (one_sided := self.one_sided(change)):
-            h = min(h, min(ahead, behind) * size / len(CENTRAL))
+        one_sided = side != 0.0 or self.one_sided(change)
+        sign = side or (1.0 if ahead >= behind else -1.0)
+        room = (ahead if sign > 0.0 else behind) if one_sided else min(ahead, behind)
+        h = min(FIRST, room * size / len(INTO if one_sided else CENTRAL))
         best = _Slope(self._unknown, np.inf, np.inf, 0.0)
         last: Array | None = None
-        for _ in range(LEVELS):
+        for _ in range(LEVELS if h > 0.0 else 0):
             now, bend = self._into(at, sign * h) if one_sided else self._both(at, h)
             jump = self._apart(h * now, np.zeros_like(now))[1]
             best = best._replace(change=jump)

@@ -176,7 +176,7 @@ def impact_derivatives(
         held: Contacts that hold during the impact.
         locked: Joints, by name or id, whose velocity the impact does not change.
         simultaneous: Policy of `solve_impact`, for a list of contacts.
-        side: 1 or −1, for one contact: columns without derivative are those to this side where they exist,
+        side: 1 or −1: columns without derivative are those to this side where they exist,
             for a change of that sign. (docs/derivatives.md, 6)
 
     Returns:
@@ -189,15 +189,14 @@ def impact_derivatives(
         UnstoppableApproachError: No normal impulse can stop the approach.
         LawError: The restitution law cannot be met.
     """
+    check_side(side)
     if isinstance(contact, Contact) and contact.geometry is not None and not is_pair(model, contact):
         tips = touching_tips(model, data, q, contact)
         contact = tips[0] if len(tips) == 1 else tips
     if isinstance(contact, Sequence) and not isinstance(contact, str):
         from .many_derivatives import derivatives_at_many
 
-        check_side(side, "n contacts")
-        return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous)
-    check_side(side)
+        return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
     rest = check_held(held), locked, True
     block, boundary = _differentiated(model, data, q, v, contact, *rest)
     if side is not None and np.isnan(block).any():

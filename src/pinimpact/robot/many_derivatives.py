@@ -198,6 +198,7 @@ def derivatives_at_many(
     held: Sequence[Contact],
     locked: Sequence[str | int],
     simultaneous: str,
+    side: int | None,
 ) -> ManyImpactDerivatives:
     """Differentiate the impact of a robot at n contacts; see `impact_derivatives`."""
     if not contacts:
@@ -223,7 +224,7 @@ def derivatives_at_many(
     changes += state_changes(matrices.jacobian, np.zeros((nv, 3 * n, 3 * n)), bends)
     changes += [coefficient_change(n, friction=k) for k in range(n)]
     changes += [coefficient_change(n, restitution=k) for k in range(n)]
-    found = slopes_along(inputs, simultaneous, solution, changes)
+    found = slopes_along(inputs, simultaneous, solution, changes, side)
     return _assembled(of_matrices, v, solution.impulse.ravel(), found)
 
 
