@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..checks import above_zero, as_tuple
+from ..checks import above_zero, as_tuple, in_short
 from ..errors import InputError, LawError, PinimpactError, SimulationError, UnstoppableApproachError
 from ..robot.batch import impacts
 from ..robot.contact import Contact
 from ..robot.derivatives import impact_derivatives
+from ..robot.robot_impact import impact
 from ..scene.scene import Scene
 from ..scene.sensitivities import check_supported
 from ..scene.stepper import Stepper
@@ -35,24 +36,22 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
 
     Args:
         state: A `crocoddyl.StateMultibody`; its model is the robot.
-        contacts: The contact that collides, or a sequence with that one.
+        contacts: The contact that collides, or a sequence of those that are closed at this instant.
         costs: A `crocoddyl.CostModelSum` with nu = 0.
 
     Raises:
-        InputError: Several contacts; a Crocoddyl that was built for another version of Pinocchio.
+        InputError: No contact; a Crocoddyl that was built for another version of Pinocchio.
     """
 
     def __init__(self, state: Any, contacts: Contact | Sequence[Contact], costs: Any) -> None:
         found = as_tuple("contacts", contacts, Contact, "a Contact")
-        if len(found) != 1 or not isinstance(found[0], Contact):
+        if not found or not all(isinstance(contact, Contact) for contact in found):
             raise InputError(
-                f"contacts: {len(found)} given, one Contact expected; derivatives are those of one contact",
-                field="contacts",
-                value=contacts,
+                f"contacts: {in_short(contacts)} given, Contacts expected", field="contacts", value=contacts
             )
         _check_gravity()
         super().__init__(state, 0, costs.nr)
-        self.contact, self.costs = found[0], costs
+        self.contacts, self.costs = found if len(found) > 1 else found[0], costs
 
     def createData(self) -> ActionDataImpact:
         """Return data for `calc` and `calcDiff`."""
@@ -62,7 +61,7 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
         """Set `xnext` and `cost`."""
         model = self.state.pinocchio
         q, v = np.array(x[: model.nq]), np.array(x[model.nq :])
-        v = impacts(model, data.impact, q, v, self.contact).v[0]
+        v = self._after(data, q, v)
         data.xnext = np.concatenate((q, v))
         pin.forwardKinematics(model, data.pinocchio, q, np.array(x[model.nq :]))
         pin.updateFramePlacements(model, data.pinocchio)
@@ -81,11 +80,21 @@ class ActionModelImpact(crocoddyl.ActionModelAbstract):
         self.costs.calcDiff(data.costs, x)
         data.Lx, data.Lxx = np.array(data.costs.Lx), np.array(data.costs.Lxx)
 
+    def _after(self, data: ActionDataImpact, q: Any, v: Any) -> Any:
+        """Return v⁺, NaN where it does not exist."""
+        model = self.state.pinocchio
+        if isinstance(self.contacts, Contact):
+            return impacts(model, data.impact, q, v, self.contacts).v[0]
+        try:
+            return impact(model, data.impact, q, v, self.contacts).v
+        except (UnstoppableApproachError, LawError):
+            return np.full(model.nv, np.nan)
+
     def _slopes(self, data: ActionDataImpact, q: Any, v: Any) -> Any:
         """Return ∂v⁺/∂x. An error that passes through Crocoddyl ends the process, so NaN stands for it."""
         model = self.state.pinocchio
         try:
-            d = impact_derivatives(model, data.impact, q, v, self.contact)
+            d = impact_derivatives(model, data.impact, q, v, self.contacts)
         except (UnstoppableApproachError, LawError):
             return np.full((model.nv, 2 * model.nv), np.nan)
         return np.hstack((d.dv_dq, d.dv_dv))
