@@ -19,7 +19,7 @@ from ._kernels import configuration_slopes as places
 from ._kernels import impact_slopes as kernel
 from ._kernels.responses import half_solve
 from ._kernels.tree import solve
-from .contact import Contact, check_contact, check_held, contact_constants
+from .contact import Contact, check_contact, check_held
 from .data_cache import data_cache
 from .forest import composite_inertias, joint_jacobian
 from .held import check_at_rest
@@ -110,9 +110,7 @@ def check_joints(model: pin.Model) -> None:
 def _restitution(
     model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact
 ) -> tuple[float, float]:
-    """Return e at the approach speed, and de/d(approach speed), 0 for a number."""
-    if not callable(contact.restitution):
-        return contact.restitution, 0.0
+    """Return e that is a function at the approach speed, and de/d(approach speed)."""
     cache = data_cache(model, data)
     velocity = contact_geometry(model, data, q, contact).velocity(finite_array("v", v, cache.v_shape))
     speed = max(-float(velocity[2]), 0.0)
@@ -190,13 +188,14 @@ def impact_derivatives(
         LawError: The restitution law cannot be met.
     """
     check_side(side)
-    if isinstance(contact, Contact) and contact.geometry is not None and not is_pair(model, contact):
-        tips = touching_tips(model, data, q, contact)
-        contact = tips[0] if len(tips) == 1 else tips
-    if isinstance(contact, Sequence) and not isinstance(contact, str):
-        from .many_derivatives import derivatives_at_many
+    if not isinstance(contact, Contact) or contact.geometry is not None:
+        if isinstance(contact, Contact) and not is_pair(model, contact):
+            tips = touching_tips(model, data, q, contact)
+            contact = tips[0] if len(tips) == 1 else tips
+        if isinstance(contact, Sequence) and not isinstance(contact, str):
+            from .many_derivatives import derivatives_at_many
 
-        return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
+            return derivatives_at_many(model, data, q, v, contact, held, locked, simultaneous, side)
     rest = check_held(held), locked, True
     block, boundary = _differentiated(model, data, q, v, contact, *rest)
     if side is not None and np.isnan(block).any():
@@ -261,7 +260,11 @@ def _differentiated(
     model = model_of(model)
     if held or contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact, *held))
-    e = _restitution(model, data, q, v, contact)
+    e = (
+        _restitution(model, data, q, v, contact)
+        if callable(contact.restitution)
+        else (contact.restitution, 0.0)
+    )
     if not (held or locked):
         cache = data_cache(model, data)
         work = strike(cache, model, data, contact)[1]
@@ -370,7 +373,8 @@ def contact_place(
     placed: PlacedRobot, tree: Tree, contact: Contact, geometry: ContactGeometry, turns: bool, n: int
 ) -> Place:
     """Fill `at` and `shifts` of a contact; those of n velocities, all or none."""
-    joints = contact_constants(placed.model, contact)[:2]
+    frames, ids = placed.model.frames, placed.cache.contact(contact.frame, contact.plane.body)[:2]
+    joints = frames[ids[0]].parentJoint, frames[ids[1]].parentJoint
     at, shifts = np.empty(places.PLACE), np.empty((n, places.SHIFT))
     frame, carrier = (np.ascontiguousarray(one[:3].T).ravel() for one in placed.placements(contact))
     rest = contact.constants.copy(), geometry.axes.ravel(), turns, *tree, *joints, at, shifts
@@ -413,7 +417,9 @@ def _by_matrices(
         inertia = composite_inertias(model, data, placed.q)
         given = *tree, placed.cache.parents, inertia, tip, base, at, shifts, y, v, impulse
         kernel.impact_slopes(*given, of_data, forces, turned)
-        sliding = _add_held(placed, tree, held, matrices, y, impulse, of_data, forces)
+        sliding = np.empty((0, nv))
+        if held:
+            sliding = _add_held(placed, tree, held, matrices, y, impulse, of_data, forces)
         forces = responses(placed, matrices.held, free_velocities(model, locked), forces, sliding)
     block = np.empty((nv + 3, 2 * nv + kernel.MORE))
     rest = y, v, impulse, slopes, slope, by_q, of_data, forces, turned, block
