@@ -22,8 +22,9 @@ FIRST, FINER, LEVELS = 4e-3, 0.25, 9
 """The first step of differences, in parts of what makes a change as large as the data; how much shorter each
 one is than the last; how many are tried."""
 
-ACCURATE = 1e-10
-"""Part of a derivative by which those by two steps differ where no shorter one is tried: rounding's."""
+ACCURATE = 1e-8
+"""Part of a derivative by which those by two steps differ where no shorter one is tried. The error of the
+second is 4⁻⁶ of that, or a third where the slope of P has a kink, and rounding's."""
 
 AGREED = 1e-6
 """The same, and that of those to either side, beyond which there is no derivative."""
