@@ -271,7 +271,7 @@ def impact(
 def _refuse_or_warn(ended: tuple[int, ...], cache: DataCache, q: Array, v: Array, hit: Hit) -> None:
     """Raise the error of an impact that has no answer, or warn of a q outside the joint limits."""
     if 0 <= ended[0] <= LOCKED:
-        cache.warn_of_limits(q)
+        cache.warn_of_limits(q, stacklevel=5)
         return
     if ended[0] == kernel.SINGULAR_MASS:
         raise singular_mass(cache.model(), ended[1])

@@ -92,7 +92,7 @@ def begin(work, t, q, v):
 
 @inlined
 def _slip_ends(work, rates):
-    """Return a guess of the time until the first slip ends, at the rates (2 nv, …) of the start."""
+    """Return a guess of the time until the first certain slip ends, at the rates (2 nv, …) of the start."""
     ends, n = math.inf, work.nv
     jacobian, reference = work.contact_jacobian, work.slip_reference
     for k in range(len(work.active_mode)):
@@ -102,7 +102,7 @@ def _slip_ends(work, rates):
                 turned = reference[k, 0] * jacobian[k, 0, j] + reference[k, 1] * jacobian[k, 1, j]
                 rate += turned * (rates[n + j] - work.acceleration[j])
             speed = along(work, k, work.contact_velocity)
-            if rate < 0.0 < speed:
+            if rate < 0.0 and speed > work.certain_speed:
                 ends = min(ends, -speed / rate)
     return ends
 
@@ -182,7 +182,7 @@ def finish(work, t, h, error, explicit):
         for k in range(len(velocity)):
             before, now = work.sample_slip[0, k], along(work, k, velocity)
             work.sample_slip[0, k] = now
-            if work.active_mode[k] == SLIP and 0.0 < now < before:
+            if work.active_mode[k] == SLIP and work.certain_speed < now < before:
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
     elif work.event_time == -math.inf:  # the step will be tried again, shorter
