@@ -355,7 +355,7 @@ def _impact_in_steps(
     matrices = contact_matrices(model, data, q, contact, held, locked, stiffening)
     nv = len(matrices.h)
     v = finite_array("v", v, (nv,))
-    data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=5)
+    data_cache(model, data).check_limits(real_numbers("q", q), stacklevel=6)
     check_at_rest(matrices.held, held, v)
     velocity = matrices.velocity(v)
     restitution = contact.restitution_at(max(-float(velocity[2]), 0.0))
@@ -368,7 +368,7 @@ def _impact_in_steps(
     )
     solution = solve_impact(problem, method=method, record=record, **options)
     held_impulses = matrices.held_response @ solution.impulse
-    warn_of_pulls(matrices.held, held, held_impulses, solution.impulse, 3)
+    warn_of_pulls(matrices.held, held, held_impulses, solution.impulse, 4)
     numbers = np.concatenate(
         [
             v + matrices.response @ solution.impulse,
