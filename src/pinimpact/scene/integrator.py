@@ -314,7 +314,8 @@ class Integrator:
             is short enough.
         """
         state, work, t = self.state, self.work, self.state.t
-        natural, h = h, min(h, self.max_step, state.bounce, BEYOND * work.slip_ends)
+        ends = BEYOND * work.slip_ends if self._continuous is None else math.inf  # refusals tell of its jumps
+        natural, h = h, min(h, self.max_step, state.bounce, ends)
         while True:
             trial = left if h > 0.9 * left else h
             if t + trial <= t:
@@ -349,9 +350,8 @@ class Integrator:
 
     def _method(self, h: float) -> ModuleType:
         """Return the method for a step of a length [s]."""
-        if h * self.work.slip_stiffness > step_radau.STIFF:
-            return step_radau
-        return step_drives if h * self.work.drive_rate > step_drives.STIFF else step_dop853
+        other = step_drives if h * self.work.drive_rate > step_drives.STIFF else step_dop853
+        return step_radau if h * self.work.slip_stiffness > step_radau.STIFF else other
 
     def _complete(self, step: DenseStep, end: float) -> None:
         """Let a step end where it does, without an event; go on from there."""

@@ -96,7 +96,7 @@ def _slip_ends(work, rates):
     ends, n = math.inf, work.nv
     jacobian, reference = work.contact_jacobian, work.slip_reference
     for k in range(len(work.active_mode)):
-        if work.active_mode[k] == SLIP:
+        if work.active_mode[k] == SLIP and work.active_friction[k] > 0.0:
             rate = along(work, k, work.contact_acceleration)
             for j in range(n):
                 turned = reference[k, 0] * jacobian[k, 0, j] + reference[k, 1] * jacobian[k, 1, j]
@@ -182,7 +182,8 @@ def finish(work, t, h, error, explicit):
         for k in range(len(velocity)):
             before, now = work.sample_slip[0, k], along(work, k, velocity)
             work.sample_slip[0, k] = now
-            if work.active_mode[k] == SLIP and work.certain_speed < now < before:
+            rubs = work.active_mode[k] == SLIP and work.active_friction[k] > 0.0
+            if rubs and work.certain_speed < now < before:
                 work.slip_ends = min(work.slip_ends, now * h / (before - now))
         set_growth(work, h, error)
     elif work.event_time == -math.inf:  # the step will be tried again, shorter
