@@ -49,6 +49,11 @@ class HeldForces:
         if len(self._changes) < len(asked) and asked[len(self._changes)] == t:
             self._changes.append(forces_by_state(self._jacobian, t, q, v) @ x)
 
+    @property
+    def times(self) -> list[float]:
+        """The times at which the control is asked, or a force begins to act [s]."""
+        return [*self._control.asked_at, *self._control.acts_at]
+
     def begins(self, t: float) -> bool:
         """Return whether a force begins to act at this time."""
         k = self._number(t)

@@ -326,7 +326,8 @@ class Sensitivities:
         if self._held is not None:
             now = self._held.at(self._steps[number].start)
             slopes = self._slopes
-            slopes.saltation.slopes.tau[:], slopes.force = (0.0, 0.0 * slopes.force) if now is None else now
+            none = 0.0, np.zeros_like(slopes.force)
+            slopes.saltation.slopes.tau[:], slopes.force = none if now is None else now
 
     def _at_start(self, number: int) -> tuple[Array, Boundary]:
         saltation, steps = self._slopes.saltation, self._steps
@@ -369,7 +370,7 @@ class Sensitivities:
     def _next_stick(self, k: int) -> int:
         """Return the step in which slip sticks that has ended before step k but for errors, else k.
 
-        Errors of steps leave a speed where slip ends, with which it goes on in another direction for no time.
+        Errors of steps leave a speed where slip ends, with which the contact keeps sliding for no time.
         """
         steps, saltation = self._steps, self._slopes.saltation
         closed, begun = steps[k - 1].closed, steps[k].start
@@ -383,8 +384,11 @@ class Sensitivities:
             return contacts[(closed.modes[contacts] == SLIP) & (speeds <= slow)]
 
         ends = slowed(steps[k - 1])
+        if len(ends) == 0:
+            return k
         times = [*(one.time for one in self._impacts), *(one.time for one in self._events)]
-        for m in range(k, len(steps) if len(ends) else k):
+        times += [] if self._held is None else self._held.times
+        for m in range(k, len(steps)):
             now = steps[m].closed
             happens = any(begun < time <= steps[m].start for time in times)
             if happens or not isinstance(now, ClosedSet):
