@@ -260,11 +260,7 @@ def _differentiated(
     model = model_of(model)
     if held or contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact, *held))
-    e = (
-        _restitution(model, data, q, v, contact)
-        if callable(contact.restitution)
-        else (contact.restitution, 0.0)
-    )
+    e = _restitution(model, data, q, v, contact)
     if not (held or locked):
         cache = data_cache(model, data)
         work = strike(cache, model, data, contact)[1]
@@ -295,7 +291,8 @@ def _of_shape(
             field="contact",
             value=contact,
         )
-    return _at_point(robot, data, q, v, points[0], *rest)
+    found = derivatives_at_point(robot, data, q, v, points[0], *rest)
+    return found.block, found.boundary
 
 
 def derivatives_at_point(
@@ -306,38 +303,23 @@ def derivatives_at_point(
     point: tuple[Contact, Contact | None, bool],
     held: tuple[Contact, ...],
     locked: Sequence[str | int],
+    by_q: bool = True,
 ) -> ImpactDerivatives:
-    """Do what `impact_derivatives` does for a contact point of two shapes, see `PointContact`, or another."""
-    block, boundary = _at_point(model, data, q, v, point, held, locked, True)
-    return ImpactDerivatives(block, Boundary(boundary))
-
-
-def _at_point(
-    model: pin.Model,
-    data: pin.Data,
-    q: ArrayLike,
-    v: ArrayLike,
-    point: tuple[Contact, Contact | None, bool],
-    held: tuple[Contact, ...],
-    locked: Sequence[str | int],
-    by_q: bool,
-) -> tuple[Array, int]:
-    """Do what `_differentiated` does for a contact point of two shapes, as `PointContact` has it.
+    """Do what `impact_derivatives` does for a contact point of two shapes, see `PointContact`, or another.
 
     How that moves with q follows from its features, of which the tip may be that of the other shape.
     """
     (instant, lasting, swapped), rest = point, (held, locked)
     block, boundary = _differentiated(model, data, q, v, instant, *rest, by_q and lasting is instant)
     of_q = block[:, : len(block) - 3]
-    if not by_q or lasting is instant:
-        return block, boundary
-    if lasting is None:
+    if by_q and lasting is None:
         of_q[:] = np.nan
-        return block, boundary | Boundary.FEATURES_MEET
-    of_q[:] = _differentiated(model, data, q, v, lasting, *rest, True)[0][:, : len(block) - 3]
-    if swapped:  # that impulse is on the other shape
-        of_q[-3:] *= -1.0
-    return block, boundary
+        boundary |= Boundary.FEATURES_MEET
+    elif by_q and lasting is not None and lasting is not instant:
+        of_q[:] = _differentiated(model, data, q, v, lasting, *rest, True)[0][:, : len(block) - 3]
+        if swapped:  # that impulse is on the other shape
+            of_q[-3:] *= -1.0
+    return ImpactDerivatives(block, Boundary(boundary))
 
 
 class Tree(NamedTuple):

@@ -15,12 +15,11 @@ from ..contact_space.derivatives import Boundary
 from ..contact_space.many_derivatives import Change, Slopes, slopes_along
 from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
-from ..errors import InputError
 from ._kernels import configuration_slopes as places
-from .contact import Contact, check_contact, check_held
+from .contact import Contact
 from .derivatives import Place, Tree, contact_place, responses, slope_of_restitution
 from .held import check_at_rest
-from .many_impact import many_problem
+from .many_impact import check_many, many_problem
 from .matrices import ManyMatrices, checked_matrices
 from .names import free_velocities, model_of
 from .placed_robot import PlacedRobot
@@ -201,11 +200,7 @@ def derivatives_at_many(
     side: int | None,
 ) -> ManyImpactDerivatives:
     """Differentiate the impact of a robot at n contacts; see `impact_derivatives`."""
-    if not contacts:
-        raise InputError("contact: no contact given", field="contact", value=contacts)
-    held = check_held(held)
-    for contact in contacts:
-        check_contact("contact", contact)
+    held = check_many(contacts, held)
     placed, free = PlacedRobot(robot, data, q), free_velocities(model_of(robot), locked)
     check_rims(placed, (*contacts, *held))
     anchors, mobility = tuple(map(placed.geometry, held)), free.astype(np.float64)

@@ -80,11 +80,7 @@ def impact_at_many(
     options: dict[str, Any],
 ) -> ManyHit:
     """Compute the impact of a robot at n contacts; see `impact`."""
-    if not contacts:
-        raise InputError("contact: no contact given", field="contact", value=contacts)
-    for contact in contacts:
-        check_contact("contact", contact)
-    held = check_held(held)
+    held = check_many(contacts, held)
     placed = PlacedRobot(model, data, q)
     check_rims(placed, contacts)
     compile_policy(simultaneous, contact_kinematics.jacobian, contact_kinematics.locate, half_solve, respond)
@@ -108,6 +104,15 @@ def impact_at_many(
         solution,
         held_impulses,
     )
+
+
+def check_many(contacts: Sequence[Contact], held: Sequence[Contact]) -> tuple[Contact, ...]:
+    """Refuse what are no contacts, or none; return the held contacts."""
+    if not contacts:
+        raise InputError("contact: no contact given", field="contact", value=contacts)
+    for contact in contacts:
+        check_contact("contact", contact)
+    return check_held(held)
 
 
 def many_problem(contacts: Sequence[Contact], matrices: ManyMatrices, velocity: Array) -> ImpactProblem:

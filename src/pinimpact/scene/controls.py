@@ -130,16 +130,18 @@ class Drives:
 
     def __call__(self, t: float, q: Array, v: Array) -> Array:
         """Return the forces (nv,) at a state."""
-        law = self.stiffness * (self.reference - q[self.coordinate]) - self.damping * v
-        forces = np.zeros(len(v))
+        law, forces = self._law(q, v), np.zeros(len(v))
         driven = self.velocity
         forces[driven] = np.clip(law[driven], -self.limit[driven], self.limit[driven])
         return forces
 
+    def _law(self, q: Array, v: Array) -> Array:
+        """Return the forces (nv,) without limits."""
+        return self.stiffness * (self.reference - q[self.coordinate]) - self.damping * v
+
     def jacobian(self, t: float, q: Array, v: Array) -> Array:
         """Return the derivative (nv, 2 nv) of the forces by q and v, zero for drives at their limits."""
-        law = self.stiffness * (self.reference - q[self.coordinate]) - self.damping * v
-        follows = np.zeros(len(v))
+        law, follows = self._law(q, v), np.zeros(len(v))
         follows[self.velocity] = np.abs(law[self.velocity]) < self.limit[self.velocity]
         return np.hstack([np.diag(-follows * self.stiffness), np.diag(-follows * self.damping)])
 

@@ -240,8 +240,8 @@ def _find_event(series, nodes, problem, axes, x, peaks, rate, restoring, goal, l
         goal, left: See `turning_move`.
 
     Returns:
-        the event and where it is; whether slip goes on for ever; the normal work, if that counts; what
-        `_end_at` returns for x; and flags.
+        the event and where it is; whether the contact keeps sliding for ever; the normal work, if that
+        counts; what `_end_at` returns for x; and flags.
     """
     v3, shape, counts = series.v3, series.shape, problem.counts
     event, flags, work = NO_EVENT, NO_FLAG, 0.0
