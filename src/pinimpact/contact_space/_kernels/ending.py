@@ -17,6 +17,8 @@ from .codes import (
     NO_FLAG,
     NO_IMPACT,
     OUT_OF_RANGE,
+    SEPARATED,
+    VELOCITY,
 )
 from .contact_problem import Problem, View, halves
 from .delassus import EPS
@@ -152,3 +154,27 @@ def finish(
         path[i, 4] = math.ldexp(sign1 * y1 + 0.0, scale_p)
         path[i, 5] = math.ldexp(sign2 * y2 + 0.0, scale_p)
     return Result(status, flags, iterations, v1, v2, v3, p1, p2, p3, compressed, 0.0, rows, points)
+
+
+@inlined
+def followed(
+    view, problem, status, figure, flags, iterations, velocity, impulse, ledger, trace, rows, path, points
+):
+    """Return the values of the `Result` of an impact that has been followed, or of why there is none.
+
+    Args:
+        status: SEPARATED or LOCKED, else that of an error, with the figure of its message.
+        ledger: The `Ledger` at the end.
+        view, problem, flags, iterations, velocity, impulse, trace, rows, path, points: As in `finish`.
+    """
+    if status not in (SEPARATED, LOCKED):
+        return plain(no_result(status, math.ldexp(figure, view.scale_v)))
+    v1, v2, v3 = velocity
+    if problem.counts == VELOCITY and status != LOCKED:
+        v3 = ledger.goal
+    return plain(
+        finish(
+            *(view, problem, status, flags, iterations, (v1, v2, v3), impulse, ledger.compressed),
+            *(trace, rows, path, points),
+        )
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, declared, plain_tuple
 from ..._compile.jit import always_inlined, inlined, jit
@@ -25,7 +23,7 @@ from .codes import (
     VELOCITY,
 )
 from .contact_problem import PROCEEDS, prepare
-from .ending import Result, finish, no_result, plain, without_impact
+from .ending import Result, followed, no_result, plain, without_impact
 from .ledger import close_move, left_to_gain, new_ledger
 from .moves import (
     State,
@@ -87,18 +85,12 @@ def solve_into(
     status, figure, flags, iterations, state, ledger, rows, points = _follow(
         problem, flags, scratch, trace, path
     )
-    if status == NOT_CONVERGED:
-        return plain(no_result(status, 0.0))
-    if status in (LAW_UNREACHABLE, UNSTOPPABLE):
-        return plain(no_result(status, math.ldexp(figure, view.scale_v)))
     u1, u2 = tangential_velocity(problem, state)
-    v3 = ledger.goal if problem.counts == VELOCITY and status != LOCKED else state.v3
-    velocity, impulse = (u1, u2, v3), (state.p1, state.p2, state.p3)
-    result = finish(
-        *(view, problem, status, flags, iterations, velocity, impulse, ledger.compressed),
+    velocity, impulse = (u1, u2, state.v3), (state.p1, state.p2, state.p3)
+    return followed(
+        *(view, problem, status, figure, flags, iterations, velocity, impulse, ledger),
         *(trace, rows, path, points),
     )
-    return plain(result)
 
 
 @always_inlined

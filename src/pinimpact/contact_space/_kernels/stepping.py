@@ -6,8 +6,6 @@ v_t = 0 has constant rates, so no method has anything to discretise there: one s
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..._compile.jit import always_inlined, jit
@@ -28,7 +26,7 @@ from .codes import (
     VELOCITY,
 )
 from .contact_problem import PROCEEDS, prepare
-from .ending import finish, no_result, plain, without_impact
+from .ending import followed, no_result, plain, without_impact
 from .ledger import close_move, left_to_gain, new_ledger
 from .moves import (
     State,
@@ -79,17 +77,11 @@ def solve_stepping(
     status, figure, flags, iterations, at, ledger, rows, points = _follow(
         problem, flags, table, steps, rtol, trace, path
     )
-    if status == NOT_CONVERGED:
-        return plain(no_result(status, 0.0))
-    if status in (LAW_UNREACHABLE, UNSTOPPABLE):
-        return plain(no_result(status, math.ldexp(figure, view.scale_v)))
-    v3 = ledger.goal if problem.counts == VELOCITY and status != LOCKED else at.v3
-    velocity, impulse = (at.v1, at.v2, v3), (at.p1, at.p2, at.p3)
-    result = finish(
-        *(view, problem, status, flags, iterations, velocity, impulse, ledger.compressed),
+    velocity, impulse = (at.v1, at.v2, at.v3), (at.p1, at.p2, at.p3)
+    return followed(
+        *(view, problem, status, figure, flags, iterations, velocity, impulse, ledger),
         *(trace, rows, path, points),
     )
-    return plain(result)
 
 
 @always_inlined
