@@ -565,17 +565,27 @@ def test_linearize_leaves_the_motion_as_it_is():
 
 
 def test_linearize_leaves_the_motion_as_it_is_where_it_is_refused():
-    # bounces that accumulate are crossed by time steps
+    # a callback in a time step
     ball = Contact("ball centre", Plane(), 0.0, 0.7, name="ball")
-    scene = Scene(point("ball"), [ball], resting_speed=1e-60)
-    one, other = (Stepper(scene, [0.0, 0.0, 0.1], np.zeros(3)) for _ in range(2))
+    kick = Event(lambda t, q, v: q[0] - 0.3, lambda t, q, v: v, jacobian=lambda t, q, v: None, name="kick")
+    scene = Scene(point("ball"), [ball], events=[kick])
+    given = [0.0, 0.0, 0.1], [0.1, 0.0, 0.0]
+    one, other = (Stepper(scene, *given, scheme="time-stepping") for _ in range(2))
     for _ in range(2):
         for _ in range(3):
-            with pytest.warns(pinimpact.SteppedWarning), pytest.raises(pinimpact.InputError, match="crossed"):
-                one.linearize(np.zeros(3), 1.0)
+            with pytest.raises(pinimpact.InputError, match="'kick' ends a time step"):
+                one.linearize(np.zeros(3), 4.0)
         run = same_steps(one, other, np.zeros(3), 0.3)
     assert run.impacts
-    assert not run.stepped
+
+
+def test_bounces_that_accumulate_have_no_derivative_unless_they_come_to_rest():
+    ball = Contact("ball centre", Plane(), 0.0, 0.7, name="ball")
+    scene = Scene(point("ball"), [ball], resting_speed=1e-60)
+    with pytest.warns(pinimpact.SteppedWarning):
+        found = Stepper(scene, [0.0, 0.0, 0.1], np.zeros(3)).linearize(np.zeros(3), 1.0)
+    assert np.isnan(found.A).all()
+    assert found.boundary != Boundary.NONE
 
 
 # ---- boundaries and refusals
@@ -601,7 +611,8 @@ def test_what_has_no_derivative_is_refused():
     refuses("callback of 'kick'.*jacobian=", replace(scene, events=[kick]))
     few = replace(kick, jacobian=lambda t, q, v: np.eye(9))
     refuses("jacobian: .*shape", replace(scene, events=[few]))
-    refuses("time steps", scheme="time-stepping")
+    driven = replace(scene, control=with_jacobian(0.0, 1.0, np.array(q)))
+    refuses("continuous control in time steps", driven, scheme="time-stepping")
     refuses("expected", names=["mass"])
     refuses("no contact 'foot'", names=["friction:foot"], kind=pinimpact.UnknownNameError)
     varying = replace(contact, restitution=lambda speed: 0.5)

@@ -400,3 +400,21 @@ def test_a_corner_that_stays_on_a_corner_is_refused():
     q = pose(0.0, 0.0, top + 0.1 * math.sqrt(3.0) + 0.1, math.pi / 4, math.atan(math.sqrt(0.5)))
     with pytest.raises(SimulationError, match="crate on tip"):
         pinimpact.simulate(scene, q, np.zeros(6), 0.5, scheme="event-driven")
+
+
+def test_coefficients_of_a_scenes_contacts_can_be_replaced():
+    robot = two_bodies(coal.Box(0.2, 0.2, 0.2), coal.Box(0.2, 0.2, 0.2))
+    contact = Contact(geometry="a", plane=Shape("b"), friction=0.3, restitution=0.0)
+    scene = Scene(robot, [contact])
+    other = replace(scene, contacts=[replace(one, restitution=0.6) for one in scene.contacts])
+    expected = Scene(robot, [replace(contact, restitution=0.6)])
+    q0 = np.concatenate([pose(0, 0, 0, 0.3, 0.4), pose(0.05, 0.03, 0.4)])
+    v0 = np.array([0, 0, 1.0, 0, 0, 0, 0, 0, -1.0, 0, 0, 0])
+    ends, slopes = [], []
+    for one in (other, expected, scene):
+        found = pinimpact.simulate(one, q0, v0, 0.1, scheme="event-driven", sensitivities="state")
+        ends.append(found.v[-1])
+        slopes.append(found.sensitivity(0.1).state)
+    assert np.array_equal(ends[0], ends[1])
+    assert np.array_equal(slopes[0], slopes[1])
+    assert not np.allclose(ends[0], ends[2])

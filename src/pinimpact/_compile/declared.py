@@ -39,6 +39,7 @@ READONLY = types.Array(types.float64, 1, "C", readonly=True)
 
 Floats = Annotated[NDArray[np.float64], FLOATS]
 FloatRows = Annotated[NDArray[np.float64], FLOAT_ROWS]
+FloatStack = Annotated[NDArray[np.float64], FLOAT_STACK]
 Integers = Annotated[NDArray[np.int64], INTEGERS]
 IntegerRows = Annotated[NDArray[np.int64], INTEGER_ROWS]
 Flags = Annotated[NDArray[np.bool_], FLAGS]

@@ -107,7 +107,7 @@ def slopes_along(
         return Slopes(nothing, np.ones(len(changes), dtype=bool), Boundary.EVENTS_COINCIDE)
     along = _Differences(inputs, policy, impulse)
     found = [along.slope(change) for change in changes]
-    columns = np.array([one.impulse for one in found]).reshape(len(changes), -1).T.copy()
+    columns = np.array([one.impulse for one in found]).reshape(len(changes), impulse.size).T.copy()
     known = np.array([one.missed <= AGREED for one in found], dtype=bool)
     boundary = Boundary.RANK if inputs.singular else Boundary.NONE
     if (inputs.friction == 0.0).any() or ((inputs.restitution == 0.0) | (inputs.restitution == 1.0)).any():

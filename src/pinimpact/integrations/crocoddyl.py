@@ -139,7 +139,7 @@ class ActionModelStep(crocoddyl.ActionModelAbstract):
                 field="costs",
                 value=costs,
             )
-        check_supported(scene, options.get("scheme", "auto"))
+        check_supported(scene)
         _check_gravity()
         super().__init__(costs.state, nu, costs.nr)
         self.scene, self.dt, self.costs, self.options = scene, above_zero("dt", dt), costs, options

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.simultaneous import compile_policy, find_policy
 from ._kernels import configuration_slopes as places
 from .contact import Contact
+from .corner_motion import Corner
 from .derivatives import Place, Tree, contact_place, responses, slope_of_restitution
 from .held import check_at_rest
 from .many_impact import check_many, many_problem
@@ -88,14 +89,23 @@ class RowSlopes:
     Args:
         placed: The robot at its configuration.
         contacts: The k contacts.
+        corners: By place among these: of contacts of two shapes, the corners that they stand for.
+
+    Raises:
+        InputError: A corner whose motion is not known.
     """
 
-    def __init__(self, placed: PlacedRobot, contacts: Sequence[Contact]) -> None:
-        model = placed.model
+    def __init__(
+        self, placed: PlacedRobot, contacts: Sequence[Contact], corners: Mapping[int, Corner] | None = None
+    ) -> None:
+        model, corners = placed.model, corners or {}
         self._placed, self._tree = placed, Tree.of(placed)
         self._data = model.createData()
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
+        contacts = [corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)]
         self.axes, self.rows = self.of(contacts, True)
+        for k, corner in corners.items():
+            corner.follow(placed.data, self._tree.J, self.rows[k].place.shifts)
 
     def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[Array], list[_Row]]:
         """Return axes and rows of contacts, with components along the axes or in the world."""
@@ -134,6 +144,7 @@ class ManySlopes:
         matrices: Of contacts and stops, which come last.
         held: Held contacts.
         free: (nv,) which velocities are not locked.
+        corners: See `RowSlopes`.
 
     Attributes:
         delassus: (nv, 3n, 3n) ∂W/∂q. (D17), (D21)
@@ -146,9 +157,10 @@ class ManySlopes:
         matrices: ManyMatrices,
         held: Sequence[Contact],
         free: NDArray[np.bool_],
+        corners: Mapping[int, Corner] | None = None,
     ) -> None:
         self.matrices, self._free, self._placed = matrices, free, placed
-        self._robot = robot = RowSlopes(placed, contacts)
+        self._robot = robot = RowSlopes(placed, contacts, corners)
         self._held = robot.of(held, False)[1]
         nv, m = matrices.response.shape
         moved, self._moved_held = np.zeros((m, m, nv)), np.zeros((m, 3 * len(held), nv))

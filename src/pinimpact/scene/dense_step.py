@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import dense_output
+from .step_taken import StepTaken
 
 Array = NDArray[np.float64]
 
@@ -30,9 +31,22 @@ class DenseStep:
         joints: Table of the configuration space.
         closed: What was closed, or None; see `forces.ClosedSet`.
         directions: (2, n, 2) of slip at the start and at the end, or None where nothing slips.
+        taken: Of a time step that is to be differentiated: what it was computed from.
     """
 
-    __slots__ = ("closed", "coefficients", "directions", "end", "h", "joints", "q", "start", "v", "w")
+    __slots__ = (
+        "closed",
+        "coefficients",
+        "directions",
+        "end",
+        "h",
+        "joints",
+        "q",
+        "start",
+        "taken",
+        "v",
+        "w",
+    )
 
     def __init__(
         self,
@@ -54,6 +68,7 @@ class DenseStep:
         self.joints = joints
         self.closed: Any = None
         self.directions: Array | None = None
+        self.taken: StepTaken | None = None
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return q and v at a time within the step."""

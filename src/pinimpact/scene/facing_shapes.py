@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from ..geometry._kernels.box_patch import MOST
 from ..geometry.convex_pair import Touch
 from ..geometry.patch import Patch, patch
 from ..robot.contact import Contact
+from ..robot.corner_motion import Corner
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import CarriedShape, ShapePair, point_contact
 from ._kernels.facing_boxes import BOX, HALF, REACH, face_boxes, fill_contact
@@ -31,11 +32,13 @@ class _Places:
         pair: The shapes.
         numbers: Of the contacts.
         used: How many of them stand for points of the present patch.
+        corners: These points, by number of the contact.
     """
 
     pair: ShapePair
     numbers: list[int]
     used: int = 0
+    corners: dict[int, Corner] = field(default_factory=dict)
 
 
 class FacingShapes:
@@ -138,6 +141,19 @@ class FacingShapes:
                 found = patch(a, b, within)
             self._fill(places, found, touching >= 0.0)
 
+    def corners(self) -> dict[int, Corner]:
+        """Return the corners that contacts stand for, by number, as `place` has found them last."""
+        found: dict[int, Corner] = {}
+        for p in np.flatnonzero(self._used).tolist():
+            for k in range(int(self._used[p])):
+                ends = self._points[p, k].copy(), self._others[p, k].copy()
+                found[int(self._ranges[p, 2]) + k] = Corner(
+                    self._box_pairs[p], self._normals[p].copy(), *ends
+                )
+        for places in self._pairs:
+            found |= {i: places.corners[i] for i in places.numbers[: places.used]}
+        return found
+
     def _speed(self, side: CarriedShape) -> float:
         """Return what the speeds of a shape's points do not exceed [m/s]."""
         motion = self._data.v[side.joint]
@@ -157,6 +173,7 @@ class FacingShapes:
             for i, k in zip(places.numbers, np.sort(chosen).tolist(), strict=False):
                 ends = found.points[k], found.others[k]
                 fill_contact(work.contact_constants[i], tip, base, found.normal, *ends)
+                places.corners[i] = Corner(pair, found.normal, *ends)
                 if contacts:
                     self._strike(pair, i, found.normal, ends)
         for i in places.numbers[count : places.used]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
+from ..robot.corner_motion import Corner
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes, coefficient_change
 from ..robot.matrices import checked_matrices, contact_matrices
@@ -92,11 +93,19 @@ class ImpactJumps:
                 island[island == island[a]] = island[b]
         return np.asarray(island[self._roots[work.velocity_joint]])
 
-    def of(self, record: ImpactRecord, modes: NDArray[np.int64]) -> SingleJump | GroupJump:
-        """Return the derivatives of an impact, with the modes of contacts and limits before it."""
+    def of(
+        self, record: ImpactRecord, modes: NDArray[np.int64], corners: Mapping[int, Corner] | None = None
+    ) -> SingleJump | GroupJump:
+        """Return the derivatives of an impact.
+
+        Args:
+            record: The impact.
+            modes: Of contacts and limits before it.
+            corners: What contacts of two shapes stand for, by number, where that is known.
+        """
         group = None if record.group is None else record.group[0]
         if group is not None and (len(group.sources) > 1 or group.policy != "propagate"):
-            return GroupJump(self, record, modes)
+            return GroupJump(self, record, modes, corners or {})
         (number,), resting, law = self.sources(record), record.resting, None
         if group is not None:  # others that are closed are lifted
             resting, law = float(group.problem.restitution[0]) == 0.0, "energetic"
@@ -186,32 +195,44 @@ class GroupJump:
         scene: What differentiates the impacts of the scene.
         record: One of the records of the impact.
         modes: Of contacts and, past those, limits before it; zero is open.
+        corners: What contacts of two shapes stand for, by number.
 
     Raises:
-        InputError: A contact of two collision shapes is among them.
+        InputError: A contact of two collision shapes is among them that stands for no known corner.
     """
 
-    def __init__(self, scene: ImpactJumps, record: ImpactRecord, modes: NDArray[np.int64]) -> None:
+    def __init__(
+        self,
+        scene: ImpactJumps,
+        record: ImpactRecord,
+        modes: NDArray[np.int64],
+        corners: Mapping[int, Corner],
+    ) -> None:
         assert record.group is not None
         group, dynamics, nv = record.group[0], scene.dynamics, len(record.v_before)
         self._group, self._record, self._sources = group, record, np.array(group.sources, dtype=np.int64)
         count = len(dynamics.contacts)
-        self._contacts = [dynamics.contacts[i] for i in group.sources if i < count]
-        for contact in self._contacts:
-            if contact.pair is not None:
+        placed = PlacedRobot(scene.model, scene.data, record.q)
+        self._contacts, known = [], {}
+        for place, i in enumerate(one for one in group.sources if one < count):
+            contact = dynamics.contacts[i]
+            if i in corners:
+                known[place] = corners[i]
+                contact = corners[i].contact(scene.data, contact)
+            elif contact.pair is not None:
                 raise InputError(
                     f"sensitivities: {contact.label!r}, a contact of two collision shapes, takes part in an "
                     f"impact at several contacts at t = {record.time:.6g} s; they are not available there",
                     field="sensitivities",
                 )
+            self._contacts.append(contact)
         limits = [dynamics.limits[i - count] for i in group.sources if i >= count]
         stops = np.zeros((len(limits), nv))
         for row, limit in zip(stops, limits, strict=True):
             row[limit.index_v] = limit.sign
-        placed = PlacedRobot(scene.model, scene.data, record.q)
         anchors, mobility = tuple(map(placed.geometry, scene.held)), scene.free.astype(np.float64)
         self._matrices = checked_matrices(placed, self._contacts, anchors, mobility, stops)
-        self._slopes = ManySlopes(placed, self._contacts, self._matrices, scene.held, scene.free)
+        self._slopes = ManySlopes(placed, self._contacts, self._matrices, scene.held, scene.free, known)
         velocity, now = self._matrices.velocity(record.v_before), modes[self._sources]
         self._rates, self._closed = velocity[:, 2].copy(), now > 0
         # what is closed has velocities only by the error of steps

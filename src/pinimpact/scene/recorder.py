@@ -44,6 +44,7 @@ class Recorder:
         samples: Time, q, v, works and impact energy of each sample.
         modes: The modes of contact.
         bound_reached, stepping_warned: Whether a `BoundReachedWarning`, a `SteppedWarning` has been given.
+        keeps_steps: Whether what time steps are computed from is kept, for their derivatives.
     """
 
     def __init__(self, model: pin.Model, data: Any, modes: ModeIntervals) -> None:
@@ -54,7 +55,7 @@ class Recorder:
         self.events: list[EventRecord] = []
         self.notes: list[Note] = []
         self.modes = modes
-        self.bound_reached = self.stepping_warned = False
+        self.bound_reached = self.stepping_warned = self.keeps_steps = False
 
     @property
     def lists(self) -> tuple[list[Any], ...]:

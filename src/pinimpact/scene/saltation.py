@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +12,7 @@ from ..checks import finite_array, in_short
 from ..contact_space.derivatives import Boundary
 from ..errors import InputError, UnknownNameError
 from ..robot.contact import Contact
+from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import SLIP, STICK
@@ -20,7 +21,7 @@ from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
 from .forces import ClosedSet
-from .impact_jumps import DEPENDENT, REPRODUCED, ImpactJumps, Parameter
+from .impact_jumps import DEPENDENT, REPRODUCED, GroupJump, ImpactJumps, Parameter, SingleJump
 from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
@@ -260,17 +261,42 @@ class Saltation:
             if not -closing > SLOWEST * error:
                 return self._undefined(x, Boundary.GRAZING)
             shifts[np.tile(own, 2)] = -(guard @ x[:nv]) / closing
-        result = x + rates[0][:, None] * shifts
-        for jump in jumps:
-            passed = jump.after(result, self.parameters)
-            if passed is None:
-                return self._undefined(x, Boundary.JUMP)
-            result = np.vstack([result[:nv], passed.after])
-            self._flag(passed.boundary, passed.depends)
+        result = self._after(x + rates[0][:, None] * shifts, jumps)
         removed = impacts[-1].v_after - rates[1][:nv]
         if np.abs(removed).max(initial=0.0) > 10.0 * error:
             result = self._without(result, removed, impacts[0].q, plus)
         return np.asarray(result - rates[1][:, None] * shifts)
+
+    def strike(
+        self,
+        x: Array,
+        impacts: Sequence[ImpactRecord],
+        modes: NDArray[np.int64],
+        corners: Mapping[int, Corner],
+    ) -> Array:
+        """Return how changes x (2nv, n) of the state that impacts of an instant meet are after them.
+
+        Args:
+            x: The changes.
+            impacts: The impacts.
+            modes: Of contacts and limits before.
+            corners: What contacts of two shapes stand for.
+        """
+        records = {id(one if one.group is None else one.group[0]): one for one in impacts}.values()
+        if any(one.resting for one in impacts):
+            self.boundary |= Boundary.LAST_BOUNCE
+        return self._after(x, [self._jumps.of(record, modes, corners) for record in records])
+
+    def _after(self, x: Array, jumps: Sequence[SingleJump | GroupJump]) -> Array:
+        """Return changes after some impacts, one after another."""
+        nv = len(x) // 2
+        for jump in jumps:
+            passed = jump.after(x, self.parameters)
+            if passed is None:
+                return self._undefined(x, Boundary.JUMP)
+            x = np.vstack([x[:nv], passed.after])
+            self._flag(passed.boundary, passed.depends)
+        return x
 
     def _without(self, x: Array, removed: Array, q: Array, plus: ModeSlopes) -> Array:
         """Return changes after a velocity (nv,) that is too slow to matter has been taken away. (D31)

@@ -400,7 +400,16 @@ def _contacts(field: str, contacts: Any, model: pin.Model) -> tuple[Contact, ...
         if contact.plane.body is not None:
             frame_id(model, contact.plane.body, "body")
         _check_surface_motion(field, contact)
-    return contacts
+    pairs: dict[Contact, Contact] = {}
+    return tuple(contact if contact.pair is None else _of_own_pair(contact, pairs) for contact in contacts)
+
+
+def _of_own_pair(contact: Contact, pairs: dict[Contact, Contact]) -> Contact:
+    """Return a contact of two shapes whose pair has its coefficients, which may have been replaced since."""
+    assert contact.pair is not None
+    names = "friction", "restitution", "law", "sliding_friction", "stiffness"
+    own = replace(contact.pair, **{name: getattr(contact, name) for name in names})
+    return contact if own == contact.pair else replace(contact, pair=pairs.setdefault(own, own))
 
 
 def _check_surface_motion(field: str, contact: Contact) -> None:

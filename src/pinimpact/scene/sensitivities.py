@@ -23,11 +23,12 @@ from .controls import JointPD
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .events import as_events
-from .forces import ClosedSet, StepForces
+from .forces import ClosedSet
 from .mode_slopes import SlopesWithin
-from .records import EventRecord, ImpactRecord, Sensitivity, SteppedInterval
+from .records import EventRecord, ImpactRecord, Sensitivity
 from .saltation import SLOWEST, Parameter, Saltation
 from .scene import Scene
+from .step_slopes import StepSlopes
 
 Array = NDArray[np.float64]
 
@@ -89,16 +90,14 @@ class Linearization:
         return iter((self.A, self.B))
 
 
-def check_supported(scene: Scene, scheme: str) -> None:
-    """Refuse schemes and scenes whose motions have no known derivatives.
+def check_supported(scene: Scene) -> None:
+    """Refuse scenes whose motions have no known derivatives.
 
     Raises:
         InputError: A control or a callback of the user's own, of which no derivative is known.
     """
     what: str = ""
     value: Any = None
-    if scheme == "time-stepping":
-        what, value = "time steps", scheme
     acts = scene.control is not None and "control" not in scene.without
     compiled = isinstance(scene.control, JointPD) and scene.period is None
     if acts and not compiled and jacobian_of(scene) is None:
@@ -117,10 +116,10 @@ def check_supported(scene: Scene, scheme: str) -> None:
         raise InputError(f"sensitivities: not available with {what}", field="sensitivities", value=value)
 
 
-def parse(scene: Scene, names: Any, scheme: str) -> tuple[str, ...]:
+def parse(scene: Scene, names: Any) -> tuple[str, ...]:
     """Return the names of sensitivities, checked: "state", "friction:…", "restitution:…" with contacts."""
     names = (names,) if isinstance(names, str) else tuple(names)
-    check_supported(scene, scheme)
+    check_supported(scene)
     for name in names:
         kind, _, label = str(name).partition(":")
         if name != "state" and kind not in ("friction", "restitution"):
@@ -179,12 +178,18 @@ class MotionSlopes:
         found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
+        self.steps = StepSlopes(dynamics, model, found)
         self._nv = nv
         self._given = 0 if tau is None else nv
         self._count = len(found)
         self._control = None if scene.period is not None else jacobian_of(scene)
         self.force = np.zeros((nv, 2 * nv + self._given + self._count))
         self.force[:, 2 * nv : 2 * nv + self._given] = np.eye(nv, self._given)
+
+    @property
+    def continuous(self) -> bool:
+        """Whether a function of the user's controls the motion continuously."""
+        return self._control is not None
 
     def initial(self) -> Array:
         """Return the changes at the start, (2nv, 2nv + the force's + parameters)."""
@@ -294,7 +299,6 @@ class Sensitivities:
         steps: The steps of the motion.
         impacts: Its impacts.
         events: Its user events.
-        stepped: The intervals that time steps have crossed.
         held: The forces of a sampled control.
     """
 
@@ -305,21 +309,25 @@ class Sensitivities:
         steps: Sequence[DenseStep],
         impacts: Sequence[ImpactRecord],
         events: Sequence[EventRecord],
-        stepped: Sequence[SteppedInterval],
         held: HeldForces | None = None,
     ) -> None:
         self._slopes, self._names, self._steps = slopes, names, steps
-        self._impacts, self._events, self._stepped = impacts, events, stepped
-        self._held = held
+        self._impacts, self._events, self._held = impacts, events, held
         self._starts: list[tuple[Array, Boundary]] = []
 
     def changes(self, number: int, t: float) -> tuple[Array, Boundary]:
         """Return the changes at a time in the step of a number, and flags."""
-        saltation = self._slopes.saltation
         x, boundary = self._at_start(number)
-        saltation.boundary = boundary
+        return self._until(x, boundary, number, t)
+
+    def _until(self, x: Array, boundary: Boundary, number: int, t: float) -> tuple[Array, Boundary]:
+        """Return how changes at the start of a step are at a time within it, and flags."""
+        slopes, step = self._slopes, self._steps[number]
+        slopes.saltation.boundary = slopes.steps.boundary = boundary
         self._hold(number)
-        return self._slopes.along(x, self._steps[number], t), saltation.boundary
+        if step.taken is None:
+            return slopes.along(x, step, t), slopes.saltation.boundary
+        return slopes.steps.at(x, step, t, slopes.force), slopes.steps.boundary
 
     def _hold(self, number: int) -> None:
         """Let the force of a sampled control act that does in the step of a number."""
@@ -334,15 +342,11 @@ class Sensitivities:
         while len(self._starts) <= number:
             k = len(self._starts)
             now = steps[k].start
-            by_time = isinstance(steps[k].closed, StepForces)
-            if by_time or any(one.start <= now < one.end for one in self._stepped):
-                raise InputError(
-                    f"sensitivities: the motion was crossed by time steps at t = {now:.6g} s; derivatives "
-                    "are available for events only",
-                    field="sensitivities",
-                )
             struck = [record for record in self._impacts if record.time == now]
             called = [record for record in self._events if record.time == now]
+            if any(one.taken is not None for one in steps[max(k - 1, 0) : k + 1]):
+                self._starts.append(self._through_time_step(k, struck, called))
+                continue
             if k == 0:
                 x, saltation.boundary = self._slopes.initial(), Boundary.NONE
                 if self._held is not None:  # asked before the events at the start
@@ -366,6 +370,53 @@ class Sensitivities:
                     self._held.ask(now, steps[k].q, steps[k].v, x)
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
+
+    def _through_time_step(
+        self, k: int, struck: Sequence[ImpactRecord], called: Sequence[EventRecord]
+    ) -> tuple[Array, Boundary]:
+        """Return changes at the start of step k, and flags, where it or the one before is a time step."""
+        slopes, (step, before) = self._slopes, (self._steps[k], self._steps[max(k - 1, 0)])
+        taken, reached = step.taken, before.taken if k > 0 else None
+        x, boundary = self._starts[-1] if k > 0 else (slopes.initial(), Boundary.NONE)
+        if self._slopes.continuous:
+            raise InputError(
+                "sensitivities: not available with a continuous control in time steps, as at "
+                f"t = {step.start:.6g} s; give the scene a period=",
+                field="sensitivities",
+            )
+        if called:
+            raise InputError(
+                f"sensitivities: the event {called[0].name!r} ends a time step at t = {step.start:.6g} s, "
+                "where they are not available",
+                field="sensitivities",
+            )
+        self._hold(max(k - 1, 0))
+        saltation, steps = slopes.saltation, slopes.steps
+        saltation.boundary = steps.boundary = boundary
+        if reached is not None:
+            x = steps.through(x, before, slopes.force)
+        elif k > 0:
+            x = slopes.along(x, before, before.end)
+        boundary = saltation.boundary | steps.boundary
+        if struck:
+            if reached is None:  # several touch, or may, and begin with an impact
+                x, boundary = np.full_like(x, np.nan), boundary | Boundary.EVENTS_COINCIDE
+            else:
+                saltation.boundary = boundary
+                given = struck, steps.modes(reached), reached.struck
+                x[: 2 * len(step.v)] = saltation.strike(x[: 2 * len(step.v)], *given)
+                boundary = saltation.boundary
+        if taken is None:
+            saltation.boundary = boundary
+            x = saltation.start(x[: 2 * len(step.v)], step, ())
+            boundary = saltation.boundary
+        elif reached is None:
+            steps.boundary = boundary
+            x = steps.begin(np.concatenate([x, np.zeros((len(step.v) + 1, x.shape[1]))]), step)
+            boundary = steps.boundary
+        if self._held is not None:
+            self._held.ask(step.start, step.q, step.v, x[: 2 * len(step.v)])
+        return x, boundary
 
     def _next_stick(self, k: int) -> int:
         """Return the step in which slip sticks that has ended before step k but for errors, else k.

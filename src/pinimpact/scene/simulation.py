@@ -66,8 +66,8 @@ def simulate(
         sensitivities: What `Trajectory.sensitivity` differentiates by: "state" for the initial state, and
             "friction:CONTACT", "restitution:CONTACT" with names of contacts. A control that is a function
             needs an attribute ``jacobian``, a function of t, q and v that returns the derivative (nv, 2 nv)
-            of the forces by q, in the tangent space, and v. Not for time steps, and callbacks of events
-            without `jacobian`.
+            of the forces by q, in the tangent space, and v; in time steps it needs a `period` too. Not for
+            callbacks of events without `jacobian`.
 
     Raises:
         UnknownNameError: Unknown scheme, or a contact in `sensitivities`.
@@ -81,9 +81,10 @@ def simulate(
     check_numbers(duration=duration)
     if progress is not None:
         function("progress", progress, "a function of the time and the duration")
-    names = parse(scene, sensitivities, scheme) if sensitivities else ()
+    names = parse(scene, sensitivities) if sensitivities else ()
     options = Options(rtol, atol, max_step, max_impacts, dt)
     integrator = integrator_of(scheme, scene, q0, v0, options)
+    integrator.record.keeps_steps = bool(names)
     trajectory = _run(integrator, float(duration), progress)
     if names:
         own = Integrator(scene, q0, v0, options)
@@ -92,8 +93,7 @@ def simulate(
         jacobian, sampled = jacobian_of(scene), integrator.sampled
         held = None if jacobian is None or sampled is None else HeldForces(sampled, jacobian)
         trajectory.sensitivities = Sensitivities(
-            *(slopes, names, trajectory._segments, trajectory.impacts, trajectory.events),
-            *(trajectory.stepped, held),
+            *(slopes, names, trajectory._segments, trajectory.impacts, trajectory.events, held)
         )
     return trajectory
 

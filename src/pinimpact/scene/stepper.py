@@ -156,7 +156,7 @@ class Stepper:
         x = (q, v), with changes of q in the tangent space. (derivatives.md, 9)
 
         Raises:
-            InputError: As in `step`; a motion by time steps, impacts at several contacts.
+            InputError: As in `step`; what has no known derivative, see derivatives.md, 9 and 12.
             SimulationError: As in `step`.
         """
         slopes, integrator, before = self._slopes(), self._integrator, (self._begun, self._failed)
@@ -164,13 +164,15 @@ class Stepper:
         steps, impacts, events = len(record.dense_steps), len(record.impacts), len(record.events)
         try:
             with _kept(integrator):
+                record.keeps_steps = True
                 self.step(tau, dt)
                 slopes.saltation.slopes.tau[:] = tau
                 taken = record.dense_steps[steps:], record.impacts[impacts:], record.events[events:]
-                found = Sensitivities(slopes, ("state",), *taken, integrator.state.stepped)
+                found = Sensitivities(slopes, ("state",), *taken)
                 x, boundary = found.changes(len(taken[0]) - 1, integrator.state.t)
         finally:
             self._begun, self._failed = before
+            record.keeps_steps = False
         n = len(x)
         return Linearization(x[:, :n], x[:, n:], boundary)
 
@@ -179,7 +181,7 @@ class Stepper:
         integrator = self._integrator
         found = _SLOPES.get(integrator)
         if found is None:
-            check_supported(self._scene, self._scheme)
+            check_supported(self._scene)
             given = self._scene, integrator.dynamics, integrator.model, (), np.zeros(integrator.model.nv)
             found = _SLOPES[integrator] = MotionSlopes(*given, self._options.rtol)
         return found

@@ -29,6 +29,7 @@ from .facing_shapes import FacingShapes
 from .forces import StepForces
 from .integrator import Integrator
 from .rest import Rest
+from .step_taken import Removal, StepTaken
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -152,7 +153,7 @@ class TimeStepping(Integrator):
             strikes: Whether what closes fast is an impact; else it closes without restitution.
         """
         state, model = self.state, self.model
-        t, q, v = state.t, state.q, state.v
+        t, q, v, pushed = state.t, state.q, state.v, state.pushed
         middle = pin.integrate(model, q, 0.5 * h * v)
         self._faces.place(middle, v, h)
         if self.dynamics.driven:
@@ -187,8 +188,10 @@ class TimeStepping(Integrator):
             if state.unsolved == 0.0:
                 self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
             state.unsolved = off
-        step = self._dense(t, h, system, rows, found)
+        step, axes = self._dense(t, h, system, rows, found)
         step.end = t + share * h
+        if self.record.keeps_steps:
+            step.taken = self._taken(h, (middle, softened, pushed), axes, rows, found)
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
         if self.events:
@@ -204,7 +207,11 @@ class TimeStepping(Integrator):
         if closing.any():
             self._sample()
             rates = -(found.u_start + share * (found.u_end - found.u_start))[rows.normals[closing]]
-            self._collide(0.5 * float(rates.min()), TOGETHER * h * float(rates.max()))
+            within = TOGETHER * h * float(rates.max())
+            if step.taken is not None:
+                touches = closing & (_gaps_at(share, h, rows, found) <= within)
+                step.taken.arriving = tuple(np.flatnonzero(touches).tolist())
+            self._collide(0.5 * float(rates.min()), within, step.taken)
             return True
         active = ~found.arrives
         moved = self._no_change
@@ -212,6 +219,8 @@ class TimeStepping(Integrator):
             moved = self._project(step, rows, active, found.gap_end)
         if self._continuous is None:
             self._let_rest(step, rows, active, (v, found.v_end, moved / h))
+            if step.taken is not None:
+                step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
         state.v = found.v_end
         return False
 
@@ -287,20 +296,43 @@ class TimeStepping(Integrator):
         self._added = added
         invert_trees(mass_matrix(self.model, self.data, q), added, self._tree, self._mass, self._inverse)
 
-    def _dense(self, t: float, h: float, system: StepSystem, rows: StepRows, found: StepResult) -> DenseStep:
-        """Return the step with its forces, and record its modes; see `report_step`."""
+    def _dense(
+        self, t: float, h: float, system: StepSystem, rows: StepRows, found: StepResult
+    ) -> tuple[DenseStep, Array]:
+        """Return the step with its forces, and the axes of its contacts, and record its modes."""
         work, state = self.work, self.state
         coefficients = np.zeros((DENSE_TERMS, 2 * work.nv + WORKS))
         contacts = np.concatenate([rows.contacts, rows.held])
-        world, points, normals = np.zeros((3, len(contacts), 3))
-        mean = MeanForces(world, points, normals, np.zeros(work.nv))
+        world, points = np.zeros((2, len(contacts), 3))
+        mean = MeanForces(world, points, np.empty((len(contacts), 3, 3)), np.zeros(work.nv))
         still = STILL * (work.resting_speed or 1.0)
         acts = report_step(work, h, still, state.v, system, rows, found, coefficients, mean)
         step = DenseStep(t, h, state.q, state.v, state.works, coefficients, work.joint_charts)
         resting = self._rest.forces
         if acts or resting is not None:
-            step.closed = StepForces(contacts, *mean, resting)
-        return step
+            step.closed = StepForces(contacts, world, points, mean.axes[:, 2], mean.joints, resting)
+        return step, mean.axes
+
+    def _taken(
+        self,
+        h: float,
+        matrices: tuple[Array, Array, Array | None],
+        axes: Array,
+        rows: StepRows,
+        found: StepResult,
+    ) -> StepTaken:
+        """Return what a step was computed from: configuration at its midpoint, what softens, `pushed`, …."""
+        work, contacts, (q, softened, pushed) = self.work, self.dynamics.contacts, matrices
+        assert pushed is not None
+        follows = np.zeros(len(softened), dtype=bool)
+        follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
+        near = tuple(contacts[i] for i in (*rows.contacts, *rows.held))
+        every = self._faces.corners()
+        corners = {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every}
+        kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
+        rests = self._rest.joints[work.velocity_joint]
+        given = h, q, softened, pushed, follows, rests, near, corners, axes
+        return StepTaken(*given, rows, kept, self._touching)
 
     def _project(self, step: DenseStep, rows: StepRows, active: NDArray[np.bool_], gap: Array) -> Array:
         """Take away what overlaps at the end of a step, by the least displacement (nv,) in the metric of M.
@@ -319,10 +351,10 @@ class TimeStepping(Integrator):
         lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
         jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
         problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
-        step_impulses(
-            *(problem, np.ones(len(free), dtype=bool), self._tree, ROUGH, np.zeros(self.model.nv)),
-            *(correction, np.empty(len(free))),
-        )
+        every, nothing, pushes = np.ones(len(free), dtype=bool), np.zeros(self.model.nv), np.empty(len(free))
+        step_impulses(problem, every, self._tree, ROUGH, nothing, correction, pushes)
+        if step.taken is not None:
+            step.taken.removal = Removal(correction, pushes, active, self.state.q)
         before = self._energy(self.state.q, self.state.v)
         self.state.q = pin.integrate(self.model, self.state.q, correction)
         self.state.impact_energy += self._energy(self.state.q, self.state.v) - before
@@ -336,21 +368,30 @@ class TimeStepping(Integrator):
 
     # ---- impacts
 
-    def _collide(self, slowest: float = 0.0, within: float = 0.0) -> None:
+    def _collide(self, slowest: float = 0.0, within: float = 0.0, taken: StepTaken | None = None) -> None:
         """Resolve the impacts of this instant.
 
         Args:
             slowest: Speed of approach above which what touches collides [m/s]; at least the resting speed.
             within: The gap up to which it touches [m]; at least the tolerance of touching.
+            taken: The step that ends here, which is to be differentiated.
         """
         state, touching = self.state, max(self._touching, within)
         before = len(self.record.impacts)
         self._faces.place(state.q, state.v, 0.0, touching=touching)
+        if taken is not None:
+            taken.struck = self._faces.corners()
         self.instant.collide(touching, max(self.work.resting_speed, slowest))
         if len(self.record.impacts) > before:
             self._rest.wake_moving(state.v)
             self.progress.count_impacts(before)
             self._sample()
+
+
+def _gaps_at(part: float, h: float, rows: StepRows, found: StepResult) -> Array:
+    """Return the gaps (nc + nl,) after a part of a step, whose rates are linear in time."""
+    start, end = found.u_start[rows.normals], found.u_end[rows.normals]
+    return found.gap_end + h * ((part - 1.0) * start + 0.5 * (part * part - 1.0) * (end - start))
 
 
 def _empty_result(rows: StepRows, nv: int) -> StepResult:

@@ -150,8 +150,8 @@ class Trajectory:
         from a file or pickle.
 
         Raises:
-            InputError: The errors of `at`, a trajectory without sensitivities, a motion that until then was
-                crossed by time steps or had an impact at several contacts.
+            InputError: The errors of `at`, a trajectory without sensitivities, a motion until then of which
+                something has no known derivative.
         """
         _check_side(side)
         t = self._covered(t)

@@ -90,16 +90,15 @@ def contact_motion(work, h, still, rows, found, powers, forces):
     """
     contacts, held, surface = rows.contacts, rows.held, rows.surface
     impulse, u_start, u_end = found.impulse, found.u_start, found.u_end
-    world, points, normals, _ = forces
+    world, points, axes, _ = forces
     nc, every, modes = len(contacts), len(contacts) + len(held), work.modes
-    index, axes = np.empty(every, dtype=np.int64), np.empty((every, 3, 3))
+    index = np.empty(every, dtype=np.int64)
     for k in range(every):
         index[k] = contacts[k] if k < nc else held[k - nc]
     places_of_contacts(work, index, axes, points)
     for k in range(every):
         i, a = index[k], 3 * k
         for e in range(3):
-            normals[k, e] = axes[k, 2, e]
             for o in range(3):
                 world[k, e] += impulse[a + o] / h * axes[k, o, e]
             for o in range(2):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..._compile.declared import Flags, FloatRows, Floats, IntegerRows, Integers
+from ..._compile.declared import Flags, FloatRows, Floats, FloatStack, IntegerRows, Integers
 from ..._compile.jit import inlined
 
 
@@ -102,13 +102,13 @@ class MeanForces(NamedTuple):
     Attributes:
         world: (nc + nh, 3) forces of contacts and held ones in world axes [N].
         points: (nc + nh, 3) where they act [m].
-        normals: (nc + nh, 3) normals there.
+        axes: (nc + nh, 3, 3) contact axes there, as rows.
         joints: (nv,) forces of limits and dry friction [N or N m].
     """
 
     world: FloatRows
     points: FloatRows
-    normals: FloatRows
+    axes: FloatStack
     joints: Floats
 
 

@@ -1,0 +1,189 @@
+"""What holds in a time step, and the impulses that keep its changes to that. (derivatives.md, 12)"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._numeric.tolerances import RANK
+from .step_taken import StepTaken
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+TIED = 1e-6
+"""Part of a bound of friction, of the largest velocity or of a change below which a step is at a tie: some
+thousand times what the contact problem leaves."""
+
+
+OPEN, CLOSES, PINNED = range(3)
+"""Whether the gap at the midpoint matters to a row: not; it is closed; it is zero, and at a kink."""
+
+
+class Slide(NamedTuple):
+    """A contact that slips at the end of a step.
+
+    Attributes:
+        contact: Its place among the near contacts.
+        friction: μ.
+        direction: (2,) σ.
+        turns: (2, 2) how the tangential impulse follows the velocity: μ λ₃ (1 − σσᵀ)/|v_t|.
+    """
+
+    contact: int
+    friction: float
+    direction: Array
+    turns: Array
+
+
+class ActiveSets(NamedTuple):
+    """What holds in a step.
+
+    Attributes:
+        rows: (m,) rows whose velocities vanish, but for what gaps leave.
+        gaps: (m,) gaps at the midpoint that a row closes [m or rad], zero where it closes none.
+        closing: (m,) of these gaps, see `PINNED`.
+        compliances: (m,).
+        slides: The contacts that slip.
+        bounds: (rows,) rates of impulses that are at bounds by the length of the step, of dry friction.
+        tied: Whether something is at a tie, and has been decided one way.
+    """
+
+    rows: Integers
+    gaps: Array
+    closing: Integers
+    compliances: Array
+    slides: tuple[Slide, ...]
+    bounds: Array
+    tied: bool
+
+    def directions(self, jacobian: Array) -> Array:
+        """Return the generalized forces (nv, m) by which impulses act on the rows."""
+        out, slides = jacobian[self.rows].T.copy(), {3 * one.contact + 2: one for one in self.slides}
+        for column, row in enumerate(self.rows.tolist()):
+            if row in slides:
+                one = slides[row]
+                out[:, column] -= one.friction * one.direction @ jacobian[row - 2 : row]
+        return out
+
+
+class _Sets:
+    """Collects what holds in a step; a tie is decided one way or the other."""
+
+    def __init__(self, taken: StepTaken, otherwise: bool) -> None:
+        self.taken, self.otherwise, self.tied = taken, otherwise, False
+        self.kept: list[tuple[int, float, int, float]] = []
+        self.slides: list[Slide] = []
+        self.bounds = np.zeros(len(taken.found.impulse))
+        found = taken.found
+        self.still = TIED * max(np.abs(one).max(initial=0.0) for one in (found.u_start, found.u_end))
+
+    def tie(self) -> bool:
+        """Decide a tie."""
+        self.tied = True
+        return self.otherwise
+
+    def closed(self, row: int, gap: float) -> tuple[float, int] | None:
+        """Return the gap that a row along a normal closes, and how it matters; None if it is open."""
+        found, h = self.taken.found, self.taken.h
+        if found.impulse[row] <= 0.0:
+            apart = found.u_end[row] + 2.0 * max(gap, 0.0) / h > self.still
+            return None if apart or not self.tie() else (0.0, OPEN)
+        if abs(gap) <= self.taken.touching:
+            return 0.0, PINNED
+        return (gap, CLOSES) if gap > 0.0 else (0.0, OPEN)
+
+    def add_contact(self, k: int, gap: float, friction: float, compliance: float) -> None:
+        """Add a contact by its place among the near ones."""
+        impulse, u, row = self.taken.found.impulse, self.taken.found.u_end, 3 * k + 2
+        closes = self.closed(row, gap)
+        if closes is None:
+            return
+        speed, pushed = float(np.hypot(*u[row - 2 : row])), float(np.hypot(*impulse[row - 2 : row]))
+        slips = friction == 0.0 or pushed >= (1.0 - TIED) * friction * impulse[row]
+        if slips and friction > 0.0 and speed <= self.still:
+            slips = self.tie()
+            speed, direction = 0.0, -impulse[row - 2 : row] / (pushed or 1.0)
+        elif slips and friction > 0.0:
+            direction = u[row - 2 : row] / speed
+        if slips:
+            turns = np.zeros((2, 2))
+            if friction == 0.0:
+                direction = np.zeros(2)
+            elif speed > 0.0:
+                turns = friction * impulse[row] / speed * (np.eye(2) - np.outer(direction, direction))
+            self.slides.append(Slide(k, friction, direction, turns))
+        else:
+            self.kept += [(row - 2, 0.0, OPEN, compliance), (row - 1, 0.0, OPEN, compliance)]
+        self.kept.append((row, *closes, compliance))
+
+    def add_dry(self, row: int, bound: float) -> None:
+        """Add a joint with dry friction, whose impulse has a bound."""
+        impulse, speed = self.taken.found.impulse[row], abs(self.taken.found.u_end[row])
+        sticks = abs(impulse) < (1.0 - TIED) * bound
+        if not sticks and speed <= self.still:
+            sticks = self.tie()
+        if sticks:
+            self.kept.append((row, 0.0, OPEN, 1.0))
+        else:
+            self.bounds[row] = impulse / self.taken.h
+
+
+def active_sets(
+    taken: StepTaken, friction: Array, dry_friction: Array, compliances: Array, otherwise: bool
+) -> ActiveSets:
+    """Return what holds in a step.
+
+    Args:
+        taken: The step.
+        friction: (n,) μ of all contacts.
+        dry_friction: (nv,) of all joints.
+        compliances: (n,) of all contacts.
+        otherwise: Whether ties are decided the other way.
+    """
+    rows, sets = taken.rows, _Sets(taken, otherwise)
+    nc, nh, nl = len(rows.contacts), len(rows.held), len(rows.limits)
+    for k, i in enumerate(rows.contacts.tolist()):
+        if not taken.found.arrives[k]:
+            sets.add_contact(k, float(rows.gap[k]), float(friction[i]), float(compliances[i]))
+    for k in range(nc, nc + nh):
+        sets.kept += [(3 * k, 0.0, OPEN, 1.0), (3 * k + 1, 0.0, OPEN, 1.0)]
+        sets.kept.append((3 * k + 2, float(rows.gap[k]), CLOSES, 1.0))
+    first = 3 * (nc + nh)
+    for k in range(nl):
+        closes = None if taken.found.arrives[nc + k] else sets.closed(first + k, float(rows.gap[nc + nh + k]))
+        if closes is not None:
+            sets.kept.append((first + k, *closes, 1.0))
+    for row, joint in enumerate(rows.dry.tolist(), first + nl):
+        sets.add_dry(row, taken.h * float(dry_friction[joint]))
+    numbers, gaps, closing, soft = zip(*sets.kept, strict=True) if sets.kept else ((), (), (), ())
+    places, kinds = np.array(numbers, dtype=np.int64), np.array(closing, dtype=np.int64)
+    ends, softness = np.array(gaps, dtype=float), np.array(soft, dtype=float)
+    return ActiveSets(places, ends, kinds, softness, tuple(sets.slides), sets.bounds, sets.tied)
+
+
+def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
+    """Return impulses (m, n) that cause velocities, in the limit of small compliances. (D33)
+
+    Args:
+        matrix: (m, m) velocities by the impulses, of any rank.
+        velocities: (m, n); columns with NaN stay so.
+        compliances: (m,) in any unit.
+    """
+    m = len(matrix)
+    found = np.full_like(velocities, np.nan)
+    known = np.isfinite(velocities).all(axis=0)
+    if m == 0:
+        return found
+    left, sizes, _ = np.linalg.svd(matrix)
+    null = left[:, sizes <= RANK * sizes[0]]
+    if null.shape[1] == 0:
+        found[:, known] = np.linalg.solve(matrix, velocities[:, known])
+        return found
+    # (matrix + r C) λ = velocities for r → 0: what no velocity shows of λ obeys nullᵀ C λ = 0
+    shares = sizes[0] * null.T * (compliances / compliances.max())
+    right = np.concatenate([velocities[:, known], np.zeros((len(shares), int(known.sum())))])
+    found[:, known] = np.linalg.lstsq(np.concatenate([matrix, shares]), right, rcond=RANK)[0]
+    return found

@@ -1,0 +1,375 @@
+"""How changes of a state pass a time step: its equations, differentiated. (derivatives.md, 12)"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..contact_space.derivatives import Boundary
+from ..robot.derivatives import check_joints
+from ..robot.forest import mass_matrix
+from ..robot.many_derivatives import RowSlopes
+from ..robot.placed_robot import PlacedRobot
+from ._kernels.contact_forces import FREE, HELD, SLIP, STICK
+from ._kernels.lie_charts import PLANAR, RIGID
+from ._kernels.step_rows import StepRows
+from .dense_step import DenseStep
+from .dynamics import SceneDynamics
+from .impact_jumps import Parameter
+from .step_sets import CLOSES, PINNED, TIED, ActiveSets, active_sets, limit_of_compliances
+from .step_taken import StepTaken
+
+Array = NDArray[np.float64]
+
+
+class _Rows(NamedTuple):
+    """The rows of a step and how they change.
+
+    Attributes:
+        jacobian: (rows, nv).
+        slopes: How contacts change with q.
+        turns: (k, 3, 3) from the axes of these to those of the rows.
+        start: (rows, n) changes of their velocities at the start.
+        end: (rows, n) those at the end, at the same v⁺.
+    """
+
+    jacobian: Array
+    slopes: RowSlopes
+    turns: Array
+    start: Array
+    end: Array
+
+
+class _Moved(NamedTuple):
+    """Changes over a step, (…, n).
+
+    Attributes:
+        middle: (nv, n) of the configuration at the midpoint.
+        v_end: (nv, n) of the velocity at the end.
+        pushed: (nv, n) of the mean acceleration by impulses.
+        u_start, u_end: (rows, n) of the velocities of the rows.
+        length: (n,) of the length of the step [s].
+        rows: The rows.
+    """
+
+    middle: Array
+    v_end: Array
+    pushed: Array
+    u_start: Array
+    u_end: Array
+    length: Array
+    rows: _Rows
+
+
+class StepSlopes:
+    """Takes small changes through time steps.
+
+    Changes are (3 nv + 1, n): of q in the tangent space, of v, of `StepTaken.pushed`, and of the time at
+    which the state is reached, by which the next step is shorter.
+
+    Args:
+        dynamics: Dynamics of the scene.
+        model: Its model.
+        parameters: Coefficients by which the motion is differentiated; their columns are the last ones.
+
+    Attributes:
+        boundary: Flags of `Boundary`, set by the steps.
+    """
+
+    def __init__(self, dynamics: SceneDynamics, model: pin.Model, parameters: Sequence[Parameter]) -> None:
+        check_joints(model)
+        self._work, self._model, self._data = dynamics.work, model, model.createData()
+        self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
+        self._parameters = tuple(parameters)
+        self.boundary = Boundary.NONE
+        self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
+        self._carried = np.zeros(model.nv, dtype=bool)
+        for kind, _, j, _ in self._frames:
+            self._carried[j : j + (3 if kind == RIGID else 2)] = True
+
+    def begin(self, x: Array, step: DenseStep) -> Array:
+        """Return changes before the first step: what is closed stays so, see `Boundary.CLOSED`."""
+        taken, nv = _taken(step), len(step.v)
+        sets = self._sets(taken, False)
+        chosen = sets.closing == PINNED
+        if not chosen.any():
+            return x
+        self.boundary |= Boundary.CLOSED
+        jacobian, inverse, x = _dense(taken.rows, nv), np.linalg.inv(self._mass(step.q)), x.copy()
+        kept, soft = jacobian[sets.rows[chosen]], sets.compliances[chosen]
+        for part, pushes in ((x[:nv], kept.T), (x[nv : 2 * nv], sets.directions(jacobian)[:, chosen])):
+            response = inverse @ pushes
+            part -= response @ limit_of_compliances(kept @ response, kept @ part, soft)
+        return x
+
+    def through(self, x: Array, step: DenseStep, force: Array) -> Array:
+        """Return how changes x (3 nv + 1, n) before a step are after it, or at what touches in it.
+
+        Args:
+            x: The changes.
+            step: The step, with what it was computed from.
+            force: (nv, n) changes of the generalized force.
+        """
+        taken, nv = _taken(step), self._model.nv
+        moved = self._differentiate(x, step, force)
+        if len(taken.arriving) > 1:
+            self.boundary |= Boundary.EVENTS_COINCIDE
+            return np.full_like(x, np.nan)
+        if taken.arriving:
+            part = (step.end - step.start) / step.h
+            shift = self._shift(moved, taken, part, taken.arriving[0])
+            reached = x[3 * nv] + step.h * shift + part * moved.length
+            return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
+        result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
+        if taken.removal is not None:
+            result[:nv] = self._removed(result[:nv], moved, step)
+        result[nv:][taken.stopped] = 0.0
+        return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
+
+    def at(self, x: Array, step: DenseStep, t: float, force: Array) -> Array:
+        """Return how changes x before a step are at a time within it, (2 nv, n)."""
+        taken, nv = _taken(step), len(step.v)
+        if t >= step.end and not taken.arriving:
+            return self.through(x, step, force)[: 2 * nv]
+        moved, part = self._differentiate(x, step, force), (t - step.start) / step.h
+        result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
+        if taken.removal is not None:  # little by little in the dense output
+            end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))[:nv]
+            result[:nv] += part * (self._removed(end, moved, step) - end)
+        return result
+
+    def modes(self, taken: StepTaken) -> NDArray[np.int64]:
+        """Return the modes (n + nl,) of contacts and limits in a step."""
+        work, rows = self._work, taken.rows
+        modes = np.zeros(work.contacts + work.limits, dtype=np.int64)
+        sets = self._sets(taken, False)
+        modes[rows.held] = HELD
+        slipping = {one.contact for one in sets.slides}
+        for row in sets.rows.tolist():
+            if row % 3 == 2 and row < 3 * len(rows.contacts):
+                modes[rows.contacts[row // 3]] = SLIP if row // 3 in slipping else STICK
+        first = 3 * (len(rows.contacts) + len(rows.held))
+        for k, limit in enumerate(rows.limits.tolist()):
+            modes[work.contacts + limit] = STICK if first + k in sets.rows else FREE
+        return modes
+
+    def _sets(self, taken: StepTaken, otherwise: bool) -> ActiveSets:
+        work = self._work
+        return active_sets(taken, work.friction, work.dry_friction, self._compliances, otherwise)
+
+    # ---- the equations of a step
+
+    def _differentiate(self, x: Array, step: DenseStep, force: Array) -> _Moved:
+        """Return the changes over a step; NaN where a tie makes a difference. (D33)"""
+        taken, nv, h, v = _taken(step), len(step.v), step.h, step.v
+        found, softened, q = taken.found, taken.softened, taken.middle
+        by_q, by_v, by_pushed, length = x[:nv], x[nv : 2 * nv], x[2 * nv : 3 * nv], -x[3 * nv]
+        turn, push = pin.dIntegrate(self._model, step.q, 0.5 * h * v)
+        middle = turn @ by_q + push @ (0.5 * h * by_v + 0.5 * np.outer(v, length))
+        stiffness, damping = self._laws(taken)
+        softer = 0.5 * damping + 0.5 * h * stiffness  # how what softens changes with h
+        total = self._mass(q) + np.diag(softened)
+        rows = self._rows(taken, v, middle, by_v)
+        pushes = rows.jacobian.T @ found.impulse
+
+        def right(mean: Array, by_mean: Array, change: Array) -> Array:
+            """Return h δf − δM times a change of the velocity, for forces f at a mean velocity."""
+            slopes = pin.computeRNEADerivatives(self._model, self._data, q, mean, change / h)
+            by_state = slopes[0] @ middle + stiffness[:, None] * middle
+            by_state += slopes[1] @ by_mean + damping[:, None] * by_mean
+            return np.asarray(h * (force - by_state))
+
+        first = found.predicted - v - h * taken.pushed
+        predicted = right(v, by_v, first) + np.outer(total @ first / h - softer * first, length)
+        predicted = np.linalg.solve(total, predicted) + by_v + np.outer(taken.pushed, length)
+        if taken.pushed.any():  # zero where steps begin
+            predicted += h * by_pushed
+        predicted[taken.stopped] = 0.0
+        change, expected = found.v_end - v, found.predicted - v
+        known = right(0.5 * (v + found.predicted), 0.5 * (by_v + predicted), change)
+        acting = (total @ change - softened * expected - pushes) / h
+        known += softened[:, None] * (predicted - by_v) + total @ by_v
+        known += np.outer(acting + softer * (expected - change), length)
+        given = rows, (total, softer), (middle, known, length)
+        sets = self._sets(taken, False)
+        moved = self._solve(taken, sets, *given)
+        self._refuse_ties(taken, sets, moved, given)
+        return moved
+
+    def _refuse_ties(self, taken: StepTaken, sets: ActiveSets, moved: _Moved, given: tuple[Any, ...]) -> None:
+        """Set changes of the velocity to NaN on which a tie makes a difference."""
+        rows, v_end = moved.rows, moved.v_end
+        largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
+        pinned = rows.jacobian[sets.rows[sets.closing == PINNED]]
+        sizes = np.abs(pinned).sum(axis=1)
+        tied = (np.abs(pinned @ moved.middle) > TIED * largest * sizes[:, None]).any(axis=0)
+        if sets.tied:
+            other = self._solve(taken, self._sets(taken, True), *given)
+            tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
+        if tied.any():
+            self.boundary |= Boundary.EVENTS_COINCIDE
+            v_end[:, tied] = np.nan
+
+    def _solve(
+        self,
+        taken: StepTaken,
+        sets: ActiveSets,
+        rows: _Rows,
+        matrices: tuple[Array, Array],
+        changes: tuple[Array, Array, Array],
+    ) -> _Moved:
+        """Return the changes over a step, from those of the forces at given velocities and impulses. (D33)"""
+        (total, softer), (middle, known, length) = matrices, changes
+        jacobian, found, h = rows.jacobian, taken.found, taken.h
+        own = found.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
+        forces = rows.slopes.forces(own[:, 0]) @ middle
+        forces += np.outer(jacobian.T @ sets.bounds, length)
+        matrix, first = total.copy(), known.shape[1] - len(self._parameters)
+        for one in sets.slides:
+            a = 3 * one.contact
+            across = jacobian[a : a + 2].T @ one.turns
+            matrix += across @ jacobian[a : a + 2]
+            forces -= across @ rows.end[a : a + 2]
+            for column, parameter in enumerate(self._parameters, first):
+                if parameter == Parameter("friction", int(taken.rows.contacts[one.contact])):
+                    forces[:, column] -= found.impulse[a + 2] * one.direction @ jacobian[a : a + 2]
+        pushed, kept, stays = sets.directions(jacobian), jacobian[sets.rows], rows.end[sets.rows]
+        closing = kept @ middle
+        stays += np.where(sets.closing == CLOSES, 2.0 / h, 0.0)[:, None] * closing
+        stays -= np.outer(2.0 * sets.gaps / h**2, length)
+        moved = np.linalg.solve(matrix, np.column_stack([known + forces, pushed]))
+        free, response = moved[:, : known.shape[1]], moved[:, known.shape[1] :]
+        impulses = limit_of_compliances(kept @ response, -(kept @ free + stays), sets.compliances)
+        v_end = free + response @ impulses
+        v_end[taken.stopped] = 0.0
+        u_end = jacobian @ v_end + rows.end
+        change = np.asarray(np.linalg.solve(total, jacobian.T @ found.impulse), dtype=float)
+        after = forces + pushed @ impulses - rows.slopes.of_mass(change) @ middle
+        for one in sets.slides:
+            along = jacobian[3 * one.contact : 3 * one.contact + 2]
+            after -= along.T @ one.turns @ along @ v_end
+        after -= np.outer(softer * change, length)
+        mean = np.asarray(np.linalg.solve(total, after) / h - np.outer(change, length) / h**2, dtype=float)
+        return _Moved(middle, v_end, mean, rows.start, u_end, length, rows)
+
+    def _laws(self, taken: StepTaken) -> tuple[Array, Array]:
+        """Return stiffness and damping (nv,) of joints and of the drives that follow their laws."""
+        work = self._work
+        stiffness = np.where(taken.follows, work.drive_stiffness, 0.0)
+        return stiffness, work.damping + np.where(taken.follows, work.drive_damping, 0.0)
+
+    def _rows(self, taken: StepTaken, v: Array, middle: Array, by_v: Array) -> _Rows:
+        """Return the rows of a step, which starts with v, with their changes."""
+        jacobian = _dense(taken.rows, len(v))
+        placed = PlacedRobot(self._model, self._data, taken.middle)
+        slopes = RowSlopes(placed, taken.contacts, taken.corners)
+        turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
+        start, end = np.zeros((2, len(jacobian), middle.shape[1]))
+        for out, velocity in ((start, v), (end, taken.found.v_end)):
+            motions = slopes.motions(velocity)
+            for k, row in enumerate(slopes.rows):
+                out[3 * k : 3 * k + 3] = turns[k] @ row.slopes(motions, True) @ middle
+        return _Rows(jacobian, slopes, turns, start + jacobian @ by_v, end)
+
+    def _mass(self, q: Array) -> Array:
+        upper = mass_matrix(self._model, self._data, q)
+        return np.triu(upper) + np.triu(upper, 1).T
+
+    # ---- what follows from them
+
+    def _shift(self, moved: _Moved, taken: StepTaken, part: float, i: int) -> Array:
+        """Return the change (n,) of the part of a step after which a gap closes, by its number. (D35)"""
+        row, h = int(taken.rows.normals[i]), taken.h
+        start, end = float(taken.found.u_start[row]), float(taken.found.u_end[row])
+        by_start, by_end = moved.u_start[row], moved.u_end[row]
+        gap = moved.rows.jacobian[row] @ moved.middle + h * (part - 0.5) * by_start
+        gap = gap + 0.5 * h * part**2 * (by_end - by_start)
+        gap += ((part - 0.5) * start + 0.5 * part**2 * (end - start)) * moved.length
+        return np.asarray(-gap / (h * (start + part * (end - start))))
+
+    def _within(self, x: Array, moved: _Moved, step: DenseStep, part: float, shift: Array) -> Array:
+        """Return changes (2 nv, n) after a part of a step, which changes by `shift` (n,). (D34)"""
+        model, nv, h = self._model, len(step.v), step.h
+        by_v, v, v_end = x[nv : 2 * nv], step.v, _taken(step).found.v_end
+        mean, by_mean = 0.5 * (v + v_end), 0.5 * (by_v + moved.v_end)
+        by_turn = 0.5 * h * by_mean + 0.5 * np.outer(mean, moved.length)
+        rate, by_rate = self._rate(0.5 * h * mean, by_turn, mean, by_mean)
+        bend = 0.5 * part * (1.0 - part)
+        change, by_change = v_end - v, moved.v_end - by_v
+        xi = part * h * rate - bend * h * change
+        by_xi = part * h * by_rate - bend * h * by_change
+        by_xi += np.outer(part * rate - bend * change, moved.length)
+        by_xi += np.outer(h * rate - (0.5 - part) * h * change, shift)
+        # the position first, then the turn
+        turn, push = pin.dIntegrate(model, step.q, np.where(self._carried, xi, 0.0))
+        by_q = turn @ x[:nv] + push[:, self._carried] @ by_xi[self._carried]
+        between = pin.integrate(model, step.q, np.where(self._carried, xi, 0.0))
+        turn, push = pin.dIntegrate(model, between, np.where(self._carried, 0.0, xi))
+        by_q = turn @ by_q + push[:, ~self._carried] @ by_xi[~self._carried]
+        return np.vstack([by_q, by_v + part * by_change + np.outer(change, shift)])
+
+    def _rate(self, turn: Array, by_turn: Array, v: Array, by_v: Array) -> tuple[Array, Array]:
+        """Return ξ̇ (nv,) of the charts of a step for a velocity v parallel to the turn, and its changes."""
+        rate, by_rate = v.copy(), by_v.copy()
+        for kind, _, j, _ in self._frames:
+            axes, a = (slice(j, j + 3), slice(j + 3, j + 6)) if kind == RIGID else (slice(j, j + 2), j + 2)
+            if kind == RIGID:
+                rotation, bent = pin.exp3(turn[a]), pin.Jexp3(turn[a])
+                by_angle = -rotation @ pin.skew(v[axes]) @ bent
+                by_rate[axes] = rotation @ by_v[axes] + by_angle @ by_turn[a]
+            else:
+                c, s = np.cos(turn[a]), np.sin(turn[a])
+                rotation = np.array([[c, -s], [s, c]])
+                by_rate[axes] = rotation @ by_v[axes]
+                by_rate[axes] += np.outer(rotation @ np.array([-v[j + 1], v[j]]), by_turn[a])
+            rate[axes] = rotation @ v[axes]
+        return rate, by_rate
+
+    def _removed(self, by_q: Array, moved: _Moved, step: DenseStep) -> Array:
+        """Return changes of q (nv, n) at the end of a step, after overlap has been taken away. (D36)"""
+        taken, model = _taken(step), self._model
+        assert taken.removal is not None
+        (xi, pushes, took_part, before), rows = taken.removal, taken.rows
+        nc, nh = len(rows.contacts), len(rows.held)
+        jacobian, normals = moved.rows.jacobian, rows.normals[took_part]
+        length, h = moved.length, taken.h
+        ends = 0.5 * h * moved.u_end[normals] + 0.5 * np.outer(taken.found.u_end[normals], length)
+        gaps = np.concatenate([ends, np.zeros((nh, len(length)))])
+        every = np.concatenate([normals, rows.held_normals])
+        gaps += jacobian[every] @ moved.middle
+        turned, world = np.zeros((len(jacobian), len(length))), np.zeros((nc + nh, 3))
+        motions = moved.rows.slopes.motions(xi)
+        for k, row in enumerate(moved.rows.slopes.rows):
+            turned[3 * k : 3 * k + 3] = row.slopes(motions) @ moved.middle
+        gaps += turned[every]
+        of_contacts = every < 3 * (nc + nh)
+        world[every[of_contacts] // 3, 2] = pushes[of_contacts]
+        acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(normals))
+        kept = jacobian[every[acts]]
+        bent = moved.rows.slopes.forces(world) @ moved.middle
+        bent -= RowSlopes(PlacedRobot(model, self._data, before), ()).of_mass(xi) @ by_q
+        solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
+        free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
+        impulses = limit_of_compliances(kept @ response, -(kept @ free + gaps[acts]), np.ones(len(kept)))
+        turn, push = pin.dIntegrate(model, before, xi)
+        return np.asarray(turn @ by_q + push @ (free + response @ impulses))
+
+
+def _taken(step: DenseStep) -> StepTaken:
+    """Return what a time step was computed from."""
+    assert step.taken is not None
+    return step.taken
+
+
+def _dense(rows: StepRows, nv: int) -> Array:
+    """Return the Jacobian (rows, nv) of a step."""
+    out = np.zeros((len(rows.counts), nv))
+    for row, (values, columns, count) in enumerate(
+        zip(rows.values, rows.columns, rows.counts.tolist(), strict=True)
+    ):
+        out[row, columns[:count]] = values[:count]
+    return out

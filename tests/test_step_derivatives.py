@@ -1,0 +1,243 @@
+"""Derivatives of time steps, beside differences of the steps. (derivatives.md, 12)"""
+
+from dataclasses import replace
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinimpact
+from pinimpact import Boundary, Contact, InputError, JointPD, Plane, Scene, Shape, Stepper, simulate
+
+FLAT = [0, 1, 5, 6, 7, 11]  # of a free body: changes that leave a level face on the floor
+LOWER, UPPER = [0.2, 0.2, 0.1], [0.2, 0.2, 0.1]
+
+
+def box():
+    """Return a free box with frames at four corners."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.3), pin.SE3.Identity())
+    for k, (x, y) in enumerate(((-0.05, -0.1), (-0.05, 0.1), (0.05, -0.1), (0.05, 0.1))):
+        place = pin.SE3(np.eye(3), np.array([x, y, -0.15]))
+        model.addFrame(pin.Frame(f"corner {k}", joint, place, pin.FrameType.OP_FRAME))
+    return model
+
+
+def corners(friction, restitution):
+    return [Contact(f"corner {k}", Plane(), friction, restitution) for k in range(4)]
+
+
+def two_boxes(places, turns, restitution):
+    """Return a scene of two free boxes that collide, and their configuration."""
+    model, shapes = pin.Model(), pin.GeometryModel()
+    for k in range(2):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"box {k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromBox(1.0, *LOWER), pin.SE3.Identity())
+        model.addJointFrame(joint)
+        shapes.addGeometryObject(pin.GeometryObject(f"box {k}", joint, pin.SE3.Identity(), coal.Box(*LOWER)))
+    contact = Contact(geometry="box 1", plane=Shape("box 0"), friction=0.4, restitution=restitution)
+    q = pin.neutral(model)
+    for k, (place, turn) in enumerate(zip(places, turns, strict=True)):
+        q[7 * k : 7 * k + 3] = place
+        q[7 * k + 3 : 7 * k + 7] = pin.Quaternion(pin.exp3(np.array(turn))).coeffs()
+    return Scene(model, [contact], geometry=shapes), q
+
+
+def slope(scene, q0, v0, duration, dt, towards, step):
+    """Return how the state at the end changes in a direction, by differences of fourth order."""
+    model, nv = scene.model, scene.model.nv
+    ends = []
+    for s in (-2, -1, 0, 1, 2):
+        e = s * step * towards
+        run = simulate(
+            *(scene, pin.integrate(model, q0, e[:nv]), v0 + e[nv:], duration), scheme="time-stepping", dt=dt
+        )
+        ends.append((run.q[-1], run.v[-1]))
+    a, b, _, c, d = (np.concatenate([pin.difference(model, ends[2][0], q), v]) for q, v in ends)
+    return (a - 8 * b + 8 * c - d) / (12 * step)
+
+
+def agrees(scene, q0, v0, duration, dt=1e-3, columns=None, step=1e-6, tolerance=1e-6):
+    """Compare in a random direction among some columns; return the trajectory and the sensitivity."""
+    n = 2 * scene.model.nv
+    columns = list(range(n)) if columns is None else columns
+    towards = np.zeros(n)
+    towards[columns] = np.random.default_rng(len(columns)).normal(size=len(columns))
+    run = simulate(scene, q0, v0, duration, scheme="time-stepping", dt=dt, sensitivities="state")
+    found = run.sensitivity(duration)
+    moved = found.state[:, columns] @ towards[columns]
+    expected = slope(scene, q0, v0, duration, dt, towards, step)
+    assert np.linalg.norm(moved - expected) <= tolerance * np.linalg.norm(expected)
+    return run, found
+
+
+def test_a_body_in_flight_falls_and_turns():
+    q = pin.neutral(box())
+    v = np.array([1.0, -0.3, 0.7, 0.4, 1.2, -2.0])
+    _, found = agrees(Scene(box(), []), q, v, 0.05)
+    assert found.boundary == Boundary.NONE
+    assert np.allclose(found.state[:3, 6:9] @ np.ones(3), found.state[:3, 6:9].sum(axis=1))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+@pytest.mark.parametrize("friction", [0.3, 2.0])
+def test_a_box_lands_on_a_corner_and_slides_or_turns_over_it(friction, restitution):
+    model = box()
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
+    v = np.array([0.5, 0.2, -0.3, 0.2, 0.1, 0.3])
+    run, _ = agrees(Scene(model, corners(friction, restitution)), q, v, 0.12, 2e-3)
+    assert (len(run.impacts) > 0) == (restitution > 0.0)
+    assert any(interval.mode in ("slip", "stick") for interval in run.modes) or run.impacts
+
+
+def test_a_block_that_slides_loses_speed_as_friction_says():
+    # v = v° − μ g t, whatever the step: ∂v/∂μ = −g t along the slip, ∂x/∂μ = −g t²/2
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.15
+    scene, t = Scene(model, corners(0.3, 0.0)), 0.05
+    names = [f"friction:{contact.label}" for contact in scene.contacts]
+    v = np.array([0.6, 0.8, 0, 0, 0, 0])
+    run = simulate(scene, q, v, t, scheme="time-stepping", dt=1e-3, sensitivities=("state", *names))
+    found = run.sensitivity(t)
+    together = sum(found.parameters.values())
+    along = np.array([0.6, 0.8])
+    assert np.allclose(together[6:8], -9.81 * t * along, rtol=1e-6)
+    assert np.allclose(together[:2], -0.5 * 9.81 * t**2 * along, rtol=1e-6)
+    assert Boundary.CLOSED in found.boundary
+    # what slips keeps its direction: across it changes decay as the speed does
+    across = np.array([-0.8, 0.6])
+    assert np.isclose(across @ found.state[6:8, 6:8] @ across, 1.0 - 0.3 * 9.81 * t, rtol=2e-3)
+
+
+def test_a_box_at_rest_keeps_its_place():
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.15
+    scene, h = Scene(model, corners(0.5, 0.0)), 1e-3
+    found = simulate(scene, q, np.zeros(6), 0.02, scheme="time-stepping", dt=h, sensitivities="state")
+    state = found.sensitivity(0.02).state
+    assert np.allclose(state[:, [0, 1, 5]], np.eye(12)[:, [0, 1, 5]], atol=1e-9)
+    assert np.allclose(state[[0, 1, 5], [6, 7, 11]], 0.5 * h, atol=1e-9)  # half a step with the velocity
+    assert np.allclose(state[6:], 0.0, atol=1e-9)
+
+
+def test_a_box_that_turns_on_its_face_while_it_slides():
+    # the load is that of four equally stiff corners, found to some 1e-5
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.15
+    v = np.array([1.0, 0.3, 0, 0, 0, 0.7])
+    agrees(Scene(model, corners(0.3, 0.0)), q, v, 0.02, columns=FLAT, step=1e-5, tolerance=1e-4)
+
+
+def panda():
+    robot = pinimpact.load_robot("panda")
+    robot.model.damping[:] = 0.5
+    v = 0.2 * np.random.default_rng(1).normal(size=9)
+    v[7:] = 0.0
+    return robot, v
+
+
+def test_drives_and_damping():
+    robot, v = panda()
+    gains = np.array([80.0] * 7 + [50.0] * 2)
+    control = JointPD(gains, 0.1 * gains, robot.q0 + 0.2)
+    agrees(Scene(robot.model, control=control, without=["joint limits"]), robot.q0, v, 0.05)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_joint_limit(restitution):
+    robot, v = panda()
+    q = robot.q0.copy()
+    q[0], v[0] = robot.model.upperPositionLimit[0] - 0.003, 0.4
+    scene = Scene(robot.model, limit_restitution=restitution)
+    agrees(scene, q, v, 0.03, columns=[*range(7), *range(9, 16)])
+
+
+def test_dry_friction_and_a_sphere_on_a_moving_plane():
+    robot, v = panda()
+    robot.model.friction[:3] = 3.0
+    plane = Plane((0, 0, 0.48), (0.1, 0.05, 1.0), velocity=(0.1, -0.2, 0.0))
+    hand = Contact("panda_hand_tcp", plane, 0.3, 0.3, radius=0.02)
+    q = pinimpact.place_in_contact(robot.model, robot.data, robot.q0, hand)
+    J = pinimpact.contact_matrices(robot.model, robot.data, q, hand).jacobian
+    q = pin.integrate(robot.model, q, 2e-3 * np.linalg.pinv(J)[:, 2])
+    v = v - np.linalg.pinv(J)[:, 2] * (0.5 + J[2] @ v)
+    run, _ = agrees(Scene(robot.model, [hand], without=["joint limits"]), q, v, 0.03)
+    assert run.impacts
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.3])
+@pytest.mark.parametrize("what", ["edges", "corner on face", "face on corner"])
+def test_two_moving_boxes_meet(what, restitution):
+    places, turns = {
+        "edges": ([(0, 0, 0.2), (0.07, 0.03, 0.45)], [(0, 0.8, 0.1), (0.8, 0, 0)]),
+        "corner on face": ([(0, 0, 0.2), (0.02, 0.01, 0.43)], [(0.05, 0.02, 0.1), (0.5, 0.6, 0.1)]),
+        "face on corner": ([(0, 0, 0.2), (0.02, 0.01, 0.43)], [(0.5, 0.6, 0.1), (0.05, 0.02, 0.1)]),
+    }[what]
+    scene, q = two_boxes(places, turns, restitution)
+    v = np.array([0, 0, 0, 0.1, 0.2, 0.3, 0.3, 0.1, -2.9, 0.1, 0.2, 0.3])
+    # an impact takes place where gaps of linear rates close: some 1e-7 m off, of boxes of 0.1 m
+    run, _ = agrees(scene, q, v, 0.05, tolerance=1e-5)
+    assert np.abs(run.v[-1][:3] - (v + 0.05 * np.array([0, 0, -9.81] + 9 * [0]))[:3]).max() > 0.05  # they met
+
+
+def test_a_box_rests_on_another():
+    places, turns = [(0, 0, 0.2), (0.03, 0.02, 0.3)], [(0, 0, 0.1), (0, 0, 0.35)]
+    scene, q = two_boxes(places, turns, 0.0)
+    floor = [Contact(geometry="box 0", plane=Plane((0, 0, 0.15)), friction=0.5)]
+    scene = replace(scene, contacts=[*scene.contacts, *floor])
+    columns = [0, 1, 5, 6, 7, 11]
+    run = simulate(scene, q, np.zeros(12), 0.01, scheme="time-stepping", dt=1e-3, sensitivities="state")
+    state = run.sensitivity(0.01).state
+    assert np.allclose(state[:, columns], np.eye(24)[:, columns], atol=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["time-stepping", "auto"])
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+def test_linearize(scheme, restitution):
+    model = box()
+    q = pin.integrate(model, pin.neutral(model), np.array([0, 0, 0.2, 0.3, 0.2, 0.1]))
+    v, tau = np.array([0.5, 0.2, -0.3, 0.2, 0.1, 0.3]), np.array([0.1, 0.2, -0.3, 0.01, 0.02, 0.03])
+    stepper = Stepper(Scene(model, corners(0.3, restitution)), q, v, scheme=scheme)
+    for _ in range(7):
+        stepper.step(np.zeros(6), 0.004)
+    A, B = stepper.linearize(tau, 0.02)
+    assert stepper.t == pytest.approx(0.028)
+    towards = np.array([0.3, -0.2, 0.5, 0.01, 0.03, -0.02])
+
+    def end(s):
+        twin = stepper.copy()
+        return twin.step(tau + s * towards, 0.02)
+
+    (q1, v1), (q2, v2) = end(1e-4), end(-1e-4)
+    found = np.concatenate([pin.difference(model, q2, q1), v1 - v2]) / 2e-4
+    assert np.allclose(B @ towards, found, rtol=1e-6, atol=1e-8)
+    assert np.isfinite(A).all()
+
+
+def test_two_gaps_that_close_at_once_have_no_derivative():
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.152
+    scene = Scene(model, corners(0.3, 0.5))
+    run = simulate(
+        scene, q, np.array([0, 0, -1.0, 0, 0, 0]), 0.01, scheme="time-stepping", sensitivities="state"
+    )
+    found = run.sensitivity(0.01)
+    assert Boundary.EVENTS_COINCIDE in found.boundary
+    assert np.isnan(found.state).all()
+
+
+def test_a_control_that_is_a_function_of_time_and_state_is_refused():
+    model, q = box(), pin.neutral(box())
+    q[2] = 1.0
+
+    def control(t, q, v):
+        return -v
+
+    control.jacobian = lambda t, q, v: np.hstack([np.zeros((6, 6)), -np.eye(6)])
+    run = simulate(
+        Scene(model, control=control), q, np.ones(6), 0.01, scheme="time-stepping", sensitivities="state"
+    )
+    with pytest.raises(InputError, match="continuous control"):
+        run.sensitivity(0.01)
