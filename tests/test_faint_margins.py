@@ -90,14 +90,14 @@ def test_forces_that_leave_their_bounds_only_by_the_error_of_a_step_end_no_motio
     [
         (101000001000931, 0.64),
         (111000026, 0.1525),
-        pytest.param(101000001000518, 0.375, marks=pytest.mark.slow),
+        pytest.param(101000001000518, 0.375, marks=pytest.mark.exhaustive),
         (151000823, 0.43),
-        pytest.param(151000911, 0.885, marks=pytest.mark.slow),
-        pytest.param(122000395, 0.954, marks=pytest.mark.slow),
-        pytest.param(132000810, 0.589, marks=pytest.mark.slow),
-        pytest.param(133000883, 0.683, marks=pytest.mark.slow),
-        pytest.param(177000770, 0.91, marks=pytest.mark.slow),
-        pytest.param(239000381, 0.953, marks=pytest.mark.slow),
+        pytest.param(151000911, 0.885, marks=pytest.mark.exhaustive),
+        pytest.param(122000395, 0.954, marks=pytest.mark.exhaustive),
+        pytest.param(132000810, 0.589, marks=pytest.mark.exhaustive),
+        pytest.param(133000883, 0.683, marks=pytest.mark.exhaustive),
+        pytest.param(177000770, 0.91, marks=pytest.mark.exhaustive),
+        pytest.param(239000381, 0.953, marks=pytest.mark.exhaustive),
     ],
 )
 def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration):
@@ -114,7 +114,7 @@ def test_slip_that_the_error_of_a_step_does_not_hide_is_not_lost(seed, duration)
     assert lost(drawn.scene, trajectory, drawn.rtol) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_forces_that_only_just_fit_at_the_start_of_a_motion_give_way_to_others():
     """Two soles share their loads; of least norm a corner's friction was too much a little later."""
     drawn = random_control.draw(101000001001656)
@@ -204,11 +204,11 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         # slip could begin, but would not go on in the direction in which it begins
         (184000256, 0.5),
         # two corners slip near where forces cease to exist, a thousand times the loads
-        pytest.param(187000590, 0.993, marks=pytest.mark.slow),
+        pytest.param(187000590, 0.993, marks=pytest.mark.exhaustive),
         # corners whose slip jams until one of them, which approaches, has come to rest
-        pytest.param(192000238, 0.892, marks=pytest.mark.slow),
+        pytest.param(192000238, 0.892, marks=pytest.mark.exhaustive),
         # a corner that is about to jam, and a joint that seems to turn back in steps that go beyond it
-        pytest.param(204000405, 0.9187, marks=pytest.mark.slow),
+        pytest.param(204000405, 0.9187, marks=pytest.mark.exhaustive),
         # a tip begins to slip and a joint rests, of which rounding lets only one have no velocity
         (188000342, 0.56),
         # joints that yield beside a tip that begins to slip, whose rows hardly differ from its: one to three
@@ -221,7 +221,7 @@ def test_a_tip_that_slips_as_slowly_as_errors_and_a_joint_at_rest_settle():
         # joints that nothing moves but rounding
         (235000084, 0.955),
         # a foot's corner that jams slower than errors
-        pytest.param(216000018, 0.503, marks=pytest.mark.slow),
+        pytest.param(216000018, 0.503, marks=pytest.mark.exhaustive),
     ],
 )
 def test_modes_that_are_nearly_others_are_not_set_anew_without_end(seed, duration):

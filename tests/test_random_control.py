@@ -30,7 +30,7 @@ from .random_control import DURATION, draw, wrong_in
         91000145,  # a joint that is let go, and thrown against its friction as another one stops
         179000872,  # a joint that two tips at rest carry along against its dry friction, slower than an error
         # feet that turn on several corners: by other forces than those of the modes they would not
-        pytest.param(61000205, marks=pytest.mark.slow),
+        pytest.param(61000205, marks=pytest.mark.exhaustive),
     ],
 )
 @pytest.mark.filterwarnings("ignore::pinimpact.SteppedWarning")
