@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from .many_derivatives import ManyImpactDerivatives
 
 Array = NDArray[np.float64]
-_SHARES = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 _UPPER = np.triu_indices(3)
 
 
@@ -389,8 +388,7 @@ def _by_matrices(
     solution = solve_impact(problem, derivatives=True)
     impulse, d = solution.impulse, solution.derivatives
     assert d is not None
-    by_delassus = d.dP_ddelassus[:, _UPPER[0], _UPPER[1]] * _SHARES
-    slopes = np.column_stack([d.dP_dv, by_delassus, d.dP_dfriction, d.dP_drestitution])
+    slopes = np.column_stack([d.dP_dv, d.dP_ddelassus.reshape(3, 9), d.dP_dfriction, d.dP_drestitution])
     placed, n, y = PlacedRobot(model, data, q), nv if by_q else 0, np.ascontiguousarray(matrices.response.T)
     tree = Tree.of(placed) if by_q else _NO_TREE
     tip, base, at, shifts, carrier = contact_place(placed, tree, contact, matrices, True, n)

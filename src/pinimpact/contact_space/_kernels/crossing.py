@@ -6,7 +6,10 @@ import math
 
 from ..._compile.jit import always_inlined, inlined
 from .codes import IN_RESUMED_SLIP, IN_SLIP, WORK
-from .slip_derivatives import DATA, PATH, STOP, VT1, VT2, Slip, cross_move
+from .sensitivities import B1, B2, MU, PATH, STOP, V1, V2, VT1, VT2, add_response, clear_rows, combine
+from .slip_derivatives import cross_move
+from .slip_equations import in_frame
+from .slip_panels import Slip
 from .slip_works import ABSCISSAE, NODES, WEIGHTS
 
 
@@ -25,16 +28,15 @@ def _integral_of_direction(x, y, rho, x0, rho0):
 
 
 @inlined
-def _without_friction(problem, p3, found):
+def _without_friction(problem, p3, values):
     """Fill the sensitivities where μ = 0, on the side μ > 0, at P₃ from the start. (D12)"""
     b1, b2, v1, v2 = problem.b1, problem.b2, problem.v1, problem.v2
     k1, k2 = problem.k1, problem.k2
-    for j in range(DATA):
-        found[VT1, j] = found[VT2, j] = found[PATH, j] = 0.0
-    found[VT1, 0] = found[VT2, 1] = 1.0
-    found[PATH, 0], found[PATH, 1] = k1 * p3, k2 * p3
-    found[VT1, 2] = found[VT2, 3] = p3
-    found[PATH, 2], found[PATH, 3] = 0.5 * k1 * p3 * p3, 0.5 * k2 * p3 * p3
+    clear_rows(values, VT1, STOP)
+    values[VT1 + V1] = values[VT2 + V2] = 1.0
+    values[VT1 + B1] = values[VT2 + B2] = p3
+    values[PATH + V1], values[PATH + V2] = k1 * p3, k2 * p3
+    values[PATH + B1], values[PATH + B2] = 0.5 * k1 * p3 * p3, 0.5 * k2 * p3 * p3
     size = math.sqrt(b1 * b1 + b2 * b2)
     i1 = i2 = m1 = m2 = 0.0
     if size * p3 <= 0.25 * problem.speed or size == 0.0:
@@ -60,43 +62,33 @@ def _without_friction(problem, p3, found):
         m1, m2 = s * e1 - d * e2, s * e2 + d * e1
     x1, x2 = problem.a11 * i1 + problem.a12 * i2, problem.a12 * i1 + problem.a22 * i2
     y1, y2 = problem.a11 * m1 + problem.a12 * m2, problem.a12 * m1 + problem.a22 * m2
-    found[VT1, 7], found[VT2, 7], found[PATH, 7] = -x1, -x2, -(k1 * y1 + k2 * y2)
+    values[VT1 + MU], values[VT2 + MU], values[PATH + MU] = -x1, -x2, -(k1 * y1 + k2 * y2)
 
 
 @inlined
-def _resume(problem, s1, s2, gain, start, end, found):
+def _resume(problem, s1, s2, gain, start, end, values):
     """Bring the sensitivities of resumed slip from `start` to `end`, counted from v_t = 0. (D13)
 
     Args:
         s1, s2, gain: σ and λ.
     """
-    mu, k1, k2 = problem.mu, problem.k1, problem.k2
-    u1, u2 = problem.a11 * s1 + problem.a12 * s2, problem.a12 * s1 + problem.a22 * s2
-    across = s1 * (problem.a22 * s1 - problem.a12 * s2) - s2 * (problem.a12 * s1 - problem.a11 * s2)
-    skew = mu * (s1 * u2 - s2 * u1)
-    for j in range(DATA - 1):
-        x1 = x2 = 0.0
-        if j == 2:
-            x1 = 1.0
-        elif j == 3:
-            x2 = 1.0
-        elif j == 4:
-            x1, x2 = -mu * s1, -mu * s2
-        elif j == 5:
-            x1, x2 = -mu * s1, mu * s2
-        elif j == 6:
-            x1, x2 = -mu * s2, -mu * s1
-        angle = (s1 * x2 - s2 * x1) / (gain + mu * across)
-        rise = s1 * x1 + s2 * x2 - skew * angle
-        d1, d2 = rise * s1 - gain * angle * s2, rise * s2 + gain * angle * s1
-        e1, e2 = gain * s1 * found[STOP, j], gain * s2 * found[STOP, j]
-        found[VT1, j], found[VT2, j] = d1 * end - e1, d2 * end - e2
-        middle = 0.5 * (start + end)
-        found[PATH, j] += (end - start) * (k1 * (d1 * middle - e1) + k2 * (d2 * middle - e2))
+    mu, kl, middle = problem.mu, problem.k1 * s1 + problem.k2 * s2, 0.5 * (start + end)
+    _, skew, across, _, _ = in_frame(problem.a11, problem.a12, problem.a22, 0.0, 0.0, s1, s2)
+    combine(values, VT1, -gain * s1, STOP, 0.0, STOP)
+    combine(values, VT2, -gain * s2, STOP, 0.0, STOP)
+    combine(values, PATH, 1.0, PATH, -(end - start) * gain * kl, STOP)
+    # δ(λσ) for a δb along σ, and across
+    angle = 1.0 / (gain + mu * across)
+    skewed = mu * skew * angle
+    along, aside = (s1, s2), (-skewed * s1 - gain * angle * s2, -skewed * s2 + gain * angle * s1)
+    for k in range(5):
+        d1, d2 = along if k % 2 == 0 else aside
+        path = (end - start) * middle * (problem.k1 * d1 + problem.k2 * d2)
+        add_response(values, k, s1, s2, 1.0, mu, (d1 * end, d2 * end, path))
 
 
 @always_inlined
-def cross(problem, units, move, after, start, end, rest_at, values, found):
+def cross(problem, units, move, after, start, end, rest_at, values):
     """Bring the sensitivities to the end of a move.
 
     Args:
@@ -110,17 +102,17 @@ def cross(problem, units, move, after, start, end, rest_at, values, found):
     s1, s2, span = move[7], move[8], end - start
     half, mu, k1, k2 = 0.5 * span * span, problem.mu, problem.k1, problem.k2
     if mu == 0.0:
-        _without_friction(problem, end, found)
+        _without_friction(problem, end, values)
         return 0.0, 0.0, 0.0
     if move[0] == IN_SLIP:
         n1, n2 = cross_move(
             *(units, Slip(s1, s2, move[9], move[10]), move[11], move[12], units.omega * span, after[9]),
-            *(mu, k1, k2, problem.counts == WORK, values, found),
+            *(mu, k1, k2, problem.counts == WORK, values),
         )
         square = mu * units.per * units.per
         return square * n1, square * n2, 0.0
     if move[0] == IN_RESUMED_SLIP:
         gain = after[9] / (end - rest_at) if end > rest_at else 0.0
-        _resume(problem, s1, s2, gain, start - rest_at, end - rest_at, found)
+        _resume(problem, s1, s2, gain, start - rest_at, end - rest_at, values)
         return mu * s1 * half, mu * s2 * half, gain
     return k1 * half, k2 * half, 0.0

@@ -36,21 +36,46 @@ from .ending import Result, no_result
 from .moves import slip_units
 from .path import MAX_MOVES, SCRATCH, VANISHED, solve_into
 from .recording import MOVE
-from .slip_derivatives import DATA, NODE_ROOM, PATH, VT1, VT2
+from .sensitivities import (
+    B1,
+    B2,
+    CHI,
+    COMPRESSED,
+    END,
+    MEAN,
+    MU,
+    NORMAL,
+    OUT1,
+    OUT2,
+    OUT3,
+    P1,
+    P2,
+    P3,
+    PATH,
+    ROW,
+    SKEW,
+    V1,
+    V2,
+    V3,
+    VT1,
+    VT2,
+    WORK_DONE,
+    C,
+    E,
+    clear_rows,
+    combine,
+)
+from .slip_panels import ROOM
 
-INPUTS = 11
-"""v₁, v₂, v₃, w₁₁, w₁₂, w₁₃, w₂₂, w₂₃, w₃₃, μ, e: columns of the derivatives. Rows are those of v⁺ and P."""
+SLOPES = 14
+"""Columns of the derivatives: v₁, v₂, v₃, W row by row, μ, e. Rows are those of v⁺ and P."""
 
-V1, V2, V3, W11, W12, W13, W22, W23, W33, MU, E = range(INPUTS)
-ALL, ALL_BUT_E = np.int64(INPUTS), np.int64(E)
+BY_W, BY_W33, BY_MU, BY_E = 3, 11, 12, 13
+ALL, ALL_BUT_E = np.int64(SLOPES), np.int64(BY_E)
 
 START_AT_REST, STICK_THRESHOLD, EVENTS_COINCIDE, JUMP, GRAZING, BOUND, RANK = (
     np.int64(1 << i) for i in range(7)
 )
-
-NORMAL, WORK_DONE, COMPRESSED, END = 0, 1, 2, 3
-"""Rows of what is differentiated by all inputs: v₃ and its work at fixed P₃, the law's sum over compression,
-and the P₃ at which an event is."""
 
 COINCIDENT = 1e-11
 """Distance of two events, over all of P₃, up to which rounding decides their order."""
@@ -58,25 +83,15 @@ COINCIDENT = 1e-11
 AT_THRESHOLD = 1e-11
 """Distance of μ from the stick threshold, over μ, up to which rounding decides."""
 
+GROWTH = 50.0
+"""Of the speed on a panel of two moves, or its fall: its square is then e⁸, which twelve nodes integrate."""
+
 FLAT = 1e-7
 """Of a rate or velocity over its scale at an event: below it v⁺ jumps or has a slope without bound nearby."""
 
 
 @inlined
-def _spread(problem, found, row, out, target):
-    """Write a row of sensitivities by the columns of `DATA` into one by those of `INPUTS`."""
-    alpha, delta, chi = found[row, 4], found[row, 5], found[row, 6]
-    out[target, V1], out[target, V2], out[target, V3] = found[row, 0], found[row, 1], 0.0
-    out[target, W11], out[target, W12], out[target, W22] = 0.5 * (alpha + delta), chi, 0.5 * (alpha - delta)
-    out[target, W13], out[target, W23], out[target, W33] = found[row, 2], found[row, 3], 0.0
-    out[target, MU], out[target, E] = found[row, 7], 0.0
-    if problem.mu > 0.0:  # slip knows b and μA only
-        mean, half = 0.5 * (problem.a11 + problem.a22), 0.5 * (problem.a11 - problem.a22)
-        out[target, MU] = (alpha * mean + delta * half + chi * problem.a12) / problem.mu
-
-
-@inlined
-def _add_identity(problem, out, row, t, p1, p2, p3):
+def _add_identity(problem, values, row, t, p1, p2, p3):
     """Add what v₃ = v₃° + κ·(v_t − v_t°) + s P₃ changes by at fixed v_t, or its integral. (D4)
 
     Args:
@@ -84,15 +99,15 @@ def _add_identity(problem, out, row, t, p1, p2, p3):
         p1, p2, p3: and P, or its integral.
     """
     k1, k2 = problem.k1, problem.k2
-    out[row, V1] -= k1 * t
-    out[row, V2] -= k2 * t
-    out[row, V3] += t
-    out[row, W11] -= k1 * p1
-    out[row, W12] -= k1 * p2 + k2 * p1
-    out[row, W22] -= k2 * p2
-    out[row, W13] += p1 - k1 * p3
-    out[row, W23] += p2 - k2 * p3
-    out[row, W33] += p3
+    values[row + V1] -= k1 * t
+    values[row + V2] -= k2 * t
+    values[row + V3] += t
+    values[row + B1] += p1 - k1 * p3
+    values[row + B2] += p2 - k2 * p3
+    values[row + C] += p3
+    values[row + MEAN] -= k1 * p1 + k2 * p2
+    values[row + SKEW] -= k1 * p1 - k2 * p2
+    values[row + CHI] -= k1 * p2 + k2 * p1
 
 
 @inlined
@@ -110,95 +125,84 @@ def _tangential_rate(problem, mode, s1, s2, gain):
 
 
 @always_inlined
-def _at_event(problem, works, found, out, p1, p2, p3, q1, q2):
+def _at_event(problem, works, values, p1, p2, p3, q1, q2):
     """Fill rows NORMAL and, if wanted, WORK_DONE at fixed P₃; q is ∫P_t dP₃. (D4)"""
-    k1, k2 = problem.k1, problem.k2
-    _spread(problem, found, VT1, out, NORMAL)
-    _spread(problem, found, VT2, out, WORK_DONE)
-    for j in range(INPUTS):
-        out[NORMAL, j] = k1 * out[NORMAL, j] + k2 * out[WORK_DONE, j]
-    _add_identity(problem, out, NORMAL, 1.0, p1, p2, p3)
+    if problem.mu > 0.0:  # slip knows b and μA only
+        per = 1.0 / problem.mu
+        mean, half = 0.5 * (problem.a11 + problem.a22), 0.5 * (problem.a11 - problem.a22)
+        for row in (VT1, VT2, PATH):
+            total = mean * values[row + MEAN] + half * values[row + SKEW] + problem.a12 * values[row + CHI]
+            values[row + MU] = per * total
+    combine(values, NORMAL, problem.k1, VT1, problem.k2, VT2)
+    _add_identity(problem, values, NORMAL, 1.0, p1, p2, p3)
     if works:
-        _spread(problem, found, PATH, out, WORK_DONE)
-        _add_identity(problem, out, WORK_DONE, p3, q1, q2, 0.5 * p3 * p3)
+        combine(values, WORK_DONE, 1.0, PATH, 0.0, PATH)
+        _add_identity(problem, values, WORK_DONE, p3, q1, q2, 0.5 * p3 * p3)
 
 
 @always_inlined
-def _to_user(view, out):
-    """Turn and scale the derivatives back from the `View`."""
+def _to_user(view, values, out):
+    """Turn and scale the derivatives back from the `View` into (6, SLOPES)."""
     lean1, lean2 = view.lean1, view.lean2
     if not view.leaning:
         lean1, lean2 = 0.0, 1.0
     r11, r12, r21, r22 = lean2 * view.sign1, -lean1 * view.sign2, lean1 * view.sign1, lean2 * view.sign2
     if view.swapped:
         r11, r12, r21, r22 = -lean1 * view.sign1, lean2 * view.sign2, lean2 * view.sign1, lean1 * view.sign2
-    for j in range(INPUTS):
-        for i in (0, 3):
-            x, y = out[i, j], out[i + 1, j]
-            out[i, j], out[i + 1, j] = r11 * x + r21 * y, r12 * x + r22 * y
-    unit_v, per_v, per_w = (
-        math.ldexp(1.0, view.scale_v),
-        math.ldexp(1.0, -view.scale_v),
-        math.ldexp(1.0, -view.scale_w),
-    )
-    for i in range(6):
-        for j in (V1, W13):
-            k = V2 if j == V1 else W23
-            x, y = out[i, j], out[i, k]
-            out[i, j], out[i, k] = r11 * x + r21 * y, r12 * x + r22 * y
-        x, y, z = out[i, W11], out[i, W12], out[i, W22]
-        out[i, W11] = r11 * r11 * x + r11 * r21 * y + r21 * r21 * z
-        out[i, W12] = 2.0 * r11 * r12 * x + (r11 * r22 + r12 * r21) * y + 2.0 * r21 * r22 * z
-        out[i, W22] = r12 * r12 * x + r12 * r22 * y + r22 * r22 * z
-        unit = unit_v if i < 3 else unit_v * per_w
-        for j in range(W11):
-            out[i, j] *= unit * per_v
-        for j in range(W11, MU):
-            out[i, j] *= unit * per_w
-        out[i, MU], out[i, E] = unit * out[i, MU], unit * out[i, E]
+    cos2, sin2, skew, cross = r11 * r11 - r21 * r21, 2.0 * r11 * r21, r11 * r12, 0.5 * (r11 * r22 + r12 * r21)
+    unit_v, per_w = math.ldexp(1.0, view.scale_v), math.ldexp(1.0, -view.scale_w)
+    for first, per in ((0, 1.0), (3, per_w)):
+        x, y = OUT1 + ROW * first, OUT2 + ROW * first
+        combine(values, VT1, r11, x, r21, y)
+        combine(values, VT2, r12, x, r22, y)
+        by_w, by_mu = per * unit_v * per_w, per * unit_v
+        for k in range(3):
+            row, at = out[first + k], (VT1, VT2, OUT3 + ROW * first)[k]
+            x1, x2, mean = values[at + V1], values[at + V2], 0.5 * values[at + MEAN]
+            row[0], row[1] = per * (r11 * x1 + r21 * x2), per * (r12 * x1 + r22 * x2)
+            row[2] = per * values[at + V3]
+            x1, x2, half = values[at + SKEW], values[at + CHI], 0.5 * by_w
+            turned = 0.5 * (cos2 * x1 + sin2 * x2)
+            row[3], row[7] = by_w * (mean + turned), by_w * (mean - turned)
+            row[4] = row[6] = by_w * (skew * x1 + cross * x2)
+            x1, x2 = values[at + B1], values[at + B2]
+            row[5] = row[9] = half * (r11 * x1 + r21 * x2)
+            row[8] = row[10] = half * (r12 * x1 + r22 * x2)
+            row[11], row[12], row[13] = by_w * values[at + C], by_mu * values[at + MU], by_mu * values[at + E]
 
 
 @always_inlined
-def _close(problem, found, columns, rate1, rate2, rate, p1, p2, p3, out):
+def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
     """Fill the derivatives at the end, where P₃ changes by row END. (D15)
 
     Args:
         rate1, rate2, rate: dv/dP₃ there.
         p1, p2, p3: P.
     """
-    _spread(problem, found, VT1, out, 0)
-    _spread(problem, found, VT2, out, 1)
     a11, a12, a22 = problem.a11, problem.a12, problem.a22
     det = a11 * a22 - a12 * a12
     trace = a11 + a22
     i11, i12, i22 = a22 / det, -a12 / det, a11 / det
     if problem.flat:
         i11, i12, i22 = a11 / (trace * trace), a12 / (trace * trace), a22 / (trace * trace)
-    for j in range(INPUTS):
-        end = columns[END, j]
-        out[0, j] += rate1 * end
-        out[1, j] += rate2 * end
-        out[2, j] = columns[NORMAL, j] + rate * end
-        out[3, j], out[4, j], out[5, j] = out[0, j] - problem.b1 * end, out[1, j] - problem.b2 * end, end
-    out[3, V1], out[3, W11], out[3, W12], out[3, W13] = (
-        out[3, V1] - 1.0,
-        out[3, W11] - p1,
-        out[3, W12] - p2,
-        out[3, W13] - p3,
-    )
-    out[4, V2], out[4, W12], out[4, W22], out[4, W23] = (
-        out[4, V2] - 1.0,
-        out[4, W12] - p1,
-        out[4, W22] - p2,
-        out[4, W23] - p3,
-    )
-    for j in range(INPUTS):
-        x, y = out[3, j], out[4, j]
-        out[3, j], out[4, j] = i11 * x + i12 * y, i12 * x + i22 * y
+    combine(values, OUT1, 1.0, VT1, rate1, END)
+    combine(values, OUT2, 1.0, VT2, rate2, END)
+    combine(values, OUT3, 1.0, NORMAL, rate, END)
+    combine(values, VT1, 1.0, OUT1, -problem.b1, END)
+    combine(values, VT2, 1.0, OUT2, -problem.b2, END)
+    for row, column, along, skew, chi in ((VT1, V1, p1, p1, p2), (VT2, V2, p2, -p2, p1)):
+        values[row + column] -= 1.0
+        values[row + B1 + column] -= p3
+        values[row + MEAN] -= along
+        values[row + SKEW] -= skew
+        values[row + CHI] -= chi
+    combine(values, P1, i11, VT1, i12, VT2)
+    combine(values, P2, i12, VT1, i22, VT2)
+    combine(values, P3, 1.0, END, 0.0, END)
 
 
 @always_inlined
-def _ending(problem, columns, restored, rate, v3, total):
+def _ending(problem, values, restored, rate, v3, total):
     """Fill row END: how the P₃ at the end changes. (D14)
 
     Args:
@@ -207,22 +211,19 @@ def _ending(problem, columns, restored, rate, v3, total):
         total: The sum that the law counts over compression.
     """
     e = problem.e
-    for j in range(INPUTS):
-        if problem.counts == IMPULSE:
-            columns[END, j] = (1.0 + e) * columns[COMPRESSED, j]
-        elif problem.counts == VELOCITY or not restored:
-            columns[END, j] = -columns[NORMAL, j] / rate
-        else:
-            columns[END, j] = ((1.0 - e * e) * columns[COMPRESSED, j] - columns[WORK_DONE, j]) / v3
     if problem.counts == IMPULSE:
-        columns[END, E] += total
-    elif problem.counts == VELOCITY:
-        columns[END, V3] -= e / rate
-        columns[END, E] -= problem.v3 / rate
-    elif restored:
-        columns[END, E] -= 2.0 * e * total / v3
+        combine(values, END, 1.0 + e, COMPRESSED, 0.0, COMPRESSED)
+        values[END + E] = total
+    elif problem.counts == VELOCITY or not restored:
+        combine(values, END, -1.0 / rate, NORMAL, 0.0, NORMAL)
+        if problem.counts == VELOCITY:
+            values[END + V3] -= e / rate
+            values[END + E] = -problem.v3 / rate
+        else:
+            values[END + E] = math.sqrt(-2.0 * total / rate)
     else:
-        columns[END, E] = math.sqrt(-2.0 * total / rate)
+        combine(values, END, (1.0 - e * e) / v3, COMPRESSED, -1.0 / v3, WORK_DONE)
+        values[END + E] = -2.0 * e * total / v3
 
 
 @inlined
@@ -234,21 +235,20 @@ def _fill(out, first, last, value):
 
 @inlined
 def _without_impact(v3, out):
-    _fill(out, 0, INPUTS, 0.0)
-    out[0, V1] = out[1, V2] = out[2, V3] = 1.0
+    _fill(out, 0, SLOPES, 0.0)
+    out[0, 0] = out[1, 1] = out[2, 2] = 1.0
     if v3 > 0.0:
         return NO_FLAG
-    _fill(out, V3, V3 + 1, math.nan)
+    _fill(out, 2, 3, math.nan)
     return GRAZING
 
 
 @always_inlined
-def _book(problem, columns, event, rate, p3):
+def _book(problem, values, event, rate, p3):
     """Add to row COMPRESSED what an event at P₃ does to the law's sum; return the sum's gain. (D14)"""
     sign = 1.0 if event == COMPRESSION_ENDS else -1.0
     row, per = (WORK_DONE, sign) if problem.counts == WORK else (NORMAL, -sign / rate)
-    for j in range(INPUTS):
-        columns[COMPRESSED, j] += per * columns[row, j]
+    combine(values, COMPRESSED, 1.0, COMPRESSED, per, row)
     return sign * p3
 
 
@@ -272,21 +272,51 @@ def _needed(problem, moves, rows):
 
 
 @always_inlined
-def _follow(problem, units, view, moves, values, found, columns, out, rows, after3):
-    """Go through the moves and fill `out`, in the `View`.
+def _join(moves, rows):
+    """Join moves of turning slip that follow each other in pairs; return how many moves are left.
+
+    A series ends at a third of the way to its singularity. Gauss' rule is right to rounding up to 5/9 of it,
+    as far as two of them go, and for a speed that changes by `GROWTH` at most.
+    """
+    i = left = 0
+    while i < rows:
+        if left < i:
+            moves[left, :] = moves[i, :]
+        move, follower, speed = moves[left], moves[i + 1], moves[i, 9]
+        turns = move[0] == IN_SLIP and move[12] == 0.0 and move[6] == NO_EVENT and i + 1 < rows
+        if turns and follower[0] == IN_SLIP and follower[12] == 0.0:
+            t, u, end = 0.5 * move[10] * move[11], 0.5 * follower[10] * follower[11], moves[i + 2, 9]
+            turned = t + u
+            if t * u != 0.0 and abs(turned) <= 1.0 - t * u and speed < GROWTH * end and end < GROWTH * speed:
+                move[11] *= turned / (t * (1.0 - t * u))
+                move[3], move[4], move[6], move[13] = (
+                    follower[3],
+                    move[4] + follower[4],
+                    follower[6],
+                    follower[13],
+                )
+                i += 1
+        i, left = i + 1, left + 1
+    if left < i:
+        moves[left, :] = moves[i, :]
+    return left
+
+
+@always_inlined
+def _follow(problem, units, view, moves, values, rows, after3):
+    """Go through the moves and fill the rows of v⁺ and P, in the `View`.
 
     Args:
         problem, units, view: The impact.
         moves: (m, MOVE) trace of it,
         rows: of which so many are filled.
-        values, found, columns: (NODE_ROOM,), (4, DATA), (4, INPUTS) scratch, the last two zero.
-        out: (6, INPUTS).
+        values: (ROOM,) scratch, see `slip_derivatives`.
         after3: v₃⁺.
 
     Returns:
         flags of `Boundary`, and how many columns have no derivative, from the first on.
     """
-    boundary, unknown = NO_FLAG, NONE_YET
+    boundary, unknown, rows = NO_FLAG, NONE_YET, _join(moves, rows)
     at_rest = problem.speed <= VANISHED
     works = problem.counts == WORK
     unit, work_unit = (
@@ -296,8 +326,9 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
     whole = unit * moves[rows - 1, 3]
     steepest = problem.c + problem.mu * (abs(problem.b1) + abs(problem.b2))
     q1 = q2 = rest_at = total = 0.0
+    clear_rows(values, VT1, OUT1)
     if not at_rest:
-        found[VT1, 0] = found[VT2, 1] = 1.0
+        values[VT1 + V1] = values[VT2 + V2] = 1.0
     last_needed, stop = _needed(problem, moves, rows)
     for i in range(rows):
         move, after = moves[i], moves[i + 1]
@@ -305,26 +336,23 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
         start, p3 = unit * move[2], unit * move[3]
         n1 = n2 = gain = 0.0
         if not last_needed < i <= stop:
-            n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values, found)
-            if math.isnan(found[VT1, 0]):
-                boundary |= STICK_THRESHOLD
+            n1, n2, gain = cross(problem, units, move, after, start, p3, rest_at, values)
         q1, q2 = q1 + (p3 - start) * move[14] - n1, q2 + (p3 - start) * move[15] - n2
         if i == stop:
             rest_at = p3
             if 0.0 < abs(move[11]) < math.inf:  # it still turned, so P* depends on directions as from rest
                 boundary |= START_AT_REST
-            for j in range(DATA):
-                found[VT1, j] = found[VT2, j] = 0.0
+            clear_rows(values, VT1, PATH)
         if works and move[1] == COMPRESSION:
             total += work_unit * move[4]
         if event == NO_EVENT:
             continue
         if rest_at > 0.0 and abs(p3 - rest_at) <= COINCIDENT * whole:
             boundary, unknown = boundary | EVENTS_COINCIDE, ALL if last else max(unknown, ALL_BUT_E)
-        _at_event(problem, works, found, columns, after[14], after[15], p3, q1, q2)
+        _at_event(problem, works, values, after[14], after[15], p3, q1, q2)
         turns = event != LAW_MET
         if turns:
-            gained = _book(problem, columns, event, rate, p3)
+            gained = _book(problem, values, event, rate, p3)
             total += 0.0 if works else gained
         steep = turns or problem.counts == VELOCITY
         if (steep and abs(rate) <= FLAT * steepest) or (
@@ -332,23 +360,19 @@ def _follow(problem, units, view, moves, values, found, columns, out, rows, afte
         ):
             boundary, unknown = boundary | JUMP, ALL
         if last:
-            _ending(problem, columns, not turns, rate, after3, total)
+            _ending(problem, values, not turns, rate, after3, total)
             on = after if move[0] == IN_SLIP and problem.mu > 0.0 else move
             rate1, rate2 = _tangential_rate(problem, move[0], on[7], on[8], gain)
-            _close(problem, found, columns, rate1, rate2, rate, after[14], after[15], p3, out)
+            _close(problem, values, rate1, rate2, rate, after[14], after[15], p3)
     return boundary, unknown
 
 
 @always_inlined
-def _differentiate(problem, view, flags, moves, values, found, columns, out, rows, after3):
+def _differentiate(problem, view, flags, moves, values, out, rows, after3):
     """Fill `out` with the derivatives, NaN in columns that have none; return flags of `Boundary`."""
-    found[:, :] = 0.0
-    columns[:, :] = 0.0
     after3 = math.ldexp(after3, -view.scale_v)
-    boundary, unknown = _follow(
-        problem, slip_units(problem), view, moves, values, found, columns, out, rows, after3
-    )
-    _to_user(view, out)
+    boundary, unknown = _follow(problem, slip_units(problem), view, moves, values, rows, after3)
+    _to_user(view, values, out)
     _fill(out, 0, unknown, math.nan)
     mu, e = problem.mu, problem.e
     if mu == 0.0 or e == 0.0 or e == 1.0:
@@ -357,78 +381,57 @@ def _differentiate(problem, view, flags, moves, values, found, columns, out, row
     threshold = flags & (SLIP_RESUMED | STICKS) > 0 and abs(ratio - mu) <= AT_THRESHOLD * mu
     if threshold:
         boundary |= STICK_THRESHOLD
-        _fill(out, W11, W33, math.nan)
-        _fill(out, MU, E, math.nan)
+        _fill(out, BY_W, BY_W33, math.nan)
+        _fill(out, BY_MU, BY_E, math.nan)
     turned = boundary & START_AT_REST > 0
     boundary &= ~START_AT_REST
     if (problem.speed <= VANISHED or turned) and (flags & SLIP_RESUMED > 0 or threshold):
         boundary |= START_AT_REST
-        _fill(out, V1, V3, math.nan)
+        _fill(out, 0, 2, math.nan)
         if turned:
-            _fill(out, W11, W33, math.nan)
-            _fill(out, MU, E, math.nan)
+            _fill(out, BY_W, BY_W33, math.nan)
+            _fill(out, BY_MU, BY_E, math.nan)
     if problem.v3 == 0.0:
         boundary |= JUMP
-        _fill(out, V3, W11, math.nan)
+        _fill(out, 2, BY_W, math.nan)
     return boundary
 
 
-_MOVES = SCRATCH
-_VALUES = _MOVES + MAX_MOVES * MOVE
-_FOUND = _VALUES + NODE_ROOM
-_COLUMNS = _FOUND + 4 * DATA
-ROOM = _COLUMNS + 4 * INPUTS
-"""Floats of scratch that a derivative needs."""
-
-
-@declared(int, *11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGERS)
+@declared(
+    *(int, *11 * [float], int, float, FLOATS, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
+    *(INTEGER_ROWS, FLOAT_ROWS, INTEGERS),
+)
 @external
 def differentiate_into(
-    i, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, room, numbers, codes,
-    out, boundaries,
+    i, w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor, scratch, moves, numbers,
+    codes, out, boundaries,
 ):  # fmt: skip
     """Solve one problem and differentiate v⁺ and P by all inputs.
 
     Args:
         w11 … factor: As in `solve_into`.
-        room: (ROOM,) of any numbers.
-        out: (6, INPUTS) takes the derivatives; NaN in columns that have none.
+        scratch: (SCRATCH + ROOM,) of any numbers,
+        moves: and (MAX_MOVES, MOVE).
+        out: (6, SLOPES) takes the derivatives; NaN in columns that have none.
         i, numbers, codes, boundaries: Row i takes the answer and flags, as in `differentiate_rows`.
     """
-    factor, room, numbers, codes, out, boundaries = (
-        *(borrowed(factor), borrowed(room), borrowed(numbers), borrowed(codes), borrowed(out)),
-        borrowed(boundaries),
-    )
-    scratch, moves = room[:_MOVES], room[_MOVES:_VALUES].reshape((MAX_MOVES, MOVE))
+    factor, scratch, moves, numbers = borrowed(factor), borrowed(scratch), borrowed(moves), borrowed(numbers)
+    codes, out, boundaries = borrowed(codes), borrowed(out), borrowed(boundaries)
     given = w11, w12, w13, w22, w23, w33, v1, v2, v3, mu, e, law, velocity_scale, factor
-    result = Result(*solve_into(*given, scratch, moves, room[:0].reshape((0, 6))))
+    result = Result(*solve_into(*given, scratch, moves, moves[:0]))
     write_result(i, result, numbers, codes)
     if result.status == NO_IMPACT:
         boundaries[i] = _without_impact(v3, out)
         return
-    _fill(out, 0, INPUTS, math.nan)
     boundaries[i] = RANK if result.flags & SINGULAR_DELASSUS else NO_FLAG
     rows = result.trace_rows
-    if result.status <= LOCKED and rows + 1 < MAX_MOVES and not result.flags & LOCKS:
-        _, _, _, view, problem = prepare(*given)
-        boundaries[i] |= _differentiate(
-            *(problem, view, result.flags, moves, room[_VALUES:_FOUND]),
-            *(room[_FOUND:_COLUMNS].reshape((4, DATA)), room[_COLUMNS:].reshape((4, INPUTS))),
-            *(out, rows, result.v3),
-        )
-
-
-@always_inlined
-def _write_slopes(out, slopes, i):
-    """Write derivatives into row i, with W in full."""
-    for k in range(6):
-        for j in range(3):
-            slopes[i, k, j] = out[k, j]
-        w12, w13, w23 = 0.5 * out[k, W12], 0.5 * out[k, W13], 0.5 * out[k, W23]
-        slopes[i, k, 3], slopes[i, k, 4], slopes[i, k, 5] = out[k, W11], w12, w13
-        slopes[i, k, 6], slopes[i, k, 7], slopes[i, k, 8] = w12, out[k, W22], w23
-        slopes[i, k, 9], slopes[i, k, 10], slopes[i, k, 11] = w13, w23, out[k, W33]
-        slopes[i, k, 12], slopes[i, k, 13] = out[k, MU], out[k, E]
+    if result.status > LOCKED or rows + 1 == MAX_MOVES or result.flags & LOCKS:
+        _fill(out, 0, SLOPES, math.nan)
+        return
+    _, _, _, view, problem = prepare(*given)
+    boundaries[i] |= _differentiate(
+        problem, view, result.flags, moves, scratch[SCRATCH:], out, rows, result.v3
+    )
 
 
 @declared(
@@ -444,23 +447,25 @@ def differentiate_rows(
 
     Args:
         delassus … codes: As in `batch.solve_rows`.
-        slopes: (N, 6, 14) receives the derivatives by v, W, μ and e; NaN in columns that have none.
+        slopes: (N, 6, SLOPES) receives the derivatives by v, W, μ and e; NaN in columns that have none.
         boundaries: (N,) receives flags of `Boundary`.
     """
-    room, none, out = np.empty(ROOM), np.empty(0), np.empty((6, INPUTS))
+    scratch, moves, none = np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES, MOVE)), np.empty(0)
+    delassus, velocity, friction = borrowed(delassus), borrowed(velocity), borrowed(friction)
+    restitution, velocity_scale, factors = borrowed(restitution), borrowed(velocity_scale), borrowed(factors)
+    slopes, boundaries = borrowed(slopes), borrowed(boundaries)
     for i in range(velocity.shape[0]):
-        w, v = delassus[i], velocity[i]
+        w, v, out = delassus[i], velocity[i], slopes[i]
         factor = none
         if len(factors) > 0 and factors[i, 6] > 0.0:
             factor = factors[i]
         if asymmetry(w):
             write_result(i, no_result(INDEFINITE_DELASSUS, 0.0), numbers, codes)
-            slopes[i, :, :] = math.nan
+            _fill(out, 0, SLOPES, math.nan)
             boundaries[i] = NO_FLAG
             continue
         differentiate_into(
             *(i, w[0, 0], 0.5 * (w[0, 1] + w[1, 0]), 0.5 * (w[0, 2] + w[2, 0]), w[1, 1]),
             *(0.5 * (w[1, 2] + w[2, 1]), w[2, 2], v[0], v[1], v[2], friction[i], restitution[i]),
-            *(law, velocity_scale[i], factor, room, numbers, codes, out, boundaries),
+            *(law, velocity_scale[i], factor, scratch, moves, numbers, codes, out, boundaries),
         )
-        _write_slopes(out, slopes, i)

@@ -7,7 +7,10 @@ import numpy as np
 from ..._compile.declared import FLOAT_COLUMNS, FLOAT_ROWS, FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
 from ...contact_space._kernels.codes import INVALID_NUMBERS, LOCKED
-from ...contact_space._kernels.derivatives import INPUTS, ROOM, differentiate_into
+from ...contact_space._kernels.derivatives import SLOPES, differentiate_into
+from ...contact_space._kernels.path import MAX_MOVES, SCRATCH
+from ...contact_space._kernels.recording import MOVE
+from ...contact_space._kernels.slip_panels import ROOM
 from ...contact_space.inputs import FACTOR
 from .configuration_slopes import (
     AXES,
@@ -109,7 +112,7 @@ def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, re
         at, y, v, impulse, data, turned: As in `impact_slopes`.
         carrier: (12,) placement of the body whose axes the surface's velocities are given in.
         jacobian: (3, nv) J.
-        slopes: (3, INPUTS) of P in contact axes.
+        slopes: (3, SLOPES) of P in contact axes.
         slope: de/d(approach speed).
         by_q: Whether columns of q are filled; without, `data`, `responses` and `turned` are not read.
         responses: (nv, nv) M⁻¹ times the forces of `impact_slopes`.
@@ -127,16 +130,19 @@ def assemble(at, carrier, jacobian, y, v, impulse, slopes, slope, by_q, data, re
         moving[3 + j, 0], moving[3 + j, 1], moving[3 + j, 2] = rotate_back(at, d1, d2, d3)
     for i in range(3):
         row, s = rows[i], slopes[i]
-        s1, s2, s3 = s[0], s[1], s[2] - slope * s[10]
+        s1, s2, s3 = s[0], s[1], s[2] - slope * s[13]
         for k in range(first, nv):
             row[k] = by(s1, data[0, k]) + by(s2, data[1, k]) + by(s3, data[2, k])
-            for j in range(3, 9):
-                row[k] += by(s[j], data[j, k])
+            j = 3
+            for a in range(3):
+                for b in range(a, 3):
+                    row[k] += by(s[3 + 3 * a + b] * (1.0 if a == b else 2.0), data[j, k])
+                    j += 1
         for k in range(nv):
             row[nv + k] = by(s1, jacobian[0, k]) + by(s2, jacobian[1, k]) + by(s3, jacobian[2, k])
         for j in range(6):
             row[more + SURFACE + j] = -by(s1, moving[j, 0]) - by(s2, moving[j, 1]) - by(s3, moving[j, 2])
-        row[more + FRICTION], row[more + RESTITUTION], row[more + VALUE] = s[9], s[10], impulse[i]
+        row[more + FRICTION], row[more + RESTITUTION], row[more + VALUE] = s[12], s[13], impulse[i]
     for m in range(nv):
         y1, y2, y3 = y[0, m], y[1, m], y[2, m]
         for k in range(first, more + MORE):
@@ -192,7 +198,7 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
     if factor(mass, before, lower) >= 0:
         return SINGULAR_MASS, 0
     numbers, codes, boundary = np.empty((1, 7)), np.empty((1, 3), dtype=np.int64), np.empty(1, dtype=np.int64)
-    slopes, singular, jacobian = np.empty((6, INPUTS)), np.empty(FACTOR), np.empty((3, nv))
+    slopes, singular, jacobian = np.empty((6, SLOPES)), np.empty(FACTOR), np.empty((3, nv))
     at, axes = np.empty(PLACE), np.empty(9)
     geometry, w, relative, scale, known = meet(
         frame, carrier, columns, work.signs, work.constants, v, lower, before, y, singular
@@ -201,7 +207,8 @@ def robot_slopes(work, q, v, e, slope, by_q, out):
     v1, v2, v3 = relative
     differentiate_into(
         *(0, w11, w12, w13, w22, w23, w33, v1, v2, v3, work.friction, e, work.law, scale),
-        *(singular[:known], np.empty(ROOM), numbers, codes, slopes, boundary),
+        *(singular[:known], np.empty(SCRATCH + ROOM), np.empty((MAX_MOVES, MOVE))),
+        *(numbers, codes, slopes, boundary),
     )
     status = codes[0, 0]
     if not 0 <= status <= LOCKED:
