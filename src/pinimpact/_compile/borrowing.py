@@ -14,7 +14,7 @@ from numba.extending import lower_builtin, type_callable
 
 
 def borrowed(array: Any) -> Any:
-    """Return an array argument of a kernel without a reference count.
+    """Return an array argument of a kernel, or a tuple of them, without reference counts.
 
     Only for arguments: numba frees the arrays that a kernel allocates after their last use. Neither the array
     nor a part of it may be returned.
@@ -24,12 +24,24 @@ def borrowed(array: Any) -> Any:
 
 @type_callable(borrowed)
 def _type(context: Any) -> Any:
-    return lambda array: array if isinstance(array, types.Array) else None
+    return lambda array: array if isinstance(array, (types.Array, types.BaseTuple)) else None
 
 
 @lower_builtin(borrowed, types.Array)
+@lower_builtin(borrowed, types.BaseTuple)
 def _lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    array = context.make_array(signature.return_type)(context, builder, arguments[0])
+    return _without_owner(context, builder, signature.return_type, arguments[0])
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.BaseTuple):
+        for i, field in enumerate(kind.types):
+            part = _without_owner(context, builder, field, builder.extract_value(value, i))
+            value = builder.insert_value(value, part, i)
+        return value
+    if not isinstance(kind, types.Array):
+        return value
+    array = context.make_array(kind)(context, builder, value)
     for owner in ("meminfo", "parent"):
         setattr(array, owner, context.get_constant_null(types.voidptr))
     return array._getvalue()

@@ -97,14 +97,14 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     """Follow waves by adaptive steps; None where they do not come to an end."""
     n = len(inputs.velocity)
     plastic = (inputs.restitution == 0.0) & (np.diag(inputs.delassus)[2::3] > 0.0)
-    missed, steps, accuracy = np.inf, 0, STEP_ACCURACY
+    missed, steps, accuracy, rows = np.inf, 0, STEP_ACCURACY, _rows_of(inputs.delassus)
     numbers: Array | None = None
     last: Array | None = None
     for k in range(MOST_RESTITUTIONS if plastic.any() else 1):
         little = inputs._replace(
             restitution=np.where(plastic, 0.5**k * FIRST_RESTITUTION, inputs.restitution)
         )
-        found = _passes(little, exponent)
+        found = _passes(little, exponent, rows)
         if found is None:
             break
         before, numbers = numbers, found[0] if last is None else 2.0 * found[0] - last  # no term in e is left
@@ -128,7 +128,7 @@ def _propagate_in_steps(inputs: ManyInputs, exponent: float, record: bool) -> Ma
     story = None
     if record:
         path = np.empty((MOST_SHORT_STEPS + 1, 3 * n + 1))
-        points = _pass(least, exponent, accuracy, path)[0]
+        points = _pass(least, exponent, rows, accuracy, path)[0]
         path[points] = np.concatenate([path[points - 1, :1], impulse.ravel()])
         clock, impulses = path[: points + 1, 0].copy(), path[: points + 1, 1:]
         velocities = inputs.velocity.ravel() + impulses @ inputs.delassus
@@ -151,7 +151,7 @@ def _within_cones(inputs: ManyInputs, numbers: Array) -> Array:
     return impulse
 
 
-def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, float] | None:
+def _passes(inputs: ManyInputs, exponent: float, rows: Array) -> tuple[Array, float, int, float] | None:
     """Step through an impact with more and more accuracy, until two passes agree.
 
     Returns:
@@ -161,7 +161,7 @@ def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, flo
     accuracy, total, missed = STEP_ACCURACY, 0, np.inf
     best: Array | None = None
     for finer in (STEP_ACCURACY * 0.1**k for k in range(round(np.log10(STEP_ACCURACY / FINEST)) + 1)):
-        steps, numbers = _pass(inputs, exponent, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
+        steps, numbers = _pass(inputs, exponent, rows, finer, np.empty((0, 3 * len(inputs.velocity) + 1)))
         if steps == 0:
             break
         if best is not None:
@@ -172,16 +172,15 @@ def _passes(inputs: ManyInputs, exponent: float) -> tuple[Array, float, int, flo
     return None if best is None or not missed <= USEFUL else (best, missed, total, accuracy)
 
 
-def _pass(inputs: ManyInputs, exponent: float, accuracy: float, path: Array) -> tuple[int, Array]:
+def _pass(
+    inputs: ManyInputs, exponent: float, rows: Array, accuracy: float, path: Array
+) -> tuple[int, Array]:
     """Return the number of steps through an impact, 0 for too many, and its impulses and works (6n,)."""
     from ._kernels.propagation_steps import step_through
 
     n = len(inputs.velocity)
     size = float(np.abs(inputs.velocity).max())
     scaled = inputs.stiffness / np.max(inputs.stiffness * np.diag(inputs.delassus)[2::3])
-    eigenvalues, vectors = np.linalg.eigh(inputs.delassus)
-    kept = eigenvalues > ZERO * n * eigenvalues[-1]
-    rows = np.ascontiguousarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
     impulse, works = np.empty(3 * n), np.empty((n, 3))
     steps = step_through(
         *(rows, inputs.velocity.ravel() / size, inputs.friction, inputs.restitution, scaled),
@@ -189,6 +188,13 @@ def _pass(inputs: ManyInputs, exponent: float, accuracy: float, path: Array) -> 
     )
     path[:steps, 1:] *= size
     return steps, np.concatenate([impulse * size, works.ravel() * size * size])
+
+
+def _rows_of(delassus: Array) -> Array:
+    """Return J (3n, r) of full rank with W = J Jᵀ."""
+    eigenvalues, vectors = np.linalg.eigh(delassus)
+    kept = eigenvalues > ZERO * len(delassus) / 3 * eigenvalues[-1]
+    return np.ascontiguousarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
 
 
 def _differ(inputs: ManyInputs, one: Array, other: Array) -> float:

@@ -22,7 +22,7 @@ from .codes import (
     SLIPPING,
 )
 from .first_fall import value_at
-from .propagation_state import open_contact
+from .propagation_state import open_contact, rate, stored
 from .tolerances import SLIP_SPEED, SLOW
 
 
@@ -35,25 +35,41 @@ def time_power(k, h, pace, root):
 
 
 @inlined
-def advance(system, state, series, h, degree, pace, root, works, rows, used, latest):
-    """Go to the end of a step, with works and rows; return how many rows there are."""
+def _product(series, i, k):
+    """Return the coefficient k of the product of force and velocity at place i."""
+    total = 0.0
+    for m in range(k + 1):
+        total += series.force[m, i] * series.v[k - m, i]
+    return total
+
+
+@inlined
+def advance(system, state, series, h, degree, pace, root, parts, works, rows, used, latest):
+    """Go to the end of a step, with works and rows; return how many rows there are.
+
+    Args:
+        parts: (ORDER + 1,) scratch.
+    """
     n = len(system.friction)
+    for k in range(degree + 1):
+        parts[k] = time_power(k, h, pace, root)
     for j in range(n):
         x, y, z = 3 * j, 3 * j + 1, 3 * j + 2
-        before = state.impulse[z]
-        if state.normal[j] != OPEN:
+        before, moves = state.impulse[z], series.changes[x] + series.changes[y] + series.changes[z] > 0
+        if state.normal[j] != OPEN and moves:
             normal_work = friction_work = 0.0
             for k in range(degree + 1):
-                normal_power = friction_power = 0.0
-                for i in range(k + 1):
-                    normal_power += series.force[i, z] * series.v[k - i, z]
-                    friction_power += series.force[i, x] * series.v[k - i, x]
-                    friction_power += series.force[i, y] * series.v[k - i, y]
-                part = time_power(k, h, pace, root)
-                normal_work += normal_power * part
-                friction_work += friction_power * part
+                part = parts[k]
+                if state.normal[j] == HELD:
+                    normal_work += _product(series, z, k) * part
+                if state.tangent[j] != FREE:
+                    friction_work += (_product(series, x, k) + _product(series, y, k)) * part
                 for i in range(x, z + 1):
                     state.impulse[i] += series.force[k, i] * part
+            if state.normal[j] != HELD:  # it is what the spring takes
+                normal_work = stored(system, j, state.indentation[j])
+                normal_work -= stored(system, j, value_at(series.indentation, j, degree, h))
+                normal_work /= rate(system, state.normal[j], j)
             restores = state.normal[j] == RISING or state.normal[j] == HELD
             works[j, 1 if restores else 0] += normal_work
             works[j, 2] += friction_work
@@ -69,7 +85,8 @@ def advance(system, state, series, h, degree, pace, root, works, rows, used, lat
                     latest[j] = used
                     used += 1
         for i in range(x, z + 1):
-            state.v[i] = value_at(series.v, i, degree, h)
+            if series.changes[i] == 1:
+                state.v[i] = value_at(series.v, i, degree, h)
         speed = math.hypot(state.v[x], state.v[y])
         if speed > 10.0 * SLIP_SPEED:
             state.fresh[j] = 0
@@ -84,7 +101,7 @@ def advance(system, state, series, h, degree, pace, root, works, rows, used, lat
             state.last[j] = value_at(series.force, z, degree, h)
             cap = system.stiffness[j] * state.deepest[j] ** system.exponent
             state.ringing[j] = min(state.ringing[j], max(cap - state.last[j], 0.0) / system.exponent)
-        state.indentation[j] = value_at(series.indentation, j, degree, h)
+        state.indentation[j] = value_at(series.indentation, j, degree if moves else min(degree, STRAIGHT), h)
         if state.normal[j] == LOADING:
             state.deepest[j] = state.indentation[j]
     return used
@@ -122,6 +139,10 @@ def record_step(path, points, clock, series, state, h, degree, pace, root):
 
 POINTS = 4
 """Points recorded on a step."""
+
+
+STRAIGHT = np.int64(1)
+"""The degree of a series where nothing changes but indentations."""
 
 
 NO_ROW = np.int64(-1)

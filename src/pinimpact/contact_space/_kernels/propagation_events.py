@@ -36,6 +36,9 @@ def find_events(system, state, series, h, tie, crowded, roots, guard, work):
         mode, x, y, z = state.normal[j], 3 * j, 3 * j + 1, 3 * j + 2
         for k in range(3):
             roots[j, k] = NEVER
+        still = series.changes[x] + series.changes[y] + series.changes[z] == 0 and series.v[0, z] == 0.0
+        if still and mode in (OPEN, LOADING):
+            continue
         for k in range(ORDER + 1):
             if mode == OPEN:
                 guard[k] = -series.indentation[k, j]

@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..._compile.declared import FloatRows, Integers
 from ..._compile.jit import inlined
 from ..._numeric.elimination import solve
 from ..._numeric.least_norm import least_norm, least_norms
-from .codes import BOUND, HELD, SLIPPING, STUCK
-from .propagation_state import TIED, Array, begins, friction_share, loads, rate
+from .codes import BOUND, FREE, HELD, OPEN, SLIPPING, STUCK
+from .propagation_state import TIED, begins, friction_share, loads, rate
 from .tolerances import NEGLIGIBLE
 
 ORDER, SHORT = np.int64(24), np.int64(2)
@@ -28,14 +29,16 @@ class Series(NamedTuple):
         v, indentation, force: (K + 2, 3n), (K + 2, n), (K + 1, 3n).
         speed, unit: (K + 1, n), (K + 1, 2n) of |v_t| (of ρ where slip begins) and v_t/|v_t|.
         power: (K + 2, n) of what is raised to the power η, and then of the power.
+        changes: (3n,) 1 for the velocities that change.
     """
 
-    v: Array
-    indentation: Array
-    force: Array
-    speed: Array
-    unit: Array
-    power: Array
+    v: FloatRows
+    indentation: FloatRows
+    force: FloatRows
+    speed: FloatRows
+    unit: FloatRows
+    power: FloatRows
+    changes: Integers
 
 
 @inlined
@@ -48,6 +51,7 @@ def new_series(order, n):
         np.zeros((order + 1, n)),
         np.zeros((order + 1, 2 * n)),
         np.zeros((order + 2, n)),
+        np.zeros(3 * n, dtype=np.int64),
     )
 
 
@@ -138,19 +142,26 @@ def expand(system, state, unknown, inverse, order, pace, series):
         indentation[0, j] = state.indentation[j]
         for i in range(3 * j, 3 * j + 3):
             v[0, i] = state.v[i]
+            series.changes[i] = 0
         if hertz and loads(state.normal[j]) and state.indentation[j] <= 0.0:
             root = True
-    fixed = np.empty(len(unknown))
-    ties = np.empty(n, dtype=np.int64)
-    count = 0
+    fixed, rates = np.empty(len(unknown)), np.empty(n)
+    ties, closed = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    count = pressed = 0
     for j in range(n):
+        rates[j] = 0.0 if state.normal[j] == HELD else rate(system, state.normal[j], j)
+        if state.normal[j] != OPEN or state.tangent[j] != FREE:
+            closed[pressed] = j
+            pressed += 1
         if state.tangent[j] == SLIPPING and begins(state.fresh[j]):
             ties[count] = j
             count += 1
     ties = ties[:count].copy()
     answers = np.zeros((count, 3 * n))
     for k in range(order + 1):
-        for j in range(n):
+        for i in range(3 * n):
+            force[k, i] = 0.0
+        for j in closed[:pressed]:
             p = 3 * j
             mode, tangent = state.normal[j], state.tangent[j]
             normal = state.pressed[j] if mode == HELD and k == 0 else 0.0
@@ -160,8 +171,6 @@ def expand(system, state, unknown, inverse, order, pace, series):
                 else:
                     normal = system.stiffness[j] * indentation[k, j]
             force[k, p + 2] = normal
-            force[k, p] = 0.0
-            force[k, p + 1] = 0.0
             if tangent == SLIPPING and begins(state.fresh[j]):
                 _known_direction(state, series, k, j)
             elif tangent == SLIPPING:
@@ -183,7 +192,7 @@ def expand(system, state, unknown, inverse, order, pace, series):
                 series.speed[0, ties[c]] = pace * _start(system, state, ties[c], force[0])
         elif count > 0:
             _turn(system, state, series, k, pace, ties, answers)
-        _integrate(system, state, series, k, pace, root)
+        _integrate(system, rates, series, k, pace, root)
     return root
 
 
@@ -319,7 +328,7 @@ def natural_pace(state, series):
 
 
 @inlined
-def _integrate(system, state, series, k, pace, root):
+def _integrate(system, rates, series, k, pace, root):
     """Fill the coefficients k + 1 of velocities and indentations."""
     w = system.w
     n = len(system.friction)
@@ -336,17 +345,16 @@ def _integrate(system, state, series, k, pace, root):
                 for place in range(system.filled_count[a]):
                     i = system.filled[a, place]
                     v[k + 1, i] += w[a, i] * push
+                    series.changes[i] = 1
             else:
                 for i in range(3 * n):
                     v[k + 1, i] += w[a, i] * push
+                    series.changes[i] = 1
     for i in range(3 * n):
         v[k + 1, i] *= factor
     for j in range(n):
-        if state.normal[j] == HELD:
-            indentation[k + 1, j] = 0.0
-        else:
-            fall = v[source, 3 * j + 2] if source >= 0 else 0.0
-            indentation[k + 1, j] = -rate(system, state.normal[j], j) * fall * factor
+        fall = v[source, 3 * j + 2] if source >= 0 else 0.0
+        indentation[k + 1, j] = -rates[j] * fall * factor
 
 
 @inlined

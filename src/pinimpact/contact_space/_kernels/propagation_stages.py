@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._compile.declared import Floats
 from ..._compile.jit import inlined
 from .tolerances import BALANCED, ROUNDED
 
@@ -35,10 +35,10 @@ class Springs(NamedTuple):
         exponent: η.
     """
 
-    largest: NDArray[np.float64]
-    peak: NDArray[np.float64]
-    restitution: NDArray[np.float64]
-    stiffness: NDArray[np.float64]
+    largest: Floats
+    peak: Floats
+    restitution: Floats
+    stiffness: Floats
     exponent: float
 
 

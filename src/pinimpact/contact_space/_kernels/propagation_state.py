@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._compile.declared import FloatRows, Floats, IntegerRows, Integers
 from ..._compile.jit import inlined
 from .codes import BOUND, FREE, HELD, LOADING, OPEN, SLIPPING, STUCK
 from .tolerances import NEGLIGIBLE
-
-Array = NDArray[np.float64]
-Codes = NDArray[np.int64]
 
 TIED, RESUMED, AT_BOUND = 2, 4, 3
 """`State.fresh` of a slip that begins as friction comes to its bound, of one that does beyond it, and where
@@ -33,12 +30,12 @@ class System(NamedTuple):
         exponent: η.
     """
 
-    w: Array
-    filled: Codes
-    filled_count: Codes
-    friction: Array
-    unloading: Array
-    stiffness: Array
+    w: FloatRows
+    filled: IntegerRows
+    filled_count: Integers
+    friction: Floats
+    unloading: Floats
+    stiffness: Floats
     exponent: float
 
 
@@ -61,18 +58,29 @@ class State(NamedTuple):
         ringing: (n,) by how much the force of a held contact oscillates about its mean.
     """
 
-    v: Array
-    impulse: Array
-    indentation: Array
-    deepest: Array
-    normal: Codes
-    tangent: Codes
-    direction: Array
-    fresh: Codes
-    share: Array
-    pressed: Array
-    last: Array
-    ringing: Array
+    v: Floats
+    impulse: Floats
+    indentation: Floats
+    deepest: Floats
+    normal: Integers
+    tangent: Integers
+    direction: Floats
+    fresh: Integers
+    share: Floats
+    pressed: Floats
+    last: Floats
+    ringing: Floats
+
+
+@inlined
+def new_state(v, impulse):
+    """Return the `State` of n contacts that are open, with velocities and impulses (3n,)."""
+    n = len(v) // 3
+    return State(
+        *(v, impulse, np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)),
+        *(np.zeros(2 * n), np.zeros(n, dtype=np.int64), np.zeros(2 * n)),
+        *(np.zeros(n), np.zeros(n), np.zeros(n)),
+    )
 
 
 @inlined
@@ -102,6 +110,13 @@ def friction_share(system, state, unit, j):
     if tangent in (SLIPPING, BOUND):
         return -system.friction[j] * unit[x], -system.friction[j] * unit[y]
     return 0.0, 0.0
+
+
+@inlined
+def stored(system, j, indentation):
+    """Return the energy of a contact's spring in loading."""
+    order = system.exponent + 1.0
+    return system.stiffness[j] * max(indentation, 0.0) ** order / order
 
 
 @inlined

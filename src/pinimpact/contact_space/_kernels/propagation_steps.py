@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..._compile.borrowing import borrowed
 from ..._compile.declared import FLOAT_ROWS, FLOATS, FloatRows, Floats, declared
-from ..._compile.jit import inlined, jit
+from ..._compile.jit import external, inlined, jit
 from ..._numeric.loops import assign
 from .first_fall import NEVER
 from .propagation_stages import Springs, find_stage, force_at
@@ -143,9 +144,27 @@ def step_through(
     springs = Springs(np.zeros(n), np.zeros(n), restitution, stiffness, exponent)
     contacts = Contacts(rows, friction, springs, np.zeros(n), pace, creep)
     rate, v, force = np.zeros((STAGES, r)), np.zeros((STAGES, 3 * n)), np.zeros((STAGES, 3 * n))
-    held_impulse, held_works = np.empty(3 * n), np.empty((n, 3))
-    h, clock, held = FIRST_STEP, 0.0, 0.0
     assign(v[0], start)
+    return _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, works, path)
+
+
+@declared(
+    *(Contacts, FLOATS, FLOAT_ROWS, FLOAT_ROWS, FLOAT_ROWS, float, int, FLOATS, FLOAT_ROWS, FLOAT_ROWS),
+    result=int,
+)
+@external
+def _take_steps(contacts, mobility, v, force, rate, accuracy, most, impulse, works, path):
+    """Take the steps of `step_through`, from velocities v[0].
+
+    Args:
+        mobility: (n,) W₃₃ of each contact.
+        v, force, rate: (STAGES, …) scratch.
+    """
+    contacts, v, force, rate = borrowed(contacts), borrowed(v), borrowed(force), borrowed(rate)
+    impulse, works, path = borrowed(impulse), borrowed(works), borrowed(path)
+    rows, friction, creep = contacts.rows, contacts.friction, contacts.creep
+    held_impulse, held_works = np.empty_like(impulse), np.empty_like(works)
+    h, clock, held = FIRST_STEP, 0.0, 0.0
     for step in range(1, most + 1):
         if step <= len(path):
             path[step - 1, 0] = clock
@@ -170,8 +189,8 @@ def step_through(
                 impulse[:] = held_impulse
                 works[:] = held_works
                 return step
-        at = np.zeros(r)
-        for k in range(r):
+        at = np.zeros(rows.shape[1])
+        for k in range(len(at)):
             for i in range(STAGES):
                 at[k] += h * WEIGHTS[i] * rate[i, k]
         _velocities(rows, v[0], at, v[0])
