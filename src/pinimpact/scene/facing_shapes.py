@@ -62,11 +62,7 @@ class FacingShapes:
         self._dynamics, self._work = dynamics, dynamics.work
         self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._struck: dict[int, Contact] = {}
-        groups: dict[int, tuple[Contact, list[int]]] = {}
-        for i, contact in enumerate(dynamics.contacts):
-            if contact.pair is not None:
-                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
-        every = [(layout.pairs[contact], numbers) for contact, numbers in groups.values()]
+        every = [(layout.pairs[contact], numbers) for contact, numbers in layout.places(dynamics.contacts)]
         work = self._work
         self._blanks = work.contact_constants.copy()
         self.idle = np.array([contact.pair is not None for contact in dynamics.contacts], dtype=bool)

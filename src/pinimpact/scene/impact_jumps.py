@@ -19,14 +19,16 @@ from ..errors import InputError
 from ..robot.corner_motion import Corner
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes, coefficient_change
-from ..robot.matrices import checked_matrices, contact_matrices
+from ..robot.matrices import contact_matrices
 from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
 from ..robot.shape_pair import contact_now
 from ._kernels.contact_forces import SLIP
 from .dynamics import SceneDynamics
+from .islands import islands, tree_roots
 from .records import ImpactRecord
 from .scene import Scene
+from .scene_impacts import matrices_of_all
 from .switched_off import held_contacts, locked_joints
 
 Array = NDArray[np.float64]
@@ -76,10 +78,7 @@ class ImpactJumps:
         self._limit_restitution = 0.0 if "restitution" in scene.without else scene.limit_restitution
         labels = [contact.label for contact in dynamics.contacts]
         self._source = {name: i for i, name in enumerate([*labels, *(x.name for x in dynamics.limits)])}
-        self._roots = np.arange(model.njoints)  # of the tree of each joint
-        for joint, parent in enumerate(model.parents):
-            if parent > 0:
-                self._roots[joint] = self._roots[parent]
+        self._roots = tree_roots(model)
 
     def sources(self, record: ImpactRecord) -> tuple[int, ...]:
         """Return the numbers of the contacts and, past those, limits that take part in an impact."""
@@ -87,11 +86,8 @@ class ImpactJumps:
 
     def islands(self, active: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return numbers (nv,) of the islands of velocities that trees and active contacts connect."""
-        island, work = np.arange(len(self._roots)), self.dynamics.work
-        for a, b in self._roots[work.contact_joints[active]].tolist():
-            if a > 0 and b > 0:  # the world connects nothing
-                island[island == island[a]] = island[b]
-        return np.asarray(island[self._roots[work.velocity_joint]])
+        roots, work = self._roots, self.dynamics.work
+        return np.asarray(islands(roots, roots[work.contact_joints[active]])[roots[work.velocity_joint]])
 
     def of(
         self, record: ImpactRecord, modes: NDArray[np.int64], corners: Mapping[int, Corner] | None = None
@@ -139,8 +135,7 @@ class ImpactJumps:
         guard = np.zeros(nv)
         guard[limit.index_v] = limit.sign
         placed = PlacedRobot(self.model, self.data, record.q)
-        anchors, mobility = tuple(map(placed.geometry, self.held)), self.free.astype(np.float64)
-        matrices = checked_matrices(placed, (), anchors, mobility, guard[None])
+        matrices = matrices_of_all(placed, (), (limit,), self.held, self.free.astype(np.float64))
         slopes, y = ManySlopes(placed, (), matrices, self.held, self.free), matrices.response[:, 2]
         w, rate = float(matrices.delassus[2, 2]), float(guard @ record.v_before)
         impulse = -(1.0 + e) * rate / w
@@ -209,7 +204,7 @@ class GroupJump:
         corners: Mapping[int, Corner],
     ) -> None:
         assert record.group is not None
-        group, dynamics, nv = record.group[0], scene.dynamics, len(record.v_before)
+        group, dynamics = record.group[0], scene.dynamics
         self._group, self._record, self._sources = group, record, np.array(group.sources, dtype=np.int64)
         count = len(dynamics.contacts)
         placed = PlacedRobot(scene.model, scene.data, record.q)
@@ -227,11 +222,8 @@ class GroupJump:
                 )
             self._contacts.append(contact)
         limits = [dynamics.limits[i - count] for i in group.sources if i >= count]
-        stops = np.zeros((len(limits), nv))
-        for row, limit in zip(stops, limits, strict=True):
-            row[limit.index_v] = limit.sign
-        anchors, mobility = tuple(map(placed.geometry, scene.held)), scene.free.astype(np.float64)
-        self._matrices = checked_matrices(placed, self._contacts, anchors, mobility, stops)
+        mobility = scene.free.astype(np.float64)
+        self._matrices = matrices_of_all(placed, self._contacts, limits, scene.held, mobility)
         self._slopes = ManySlopes(placed, self._contacts, self._matrices, scene.held, scene.free, known)
         velocity, now = self._matrices.velocity(record.v_before), modes[self._sources]
         self._rates, self._closed = velocity[:, 2].copy(), now > 0

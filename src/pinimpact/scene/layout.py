@@ -192,6 +192,14 @@ class SceneLayout:
             PAIR_ROUNDING * reaches.sum(axis=1),
         )
 
+    def places(self, contacts: Sequence[Contact]) -> list[tuple[Contact, list[int]]]:
+        """Return each contact of two shapes among those kept for them, with the numbers of its places."""
+        groups: dict[int, tuple[Contact, list[int]]] = {}
+        for i, contact in enumerate(contacts):
+            if contact.pair is not None:
+                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
+        return list(groups.values())
+
     def dynamics_for(self, owner: object, model: pin.Model) -> RobotDynamics:
         """Return dynamics of the robot, for the scene's own model some that an earlier owner has left."""
         if model is not self._model:

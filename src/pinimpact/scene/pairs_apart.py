@@ -65,7 +65,7 @@ class PairsApart:
         robot.q[:] = q
         found = np.empty(len(self.bends))
         went_well = turn_to_gaps(
-            *(self._calls, robot.q, robot.placements, tables.joints, tables.vertices, tables.ranges),
+            *(self._calls, robot.placements, tables.joints, tables.vertices, tables.ranges),
             *(tables.radii, self._directions, np.ones(len(found), dtype=np.bool_), found),
         )
         if not went_well:

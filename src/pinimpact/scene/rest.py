@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ._kernels.workspace import SceneWorkspace
 from .forces import StepForces
 from .hybrid_state import HybridState
+from .islands import tree_roots
 
 Integers = NDArray[np.int64]
 
@@ -28,9 +29,7 @@ class Rest:
 
     def __init__(self, model: pin.Model, work: SceneWorkspace, state: HybridState) -> None:
         self._work, self._state = work, state
-        roots = np.zeros(model.njoints, dtype=np.int64)
-        for joint in range(1, model.njoints):
-            roots[joint] = roots[model.parents[joint]] or joint
+        roots = tree_roots(model)
         self._trees = np.searchsorted(np.unique(roots[1:]), roots)  # of each joint; the world's says nothing
         self.tree: Integers = self._trees[work.velocity_joint]
         self.joints = np.arange(model.njoints) == 0

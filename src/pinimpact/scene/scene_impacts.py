@@ -30,6 +30,7 @@ from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, given, group_impact, of_hit, of_limit
+from .islands import islands, tree_roots
 from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
 from .scene import Scene
@@ -88,10 +89,7 @@ class SceneImpacts:
         self._resting_speed = resting_speed if self._sustained else 0.0
         self._yielding = free_velocities(model, self._locked)
         self._mobility = self._yielding.astype(np.float64)
-        self._roots = np.arange(model.njoints)  # of the tree of each joint
-        for joint, parent in enumerate(model.parents):
-            if parent > 0:
-                self._roots[joint] = self._roots[parent]
+        self._roots = tree_roots(model)
         self._plastic: dict[int, tuple[Contact, Contact]] = {}
         self.policy = scene.simultaneous
         self.together = scene.simultaneous != "sequence"
@@ -303,10 +301,7 @@ class SceneImpacts:
     def islands(self, contacts: NDArray[np.int64]) -> int:
         """Return how many islands of trees of joints contacts connect; the world connects nothing."""
         ends = self._roots[self._dynamics.work.contact_joints[contacts]]
-        island = np.arange(len(self._roots))
-        for a, b in ends[(ends > 0).all(axis=1)].tolist():
-            island[island == island[a]] = island[b]
-        return len(np.unique(island[ends[ends > 0]]))
+        return len(np.unique(islands(self._roots, ends)[ends[ends > 0]]))
 
     def _connected(self, first: int, touching: Sequence[int]) -> list[int]:
         """Return those of what touches that joints and contacts, held ones too, connect with the first."""
@@ -318,15 +313,8 @@ class SceneImpacts:
         ends[of_contact] = work.contact_joints[every[of_contact]]
         ends[~of_contact] = work.velocity_joint[work.limit_v[every[~of_contact] - count], None]
         ends = self._roots[ends]
-        reached = np.zeros(self._model.njoints, dtype=bool)
-        linked: NDArray[np.bool_] = np.zeros(len(every), dtype=bool)
-        linked[0] = True
-        while True:
-            reached[ends[linked]] = True
-            reached[0] = False  # the world connects nothing
-            before, linked = linked, np.asarray(reached[ends].any(axis=1))
-            if np.array_equal(before, linked):
-                return [i for i, is_linked in zip(touching, linked[1:], strict=False) if is_linked]
+        of = islands(self._roots, ends)[ends.max(axis=1)]
+        return [i for i, island in zip(touching, of[1:].tolist(), strict=False) if island == of[0]]
 
     def _matrices(self, q: Array, touching: Sequence[int]) -> tuple[list[Contact | None], ManyMatrices]:
         """Return contacts, None for each limit, and the matrices of all."""
@@ -334,12 +322,8 @@ class SceneImpacts:
         every = [self._dynamics.contacts[i] if i < count else None for i in touching]
         contacts = [contact for contact in every if contact is not None]
         limits = [self._dynamics.limits[i - count] for i in touching if i >= count]
-        stops = np.zeros((len(limits), self._model.nv))
-        for row, limit in zip(stops, limits, strict=True):
-            row[limit.index_v] = limit.sign
         placed = PlacedRobot(self._model, self._data, q)
-        anchors = tuple(placed.geometry(anchor) for anchor in self._held)
-        return every, checked_matrices(placed, contacts, anchors, self._mobility, stops)
+        return every, matrices_of_all(placed, contacts, limits, self._held, self._mobility)
 
     def _solve(
         self,
@@ -438,6 +422,28 @@ class SceneImpacts:
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy [J]."""
         return kinetic_energy(self._model, self._data, q, v)
+
+
+def matrices_of_all(
+    placed: PlacedRobot,
+    contacts: Sequence[Contact],
+    limits: Sequence[JointLimit],
+    held: Sequence[Contact],
+    mobility: Array,
+) -> ManyMatrices:
+    """Return the matrices of contacts and, past those, joint limits of a robot at a configuration.
+
+    Args:
+        placed: The robot.
+        contacts: The contacts.
+        limits: The joint limits.
+        held: Contacts that hold.
+        mobility: (nv,) 1 for velocities that impacts change, 0 for others.
+    """
+    stops = np.zeros((len(limits), len(mobility)))
+    for row, limit in zip(stops, limits, strict=True):
+        row[limit.index_v] = limit.sign
+    return checked_matrices(placed, contacts, tuple(map(placed.geometry, held)), mobility, stops)
 
 
 def _stiffness(struck: Sequence[Contact | None], delassus: Array) -> Array:

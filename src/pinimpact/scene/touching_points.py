@@ -96,16 +96,13 @@ class TouchingPoints:
         self._model, self._layout, self._state = model, layout, state
         self._dynamics, self._work = dynamics, dynamics.work
         self.tolerance = 0.0
-        groups: dict[int, tuple[Contact, list[int]]] = {}  # places, by the contact that they are of
-        for i, contact in enumerate(dynamics.contacts):
-            if contact.pair is not None:
-                groups.setdefault(id(contact.pair), (contact.pair, []))[1].append(i)
-        pairs = tuple(pair for pair, _ in groups.values())
+        groups = layout.places(dynamics.contacts)
+        pairs = tuple(pair for pair, _ in groups)
         if pairs:
             self._apart = PairsApart(model, layout, pairs)
             moves = layout.pair_tables(pairs).moves.reshape(len(pairs), 2, model.nv) != 0
         self._pairs = []
-        for k, (contact, places) in enumerate(groups.values()):
+        for k, (contact, places) in enumerate(groups):
             pair, blanks = layout.pairs[contact], [dynamics.contacts[i] for i in places]
             size = pair.a.shape.reach + pair.b.shape.reach
             self._pairs.append(Watched(k, pair, places, blanks, size, moves[k], state))

@@ -38,6 +38,12 @@ Array = NDArray[np.float64]
 TIME_ROUNDING = 1e-12
 """Relative rounding of a time that a caller sums up, such as 3 * 0.1 > 0.3; 4500 roundings at most."""
 
+PARTS = (
+    *("impacts", "events", "modes", "energy", "notes", "stepped"),
+    *("termination", "complete", "switched_off", "statistics", "sources", "coordinates"),
+)
+"""Attributes that are arguments of a `Trajectory` as they are."""
+
 SHOWN = 20
 """Impacts that a notebook shows of a trajectory."""
 
@@ -376,7 +382,7 @@ class Trajectory:
 
     def save(self, path: str | Path) -> None:
         """Write the trajectory to one .npz file of numbers and text."""
-        write_trajectory(path, **self._parts())
+        write_trajectory(path, self._parts())
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
@@ -389,27 +395,16 @@ class Trajectory:
 
     def _parts(self) -> dict[str, Any]:
         """Return what the trajectory was made from, by the names of its arguments."""
-        return {
+        parts = {name: getattr(self, name) for name in PARTS}
+        return parts | {
             "segments": self._segments,
             "joints": self.joint_table,
             "samples": (self.t, self.q, self.v),
-            "impacts": self.impacts,
-            "events": self.events,
-            "modes": self.modes,
-            "energy": self.energy,
-            "notes": self.notes,
-            "stepped": self.stepped,
-            "termination": self.termination,
-            "complete": self.complete,
-            "switched_off": self.switched_off,
-            "statistics": self.statistics,
-            "sources": self.sources,
             "forces": None if self._forces is None else TabulatedForces.of(self._forces, self._segments),
             "contacts": tuple(
                 replace(contact, restitution=0.0) if callable(contact.restitution) else contact
                 for contact in self.contacts
             ),
-            "coordinates": self.coordinates,
         }
 
     def __reduce__(self) -> tuple[Any, ...]:

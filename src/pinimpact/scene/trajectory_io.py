@@ -35,46 +35,25 @@ SURFACES: dict[str, type[Surface]] = {"plane": Plane, "sphere": Sphere, "box": B
 GROUP = ("delassus", "velocity", "friction", "restitution", "law", "surface_velocity", "stiffness")
 """What is stored of the problem of several contacts."""
 
+PLAIN = ("termination", "complete", "switched_off", "statistics", "sources", "coordinates")
+"""What JSON stores as it is."""
+
 FORCE_TABLES = ("force_rows", "force_world", "force_points", "force_normals", "force_joints", "force_unique")
 
 
-def write_trajectory(
-    path: str | Path,
-    *,
-    segments: Sequence[DenseStep],
-    joints: NDArray[np.int64],
-    samples: tuple[Array, Array, Array],
-    impacts: Sequence[ImpactRecord],
-    events: Sequence[EventRecord],
-    modes: Sequence[ModeInterval],
-    energy: Energy,
-    notes: Sequence[Note],
-    stepped: Sequence[SteppedInterval],
-    termination: str,
-    complete: bool,
-    switched_off: Sequence[str],
-    statistics: dict[str, int],
-    sources: Sequence[str] | None,
-    forces: TabulatedForces | None,
-    contacts: Sequence[Contact],
-    coordinates: tuple[Sequence[str], Sequence[str]],
-) -> None:
+def write_trajectory(path: str | Path, parts: Mapping[str, Any]) -> None:
     """Write what makes up a `Trajectory`, by the names of its arguments, to one .npz file."""
-    t, q, v = samples
+    impacts, segments, events, forces = (parts[name] for name in ("impacts", "segments", "events", "forces"))
+    t, q, v = parts["samples"]
     nq, nv = q.shape[1], v.shape[1]
     meta = {
         "format": FORMAT,
-        "termination": termination,
-        "complete": complete,
-        "switched_off": switched_off,
-        "statistics": statistics,
-        "notes": [[note.time, note.text] for note in notes],
-        "stepped": [[s.start, s.end, s.dt, s.reason, s.error] for s in stepped],
-        "modes": [[m.source, m.mode, m.start, m.end] for m in modes],
-        "sources": sources,
-        "coordinates": coordinates,
+        **{name: parts[name] for name in PLAIN},
+        "notes": [[note.time, note.text] for note in parts["notes"]],
+        "stepped": [[s.start, s.end, s.dt, s.reason, s.error] for s in parts["stepped"]],
+        "modes": [[m.source, m.mode, m.start, m.end] for m in parts["modes"]],
         "forces": None if forces is None else forces.contacts,
-        "contacts": [_contact_fields(contact) for contact in contacts],
+        "contacts": [_contact_fields(contact) for contact in parts["contacts"]],
         "events": [[event.time, event.name] for event in events],
         **_impacts_in_words(impacts),
     }
@@ -84,11 +63,11 @@ def write_trajectory(
         np.savez_compressed(
             file,
             meta=np.array(json.dumps(meta)),
-            joints=joints,
+            joints=parts["joints"],
             t=t,
             q=q,
             v=v,
-            energy=np.array([getattr(energy, name) for name in Energy.__dataclass_fields__]),
+            energy=np.array([getattr(parts["energy"], name) for name in Energy.__dataclass_fields__]),
             segment_times=_stack([(s.start, s.end, s.h) for s in segments], 3),
             segment_q=_stack([s.q for s in segments], nq),
             segment_v=_stack([s.v for s in segments], nv),
@@ -165,16 +144,11 @@ def read_trajectory(path: str | Path) -> dict[str, Any]:
         "energy": Energy(*arrays["energy"]),
         "stepped": [SteppedInterval(*row) for row in meta.get("stepped", ())],
         "notes": [Note(*row) for row in meta["notes"]],
-        "termination": meta["termination"],
-        "complete": meta["complete"],
-        "switched_off": meta["switched_off"],
-        "statistics": meta["statistics"],
-        "sources": meta.get("sources"),
+        **{name: meta.get(name) for name in PLAIN},
         "forces": None
         if meta.get("forces") is None
         else TabulatedForces(meta["forces"], *(arrays[name] for name in FORCE_TABLES)),
         "contacts": [_contact(fields) for fields in meta.get("contacts", ())],
-        "coordinates": meta.get("coordinates"),
     }
 
 

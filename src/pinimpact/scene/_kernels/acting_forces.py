@@ -53,17 +53,18 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         Whether forces were found.
     """
     nc, size = len(mu), len(x)
+    starts = (AT_REST, NONE, AT_REST, AS_BEFORE, NONE)  # of the limit of small compliances, then without
     width, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     for a in range(size):
         x[a] = 0.0
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
         return True
     trial, found = np.empty(size), False
-    for attempt in range(3 if unique else 0, 6):
-        soft, start = attempt < 3, attempt % 3
+    for attempt in range(2 if unique else 0, len(starts)):
+        soft, start = attempt < 2, starts[attempt]
         if start == AT_REST:
             at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
-        elif start == AS_BEFORE and not soft:
+        elif start == AS_BEFORE:
             assign(trial, before)
         else:
             for a in range(size):
@@ -75,7 +76,7 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         else:
             off = newton(delassus, free, slip, mu, least, held, lower, upper, trial, a_now, scale_a, scale_f)
         if off > USABLE:
-            if attempt == 5 and not found:
+            if attempt == len(starts) - 1 and not found:
                 assign(x, trial)
             continue
         lasts = orientation(

@@ -49,9 +49,40 @@ def sampled(value):
     return value_at
 
 
+def search_for_touch(value_at):
+    """Return the kernel that finds where a gap that falls is zero."""
+
+    @inlined
+    def touch(work, i, base, low, high, found, slope):
+        """Return where a gap, counted from a base, is zero between two times; at the end it is below.
+
+        By Newton's method from the end, with the gap and its rate there, kept within the bracket.
+        """
+        t = high
+        for _ in range(60):
+            guess = t - found / slope
+            if not low < guess < high:
+                guess = low + 0.5 * (high - low)
+            if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
+                break
+            t = guess
+            found, slope = value_at(work, i, t)
+            found -= base
+            if abs(found) <= 1e-3 * work.gap_floor:
+                break
+            if found > 0.0:
+                low = t
+            else:
+                high = t
+        return t
+
+    return touch
+
+
 def search_for_closing(value):
     """Return the kernel that finds where a gap closes, whose value and rate are given."""
     value_at = sampled(value)
+    root = search_for_touch(value_at)
 
     @inlined
     def first_closing(work, i, end, gap, rate, end_gap, end_rate, bounds):
@@ -92,24 +123,7 @@ def search_for_closing(value):
                 continue
             falling = max(rate, later_rate[depth]) + 0.5 * bend * width < 0.0
             if falling and gap > 0.0 and later_gap[depth] < 0.0:
-                low, t, found, slope = time, later[depth], later_gap[depth], later_rate[depth]
-                high = t
-                for _ in range(60):  # Newton's method from the end, kept within the bracket
-                    guess = t - found / slope
-                    if not low < guess < high:
-                        guess = low + 0.5 * (high - low)
-                    if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
-                        break
-                    t = guess
-                    found, slope = value_at(work, i, t)
-                    found -= base
-                    if abs(found) <= 1e-3 * floor:
-                        break
-                    if found > 0.0:
-                        low = t
-                    else:
-                        high = t
-                return t
+                return root(work, i, base, time, later[depth], later_gap[depth], later_rate[depth])
             middle = time + 0.5 * width
             if (
                 not time < middle < later[depth]

@@ -71,15 +71,15 @@ def separations(
 
 
 @declared(
-    *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
+    *(INTEGERS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
     *(FLAGS, FLOATS),
 )
 @jit
-def turn_to_gaps(calls, q, placements, joints, vertices, ranges, radii, directions, wanted, out):
-    """Turn directions towards the gaps of pairs at q, and fill how far they are apart along them (p,) [m].
+def turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions, wanted, out):
+    """Turn directions towards the gaps of pairs at the q that is set; fill how far they are apart (p,) [m].
 
     Args:
-        Others: As of `separations`; q may be set already.
+        Others: As of `separations`.
 
     Returns:
         Whether the call went well.
@@ -252,8 +252,6 @@ def stay_apart(
         for k in range(p):
             wanted[k] = not apart[k]
         state(coefficients, 0.5, charts, q0, v0, q, v)
-        if not turn_to_gaps(
-            calls, q, placements, joints, vertices, ranges, radii, directions, wanted, found[0]
-        ):
+        if not turn_to_gaps(calls, placements, joints, vertices, ranges, radii, directions, wanted, found[0]):
             return False
         rows, stride, turned = np.array([0, PIECES]), len(found) - 1, True

@@ -21,11 +21,6 @@ from .samples import record_sample
 
 STAGES = 5
 
-# what a step of the iteration has come to
-DIVERGED = -1
-CONTINUES = 0
-CONVERGED = 1
-
 
 def _coefficients():
     """Return nodes, matrix, weights of the rates at 0, dense output, its start, and the error's factor."""
@@ -115,17 +110,6 @@ def change_rates(rates, changes, h, scale):
 
 
 @inlined
-def progress(iteration, size, before):
-    """Tell what the iteration has come to, by the sizes of the last change and of the one before."""
-    ratio = size / before if iteration > 0 else 0.5
-    if not size < math.inf or (iteration > 2 and ratio >= 1.0):
-        return DIVERGED
-    if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= 1e-2):
-        return CONVERGED
-    return CONTINUES
-
-
-@inlined
 def start_error(rates, h, error):
     """Fill (2 nv,) the error: what the rates' polynomial says of the start, against the rates there."""
     for m in range(len(error)):
@@ -145,6 +129,39 @@ def reach_end(work, h, error, scale):
         norm += (error[m] * scale[m]) ** 2
     norm = math.sqrt(norm / len(error))
     return norm ** (8.0 / (STAGES + 1)) if norm == norm else math.inf
+
+
+def iterate(correct, finish, most):
+    """Return the kernel that iterates for the rates at the stages of a step, at most so many times.
+
+    Args:
+        correct: correct(work, t, h, known, changes) fills by what the rates change next, and returns
+            whether that is found.
+        finish: finish(work, h, known, error) takes the stiff part out of the error (2 nv,).
+        most: The largest number of iterations.
+    """
+
+    @inlined
+    def iterations(work, t, h, rtol, atol, known):
+        """Return the error over the tolerance, infinite if the iteration does not converge."""
+        rates, n = work.stage_rates, len(work.v0)
+        changes, scale, error = np.empty((STAGES, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
+        start_rates(work, rtol, atol, scale)
+        size = math.inf
+        for iteration in range(most):
+            if not correct(work, t, h, known, changes):
+                return math.inf
+            before, size = size, change_rates(rates, changes, h, scale)
+            ratio = size / before if iteration > 0 else 0.5
+            if not size < math.inf or (iteration > 2 and ratio >= 1.0):
+                return math.inf
+            if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= 1e-2):
+                start_error(rates, h, error)
+                finish(work, h, known, error)
+                return reach_end(work, h, error, scale)
+        return math.inf
+
+    return iterations
 
 
 @inlined

@@ -19,6 +19,7 @@ from ...geometry._kernels.constants import RIM
 from ...robot._kernels import contact_motion
 from .dense_output import set_state_within
 from .dynamics import compute_kinematics
+from .event_location import search_for_touch
 from .gap_bounds import curvatures, rim_clear, rim_gap
 from .workspace import SceneWorkspace
 
@@ -38,6 +39,17 @@ def rim_at(work, i, t, base, out):
         *(work.contact_constants[i], out),
     )
     out[0] -= base
+
+
+@inlined
+def gap_at(work, i, t):
+    """Return gap and gap rate of a rim at a time within the step."""
+    row = np.empty(8)
+    rim_at(work, i, t, 0.0, row)
+    return rim_gap(row, work.contact_constants[i, RIM])
+
+
+root = search_for_touch(gap_at)
 
 
 @declared(SceneWorkspace, int, float, float)
@@ -64,11 +76,11 @@ def first_touch_of_rim(work, i, end, gap):
         width = later[depth] - time
         fall, bend = curvatures(now[0], now[1], row[0], row[1], width, bounds)
         passed = rim_clear(now, row, radius, fall + turning, width, floor)
-        later_gap = rim_gap(row, radius)[0]
+        later_gap, later_rate = rim_gap(row, radius)
         if not passed:
             start_gap, rate = rim_gap(now, radius)
             if start_gap > 0.0 and later_gap < 0.0 and rate + (bend + turning) * width < 0.0:
-                return root_of_rim(work, i, base, time, later[depth], row)
+                return root(work, i, base, time, later[depth], later_gap, later_rate)
             middle = time + 0.5 * width
             if time < middle < later[depth] and width > 4e-16 * abs(later[depth]) and depth + 1 < DEPTH:
                 depth += 1
@@ -82,29 +94,3 @@ def first_touch_of_rim(work, i, end, gap):
         now[0] += max(-later_gap, 0.0)
         depth -= 1
     return math.inf
-
-
-@inlined
-def root_of_rim(work, i, base, low, high, row):
-    """Return where the gap of a rim, which falls from `low` to `high`, is zero; `row` is that at `high`.
-
-    By Newton's method from the end, kept within the bracket.
-    """
-    radius = work.contact_constants[i, RIM]
-    t = high
-    for _ in range(60):
-        found, slope = rim_gap(row, radius)
-        if abs(found) <= 1e-3 * work.gap_floor:
-            break
-        if found > 0.0:
-            low = t
-        else:
-            high = t
-        guess = t - found / slope
-        if not low < guess < high:
-            guess = low + 0.5 * (high - low)
-        if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
-            break
-        t = guess
-        rim_at(work, i, t, base, row)
-    return t

@@ -10,6 +10,7 @@ start, and iterates the rest along. Viscous damping of a joint is a law of the s
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,20 +21,7 @@ from ..._numeric.least_norm import least_norms
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.lu import factorize, substitute
 from .dynamics import evaluate, invert_mass_matrix, set_state
-from .radau import (
-    CONVERGED,
-    DIVERGED,
-    GAMMA,
-    MATRIX,
-    STAGES,
-    change_rates,
-    complete,
-    evaluate_stage,
-    progress,
-    reach_end,
-    start_error,
-    start_rates,
-)
+from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .workspace import SceneWorkspace
 
 STIFF = 4.0
@@ -114,93 +102,92 @@ def rate_of_drives(work):
     return fastest
 
 
-@declared(SceneWorkspace, float, float, float, float)
-@jit
-def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    work.step_turns = False
-    error = solve_stages(work, t, h, rtol, atol)
-    if error <= 1.0 and not work.callback_failed:
-        complete(work, t, h)
-    return error
+class Driven(NamedTuple):
+    """What the iteration knows of the k velocities on which a linear law acts.
+
+    Attributes:
+        index: (k,) which they are.
+        response: (k, nv) v̇ for a unit of each force.
+        stiffness, damping: (k,) of the laws.
+        factors: (stages k, stages k) the system of the iteration, factorized.
+        order: (stages k,) of its rows.
+    """
+
+    index: Any
+    response: Any
+    stiffness: Any
+    damping: Any
+    factors: Any
+    order: Any
 
 
 @inlined
-def solve_stages(work, t, h, rtol, atol):
-    """Iterate for the rates at the stages; return the error."""
-    rates, n, s = work.stage_rates, len(work.v0), STAGES
-    driven = following(work)
-    k = len(driven)
+def start(work, t, h):
+    """Return the `Driven` at the start of a step, and whether their system could be factorized."""
+    n, s, index = work.nv, STAGES, following(work)
+    k = len(index)
     response, stiffness, damping = np.empty((k, n)), np.empty(k), np.empty(k)
-    changes, scale, error = np.empty((s, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
+    matrix, order = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64)
+    known = Driven(index, response, stiffness, damping, matrix, order)
     set_state(work, work.q0, work.v0)
-    evaluate(work, t, changes[0, n:])
+    evaluate(work, t, np.empty(n + 4))
     if work.callback_failed:
-        return math.inf
+        return known, False
     if work.active_contacts + work.active_scalars == 0 and not invert_mass_matrix(work):
-        return math.inf
-    respond(work, driven, response)
+        return known, False
+    respond(work, index, response)
     for c in range(k):
-        stiffness[c], damping[c] = law(work, driven[c])
-    matrix, order, right = np.empty((s * k, s * k)), np.empty(s * k, dtype=np.int64), np.empty(s * k)
+        stiffness[c], damping[c] = law(work, index[c])
     for i in range(s):
         for c in range(k):
             for j in range(s):
                 for d in range(k):
                     effect = h * MATRIX[i, j] * damping[d] + h * h * SQUARE[i, j] * stiffness[d]
-                    matrix[i * k + c, j * k + d] = effect * response[d, driven[c]]
+                    matrix[i * k + c, j * k + d] = effect * response[d, index[c]]
             matrix[i * k + c, i * k + c] += 1.0
-    if not factorize(matrix, order):
-        return math.inf
-    start_rates(work, rtol, atol, scale)
-    force = np.empty((s, k))
-    before = math.inf
-    for iteration in range(ITERATIONS):
-        for i in range(s):
-            if not evaluate_stage(work, i, t, h, changes[i]):
-                return math.inf
-        # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks
-        for i in range(s):
-            for c in range(k):
-                force[i, c] = 0.0
-                for j in range(s):
-                    force[i, c] -= stiffness[c] * h * MATRIX[i, j] * changes[j, driven[c]]
-        for i in range(s):
-            for c in range(k):
-                right[i * k + c] = changes[i, n + driven[c]]
-                for d in range(k):
-                    right[i * k + c] += response[d, driven[c]] * force[i, d]
-        substitute(matrix, order, right)
-        for i in range(s):
-            for c in range(k):
-                for j in range(s):
-                    effect = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
-                    force[i, c] -= effect * right[j * k + c]
-        for i in range(s):
-            for c in range(k):
-                for m in range(n):
-                    changes[i, n + m] += response[c, m] * force[i, c]
-                for j in range(s):
-                    changes[i, driven[c]] += h * MATRIX[i, j] * right[j * k + c]
-        norm = change_rates(rates, changes, h, scale)
-        verdict = progress(iteration, norm, before)
-        if verdict == DIVERGED:
-            return math.inf
-        if verdict == CONVERGED:
-            break
-        before = norm
-    else:
-        return math.inf
-    start_error(rates, h, error)
-    filtered(h, driven, response, stiffness, damping, error)
-    return reach_end(work, h, error, scale)
+    return known, factorize(matrix, order)
 
 
 @inlined
-def filtered(h, driven, response, stiffness, damping, error):
-    """Divide an error of ξ and v by 1 − γ h times the derivative of the rates, for the laws of the drives."""
-    k, n = len(driven), response.shape[1]
-    step = GAMMA * h
+def correct(work, t, h, known, changes):
+    """Fill by what the rates at the stages change."""
+    index, response, stiffness, damping, factors, order = known
+    k, n, s = response.shape[0], response.shape[1], len(changes)
+    right, force = np.empty(s * k), np.empty((s, k))
+    for i in range(s):
+        if not evaluate_stage(work, i, t, h, changes[i]):
+            return False
+    # the change of the drives' forces that the change of the rates brings, first by what ξ̇ lacks
+    for i in range(s):
+        for c in range(k):
+            force[i, c] = 0.0
+            for j in range(s):
+                force[i, c] -= stiffness[c] * h * MATRIX[i, j] * changes[j, index[c]]
+    for i in range(s):
+        for c in range(k):
+            right[i * k + c] = changes[i, n + index[c]]
+            for d in range(k):
+                right[i * k + c] += response[d, index[c]] * force[i, d]
+    substitute(factors, order, right)
+    for i in range(s):
+        for c in range(k):
+            for j in range(s):
+                effect = h * MATRIX[i, j] * damping[c] + h * h * SQUARE[i, j] * stiffness[c]
+                force[i, c] -= effect * right[j * k + c]
+    for i in range(s):
+        for c in range(k):
+            for m in range(n):
+                changes[i, n + m] += response[c, m] * force[i, c]
+            for j in range(s):
+                changes[i, index[c]] += h * MATRIX[i, j] * right[j * k + c]
+    return True
+
+
+@inlined
+def finish(work, h, known, error):
+    """Divide the error of ξ and v by 1 − γ h times the derivative of the rates by the laws of the drives."""
+    driven, response, stiffness, damping, _, _ = known
+    k, n, step = response.shape[0], response.shape[1], GAMMA * h
     matrix, order, right = np.empty((k, k)), np.empty(k, dtype=np.int64), np.empty(k)
     for c in range(k):
         right[c] = error[n + driven[c]]
@@ -217,3 +204,18 @@ def filtered(h, driven, response, stiffness, damping, error):
             error[n + m] -= step * response[c, m] * force
     for c in range(k):
         error[driven[c]] += step * error[n + driven[c]]
+
+
+iterations = iterate(correct, finish, ITERATIONS)
+
+
+@declared(SceneWorkspace, float, float, float, float)
+@jit
+def attempt(work, t, h, rtol, atol):
+    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
+    work.step_turns = False
+    known, found = start(work, t, h)
+    error = iterations(work, t, h, rtol, atol, known) if found else math.inf
+    if error <= 1.0 and not work.callback_failed:
+        complete(work, t, h)
+    return error

@@ -11,6 +11,7 @@ See `radau` for the method.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,20 +22,7 @@ from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from ..._numeric.products import apply_symmetric
 from .contact_forces import SLIP
-from .radau import (
-    CONVERGED,
-    DIVERGED,
-    GAMMA,
-    MATRIX,
-    STAGES,
-    change_rates,
-    complete,
-    evaluate_stage,
-    progress,
-    reach_end,
-    start_error,
-    start_rates,
-)
+from .radau import GAMMA, MATRIX, STAGES, complete, evaluate_stage, iterate
 from .slip import restore_directions
 from .workspace import SceneWorkspace
 
@@ -70,96 +58,86 @@ def turn(work, k, s1, s2, across, effect):
             effect[j] += response[m, j] * reaction[m]
 
 
-@declared(SceneWorkspace, float, float, float, float)
-@jit
-def attempt(work, t, h, rtol, atol):
-    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
-    slowest = work.direction_speed
-    work.step_turns = True
-    work.direction_speed = math.inf  # so that friction takes the direction that it is given
-    error = solve_stages(work, t, h, rtol, atol)
-    work.direction_speed = slowest
-    if not error <= 1.0 or work.callback_failed:
-        restore_directions(work)
-    else:  # where slip is slow, friction goes on in the direction that was found
-        complete(work, t, h)
-    return error
+class Turning(NamedTuple):
+    """What the iteration knows of the c contacts that slip against friction.
+
+    Attributes:
+        slips: (c,) their places among the active contacts.
+        directions: (stages, c, 2) of friction.
+        across: (stages, c, nv) rows w of the velocity across the slip.
+        effect: (stages, c, nv) u, v̇ for a turn of the friction.
+        speeds: (stages, c) along the slip [m/s].
+    """
+
+    slips: Any
+    directions: Any
+    across: Any
+    effect: Any
+    speeds: Any
 
 
 @inlined
-def solve_stages(work, t, h, rtol, atol):
-    """Iterate for the rates at the stages and the directions of friction there; return the error."""
-    rates, mode, mu = work.stage_rates, work.active_mode, work.active_friction
-    reference, velocity = work.slip_reference, work.contact_velocity
-    n, s = len(work.v0), STAGES
+def turning(work):
+    """Return the `Turning` at the start of the iteration."""
+    mode, mu, reference, n, s = work.active_mode, work.active_friction, work.slip_reference, work.nv, STAGES
     rubbing = np.zeros(len(mode), dtype=np.int64)
     for k in range(len(mode)):
         rubbing[k] = mode[k] == SLIP and mu[k] > 0.0
     slips = nonzero(rubbing)
     count = len(slips)
-    size = s * count
     directions = np.empty((s, count, 2))
-    across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
-    speeds = np.zeros((s, count))
-    matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
-    changes, scale, error = np.empty((s, rates.shape[1])), np.empty(2 * n), np.empty(2 * n)
-    start_rates(work, rtol, atol, scale)
     for i in range(s):
         for c in range(count):
             assign(directions[i, c], reference[slips[c]])
-    before, no_basis = math.inf, np.empty((0, size))
-    for iteration in range(ITERATIONS):
-        for i in range(s):
-            for c in range(count):
-                assign(reference[slips[c]], directions[i, c])
-            if not evaluate_stage(work, i, t, h, changes[i]):
-                return math.inf
-            for c in range(count):
-                k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
-                turn(work, k, s1, s2, across[i, c], effect[i, c])
-                speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
-                right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
-        for i in range(s):
-            for c in range(count):
-                row = i * count + c
-                for j in range(s):
-                    for m in range(n):
-                        right[row] -= h * MATRIX[i, j] * across[i, c, m] * changes[j, n + m]
-                    for d in range(count):
-                        total = 0.0
-                        for m in range(n):
-                            total += across[i, c, m] * effect[j, d, m]
-                        matrix[row, j * count + d] = h * MATRIX[i, j] * total
-                matrix[row, row] -= speeds[i, c]
-        # contacts that share their loads turn together where slip begins, and one of them cannot alone
-        equilibrate(matrix, right)
-        if solve(matrix, right, angle, RANK) == 0:
-            if work.forces_unique:
-                return math.inf
-            least_norm(matrix, right, RANK, angle, no_basis)
-        for i in range(s):
-            for c in range(count):
-                change = angle[i * count + c]
+    across, effect = np.zeros((s, count, n)), np.zeros((s, count, n))
+    return Turning(slips, directions, across, effect, np.zeros((s, count)))
+
+
+@inlined
+def correct(work, t, h, known, changes):
+    """Fill by what the rates at the stages change, and turn the directions of friction there."""
+    slips, directions, across, effect, speeds = known
+    reference, velocity = work.slip_reference, work.contact_velocity
+    s, count, n = speeds.shape[0], speeds.shape[1], across.shape[2]
+    size = s * count
+    matrix, right, angle = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i in range(s):
+        for c in range(count):
+            assign(reference[slips[c]], directions[i, c])
+        if not evaluate_stage(work, i, t, h, changes[i]):
+            return False
+        for c in range(count):
+            k, s1, s2 = slips[c], directions[i, c, 0], directions[i, c, 1]
+            turn(work, k, s1, s2, across[i, c], effect[i, c])
+            speeds[i, c] = s1 * velocity[k, 0] + s2 * velocity[k, 1]
+            right[i * count + c] = s2 * velocity[k, 0] - s1 * velocity[k, 1]
+    for i in range(s):
+        for c in range(count):
+            row = i * count + c
+            for j in range(s):
                 for m in range(n):
-                    changes[i, n + m] += effect[i, c, m] * change
-                x, y = math.cos(change), math.sin(change)
-                s1, s2 = directions[i, c, 0], directions[i, c, 1]
-                directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
-        norm = change_rates(rates, changes, h, scale)
-        verdict = progress(iteration, norm, before)
-        if verdict == DIVERGED:
-            return math.inf
-        if verdict == CONVERGED:
-            break
-        before = norm
-    else:
-        return math.inf
-    start_error(rates, h, error)
-    filtered(h, across[0], effect[0], speeds[0], error[n:])
-    for c in range(count):
-        assign(reference[slips[c]], directions[s - 1, c])
-        assign(work.end_directions[slips[c]], directions[s - 1, c])
-    return reach_end(work, h, error, scale)
+                    right[row] -= h * MATRIX[i, j] * across[i, c, m] * changes[j, n + m]
+                for d in range(count):
+                    total = 0.0
+                    for m in range(n):
+                        total += across[i, c, m] * effect[j, d, m]
+                    matrix[row, j * count + d] = h * MATRIX[i, j] * total
+            matrix[row, row] -= speeds[i, c]
+    # contacts that share their loads turn together where slip begins, and one of them cannot alone
+    equilibrate(matrix, right)
+    if solve(matrix, right, angle, RANK) == 0:
+        if work.forces_unique:
+            return False
+        least_norm(matrix, right, RANK, angle, np.empty((0, size)))
+    for i in range(s):
+        for c in range(count):
+            change = angle[i * count + c]
+            for m in range(n):
+                changes[i, n + m] += effect[i, c, m] * change
+            x, y = math.cos(change), math.sin(change)
+            s1, s2 = directions[i, c, 0], directions[i, c, 1]
+            directions[i, c, 0], directions[i, c, 1] = x * s1 - y * s2, y * s1 + x * s2
+    return True
 
 
 @inlined
@@ -176,22 +154,45 @@ def equilibrate(matrix, right):
 
 
 @inlined
-def filtered(h, across, effect, speeds, error):
-    """Divide an error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it."""
-    count, n = across.shape
+def finish(work, h, known, error):
+    """Divide the error of v by 1 − γ h ∂v̇/∂v, which takes the stiff part out of it; leave the directions."""
+    slips, directions, across, effect, speeds = known
+    count, n = across.shape[1], across.shape[2]
     matrix, right, turned = np.empty((count, count)), np.empty(count), np.empty(count)
     for c in range(count):
         right[c] = 0.0
         for m in range(n):
-            right[c] += across[c, m] * error[m]
+            right[c] += across[0, c, m] * error[n + m]
         for d in range(count):
             total = 0.0
             for m in range(n):
-                total += across[c, m] * effect[d, m]
+                total += across[0, c, m] * effect[0, d, m]
             matrix[c, d] = -GAMMA * h * total
-        matrix[c, c] += speeds[c]
+        matrix[c, c] += speeds[0, c]
     equilibrate(matrix, right)
     if solve(matrix, right, turned, RANK) != 0:
         for c in range(count):
             for m in range(n):
-                error[m] += GAMMA * h * effect[c, m] * turned[c]
+                error[n + m] += GAMMA * h * effect[0, c, m] * turned[c]
+    for c in range(count):
+        assign(work.slip_reference[slips[c]], directions[len(directions) - 1, c])
+        assign(work.end_directions[slips[c]], directions[len(directions) - 1, c])
+
+
+iterations = iterate(correct, finish, ITERATIONS)
+
+
+@declared(SceneWorkspace, float, float, float, float)
+@jit
+def attempt(work, t, h, rtol, atol):
+    """Compute a step of length h; return its error over the tolerance, infinite if it is not found."""
+    slowest = work.direction_speed
+    work.step_turns = True
+    work.direction_speed = math.inf  # so that friction takes the direction that it is given
+    error = iterations(work, t, h, rtol, atol, turning(work))
+    work.direction_speed = slowest
+    if not error <= 1.0 or work.callback_failed:
+        restore_directions(work)
+    else:  # where slip is slow, friction goes on in the direction that was found
+        complete(work, t, h)
+    return error
