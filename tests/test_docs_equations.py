@@ -14,7 +14,7 @@ import pytest
 
 from pinimpact._numeric import coulomb_problem
 from pinimpact.scene import instant, integrator, jam_growth, progress, scene_impacts
-from pinimpact.scene._kernels import contact_forces, contact_modes, slip, touching_rows
+from pinimpact.scene._kernels import contact_modes, slip, tolerances
 from tools import pages
 
 ROOT, DOCS = pages.ROOT, pages.DOCS
@@ -100,29 +100,29 @@ def test_every_section_that_is_cited_exists() -> None:
 
 NUMBERS = [
     (contact_modes.ROUNDS, 4, "repeated, up to four times"),
-    (contact_modes.NOTHING, 1e-3, "below $10^{-3}$ of the sticking speed"),
+    (tolerances.STILL, 1e-3, "below $10^{-3}$ of the sticking speed"),
     (coulomb_problem.USABLE, 1e-10, "up to a residual of $10^{-10}$ of the largest load"),
-    (touching_rows.ROUNDED, 1e-11, r"$\varepsilon = 10^{-11}$ if the forces are unique"),
-    (touching_rows.ROUNDED_SHARED, 1e-9, "and $10^{-9}$ otherwise"),
+    (tolerances.ROUNDED, 1e-11, r"$\varepsilon = 10^{-11}$ if the forces are unique"),
+    (tolerances.NEGLIGIBLE, 1e-9, "and $10^{-9}$ otherwise"),
     (coulomb_problem.COMPLIANCE, 1e-9, r"$\varepsilon = 10^{-9}$ makes the matrix definite"),
     (coulomb_problem.FACTOR, 10.0, r"$\rho$ is multiplied or divided by 10"),
-    (contact_forces.SINGULAR_STILL, 1e-7, "is decided at $10^{-7}$ of its largest pivot"),
-    (contact_forces.MISSING, 1e-9, "a residual above $10^{-9}$ of its terms"),
-    (contact_forces.FINEST, 1e-13, "else at $10^{-13}$"),
+    (tolerances.SINGULAR_STILL, 1e-7, "is decided at $10^{-7}$ of its largest pivot"),
+    (tolerances.NEGLIGIBLE, 1e-9, "a residual above $10^{-9}$ of its terms"),
+    (tolerances.FINEST, 1e-13, "else at $10^{-13}$"),
     (slip.CERTAIN, 10.0, r"\le 10\,\eta"),
     (instant.STICK_FRACTION, 0.1, "the sticking speed (a tenth of the resting speed)"),
-    (instant.SINGULAR, 1e-8, "effects on the normals cancel to $10^{-8}$"),
+    (tolerances.SINGULAR, 1e-8, "effects on the normals cancel to $10^{-8}$"),
     (instant.CLEAR, 10.0, "is less than ten times that fraction"),
-    (instant.PASSED, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
+    (tolerances.NEARLY_SINGULAR, 1e-4, r"or $s^* < 1 + 10^{-4}$ where the determinant"),
     (instant.MOST_JAMS, 10, "after ten such impacts at one instant"),
-    (integrator.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
+    (tolerances.NEARLY_SINGULAR, 1e-4, "The fraction is $10^{-4}$ where steps make no progress"),
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (instant.CROWD, 16, "more than 16 contacts of more than five islands touch"),
     (instant.ISLANDS, 5, "of more than five islands touch"),
     (integrator.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
-    (scene_impacts.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
-    (scene_impacts.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
+    (tolerances.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
+    (tolerances.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),
     (scene_impacts.GROWN, 100.0, r"stays below $100\,\varepsilon$"),
     (jam_growth.MOST_CHOSEN, 12, "subsets $a$ of up to twelve contacts"),
     (progress.GAINED, 10.0, r"$10\,\mathrm{rtol}$ of the kinetic energy"),

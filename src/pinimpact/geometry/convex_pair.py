@@ -21,7 +21,6 @@ from .tolerances import (
     LOCAL,
     PARALLEL,
     TIE,
-    TOUCHING,
     WITHIN,
 )
 
@@ -86,7 +85,7 @@ def gap(a: PlacedShape, b: PlacedShape, near: Array | None = None) -> Gap:
         if found is not None:
             return Gap(found.value - radius, found.normal)
     best = separation(a, b, normal if near is None else near)
-    if best.value <= max(0.1 * value, TOUCHING * size):  # the edges that hold them apart may be others
+    if best.value <= max(0.1 * value, COINCIDE * size):  # the edges that hold them apart may be others
         best = max(best, separation(a, b), key=lambda one: one.value)
     return Gap(best.value - radius, best.normal)
 
@@ -165,7 +164,7 @@ def ties(a: PlacedShape, b: PlacedShape, near: Array) -> list[Turning]:
     axes = np.concatenate([b.normals, -a.normals, crossed])
     values = (axes @ a.vertices.T).min(axis=1) - (axes @ b.vertices.T).max(axis=1)
     best = float(values.max())
-    tie = max(TOUCHING * (a.shape.reach + b.shape.reach), 2.0 * abs(best))
+    tie = max(COINCIDE * (a.shape.reach + b.shape.reach), 2.0 * abs(best))
     found = []
     for k in np.flatnonzero(values >= best - tie).tolist():
         edge = k - len(b.normals) - len(a.normals)
@@ -212,7 +211,7 @@ def _between_cores(a: PlacedShape, b: PlacedShape, normal: Array) -> Gap | None:
     between = [touch.point - touch.other for touch in touches]
     lengths = [float(np.linalg.norm(difference)) for difference in between]
     k = int(np.argmin(lengths))
-    if lengths[k] <= TOUCHING * (a.shape.reach + b.shape.reach) or between[k] @ normal < 0.0:
+    if lengths[k] <= COINCIDE * (a.shape.reach + b.shape.reach) or between[k] @ normal < 0.0:
         return None
     return Gap(lengths[k], between[k] / lengths[k])
 

@@ -14,14 +14,13 @@ CLOSE = 1e-6
 LOCAL = 1e-5
 """Distance of a corner behind the extreme one up to which it may belong to the closest feature."""
 
-TOUCHING = 1e-9
-"""Gap up to which all edges are tried, and tolerance of extreme vertices."""
-
 COINCIDE = 1e-9
-"""Distance below which points of contact, and corners of a patch, coincide."""
+"""Distance below which points coincide: points of contact, corners of a patch, and shapes that touch, whose
+edges are all tried."""
 
 WITHIN = 1e-12
-"""Distance beyond the sides of a face of a point that lies above it: rounding of some operations."""
+"""Rounding of some operations: of the distance of a point beyond the sides of a face, and of the velocity
+of a plane's material along its normal."""
 
 TIE = 1e-13
 """Tolerance for equal separations; faces then precede edges."""
@@ -42,20 +41,15 @@ wide enough for normals that GJK finds, and far below the angle between two face
 FACING = 0.9
 """Cosine of the angle within which a face faces a direction."""
 
-COPLANAR = 1e-9
-"""Facets of a hull whose normals differ by less than this form one face."""
-
 SAME_DIRECTION = 1.0 - 1e-15
 """Cosine of the angle between edges above which they are parallel: rounding."""
 
 FLAT = 1e-9
-"""Extent of points across a plane or a line, relative to the largest, below which they lie in it."""
+"""Extent of points across a plane or a line, relative to the largest, below which they lie in it; and by how
+much normals of facets of one face differ."""
 
 NOT_CONVEX = 1e-3
 """Depth of a vertex of a mesh inside its hull from which on the mesh is not convex."""
 
 FAR = 0.1
 """Gap beyond which the normal need not follow the extreme features."""
-
-IN_PLACE = 1e-12
-"""Velocity normal to a plane of its material, relative to its velocity, that is rounding."""

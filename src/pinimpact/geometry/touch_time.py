@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from .convex_pair import Followed, Touch, Turning, follow, gap, ties, touches
 from .convex_shape import PlacedShape, cross
-from .tolerances import FAR, FLAT, TOUCHING
+from .tolerances import COINCIDE, FAR, FLAT
 
 Array = NDArray[np.float64]
 
@@ -134,11 +134,11 @@ def first_touch(
         size = state.a.shape.reach + state.b.shape.reach
         turns = [_goes_with(state, value, near)]
         if state.a.shape.radius + state.b.shape.radius > 0.0:
-            if value <= TOUCHING * size:
-                facing = touches(state.a, state.b, near, TOUCHING * size)
+            if value <= COINCIDE * size:
+                facing = touches(state.a, state.b, near, COINCIDE * size)
                 turns += [normal_rate(one, follow(one, state.a, state.b, near), state) for one in facing]
             return [_front(state, value, near, bend, fastest, turn) for turn in turns]
-        if value > TOUCHING * size:
+        if value > COINCIDE * size:
             return [_front(state, value, near, bend, fastest, turns[0])]
         return [
             _front(state, value, one.normal, bend, fastest, _turn(state, one))
@@ -154,7 +154,7 @@ def _goes_with(state: PairState, value: float, normal: Array) -> Array:
     size = a.shape.reach + b.shape.reach
     if value >= FAR * size:
         return np.zeros(3)
-    behind = max(value, TOUCHING * size)
+    behind = max(value, COINCIDE * size)
     arms, uneven = [], []
     for placed, velocity, sign in ((a, state.velocity_a, 1.0), (b, state.velocity_b, -1.0)):
         heights = sign * (placed.vertices @ normal)

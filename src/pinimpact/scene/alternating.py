@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import IrregularMotionError, SteppedWarning
 from ._kernels.contact_forces import FREE, HELD, SLIP
+from ._kernels.tolerances import FIRST_STEP
 from .effects import CROWD
 from .event_watch import EventWatch
 from .hybrid_state import HybridState
@@ -28,9 +29,6 @@ Array = NDArray[np.float64]
 
 CHUNK = 8
 """Steps after which two lengths of steps are compared."""
-
-FIRST = 1e-4
-"""Part of a step that the first one takes: what arrives without restitution is stopped in it, where it is."""
 
 MOST_PARTS = 16
 """Parts of a step down to which they are shortened where that keeps to the tolerance."""
@@ -123,7 +121,7 @@ class Alternating(TimeStepping):
             except IrregularMotionError as error:
                 self._cross(error)
         entering, state.entering = state.entering, False
-        length, begun = FIRST * self._longest if entering else CHUNK * state.coarse, self.mark()
+        length, begun = FIRST_STEP * self._longest if entering else CHUNK * state.coarse, self.mark()
         try:
             self._step_until(min(stop, state.until, state.t + length))
         except IrregularMotionError:  # where nothing moves a contact only longer steps leave that posture

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..robot.contact import Contact
+from ._kernels.tolerances import ROUNDING
 
 LEAST = 4
 """Contacts of a shape that are worth a sphere."""
@@ -46,7 +47,7 @@ def bounding_sphere(contacts: Sequence[Contact]) -> Contact | None:
     return replace(
         contacts[0],
         offset=(x, y, z),
-        radius=radius * (1.0 + 1e-12),
+        radius=radius * (1.0 + ROUNDING),
         rim=0.0,
         name=f"{contacts[0].shape} on {contacts[0].plane.label}",
     )

@@ -15,14 +15,12 @@ from ..checks import finite_array, float_array, real_numbers
 from ..display import short_repr
 from ..errors import InputError, SimulationError
 from ..robot.names import joint_of_velocity
+from ._kernels.tolerances import ROUNDING
 from ._kernels.workspace import SceneWorkspace
 
 Array = NDArray[np.float64]
 Control = Callable[[float, Array, Array], ArrayLike]
 """control(t, q, v) -> (nv,) generalized forces [N, N m]."""
-
-GRID = 1e-9
-"""A delay closer than this part of a period to a number of periods is that number of them."""
 
 
 def asked(control: Control, t: float, q: Array, v: Array) -> Array:
@@ -205,7 +203,7 @@ class SampledControl:
         self._period = period
         periods = delay / period
         whole = round(periods)  # so that times that are the same are so to the last bit
-        self._delay = whole if abs(periods - whole) <= GRID else periods
+        self._delay = whole if abs(periods - whole) <= ROUNDING else periods
         self._asked = self._acting = 0
         self._waiting: deque[Array] = deque()
         self.forces: list[Array] = []

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
-
-EPS = 2.220446049250313e-16
 
 
 def crossing(value: Callable[[float], float], a: float, b: float, h: float) -> float:
@@ -24,7 +23,7 @@ def crossing(value: Callable[[float], float], a: float, b: float, h: float) -> f
         return a
     while True:
         middle = 0.5 * (a + b)
-        if b - a <= EPS * (abs(b) + h) or not a < middle < b or fb == 0.0:
+        if b - a <= sys.float_info.epsilon * (abs(b) + h) or not a < middle < b or fb == 0.0:
             return b
         fm = value(middle)
         guess = middle + (middle - a) * fm / math.sqrt(fm * fm - fa * fb)

@@ -24,6 +24,7 @@ from ..robot.names import free_velocities
 from ..robot.placed_robot import PlacedRobot
 from ..robot.shape_pair import contact_now
 from ._kernels.contact_forces import SLIP
+from ._kernels.tolerances import REPRODUCED, ROUNDING
 from .dynamics import SceneDynamics
 from .islands import islands, tree_roots
 from .records import ImpactRecord
@@ -32,12 +33,6 @@ from .scene_impacts import matrices_of_all
 from .switched_off import held_contacts, locked_joints
 
 Array = NDArray[np.float64]
-
-DEPENDENT = 1e-12
-"""Part of the largest singular value below which changes are combinations of others."""
-
-REPRODUCED = 1e-6
-"""Part of the change of velocity to which an impact is computed again for its derivatives."""
 
 
 class Parameter(NamedTuple):
@@ -307,7 +302,7 @@ def _basis(velocity: Array, of_q: Array, speed: float) -> tuple[Array, Array]:
     """Return directions (3n + nv, r) that velocities (3n, m) and q's changes (nv, m) combine, and weights."""
     size = speed or 1.0
     left, values, right = np.linalg.svd(np.vstack([velocity / size, of_q]), full_matrices=False)
-    kept = values > DEPENDENT * values.max(initial=0.0)
+    kept = values > ROUNDING * values.max(initial=0.0)
     basis = left[:, kept]
     basis[: len(velocity)] *= size
     return basis, values[kept, None] * right[kept]

@@ -16,6 +16,7 @@ from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
+from ._kernels.tolerances import LEAST_AHEAD, NEARLY_SINGULAR, ROUNDING, SINGULAR, START_ROUNDING, WEIGHTLESS
 from .dense_step import DenseStep
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
@@ -27,7 +28,7 @@ from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import SceneImpacts
 from .shape_watch import ShapeWatch
-from .start import START_ROUNDING, check_start
+from .start import check_start
 from .switched_off import altered, held_contacts
 
 Array = NDArray[np.float64]
@@ -44,26 +45,17 @@ ISLANDS = 5
 are found together here, at a cost that grows with the cube of their number; time steps find them island by
 island."""
 
-GAP_FLOOR = 1e-12
-"""Gaps below this part of the robot's size are rounding."""
-
 STICK_FRACTION = 0.1
 """Slip slower than this part of the resting speed is none."""
-
-SINGULAR = 1e-8
-"""Forces whose effects cancel to this part are those of a singularity."""
 
 CLEAR = 10.0
 """A singularity is that of slip if friction larger by no more than so many times that part makes it one."""
 
-PASSED = 1e-4
-"""By what part friction may have to be larger where the determinant of the equations has changed its sign."""
-
 MOST_JAMS = 10
 """Impacts without collision at one instant."""
 
-LEAST_AHEAD, MOST_AHEAD = 1e-9, 0.1
-"""How far to look ahead for modes that begin without a jump, in parts of a step."""
+MOST_AHEAD = 0.1
+"""How far to look ahead for modes that begin without a jump at the most, in parts of a step."""
 
 
 class Instant:
@@ -113,11 +105,11 @@ class Instant:
         work = self.dynamics.work
         gravity = max(float(np.linalg.norm(model.gravity.linear)), STANDARD_GRAVITY)
         rounding = 8.0 * np.finfo(float).eps * float(np.abs(state.q).max(initial=0.0))
-        work.gap_floor = GAP_FLOOR * extent + rounding
+        work.gap_floor = ROUNDING * extent + rounding
         work.touching_gap = 4.0 * work.gap_floor
         work.resting_speed = 0.0 if "sustained contact" in without else resting_speed
         work.stick_speed = STICK_FRACTION * resting_speed
-        work.force_tolerance = 1e-10 * pin.computeTotalMass(model) * gravity
+        work.force_tolerance = WEIGHTLESS * pin.computeTotalMass(model) * gravity
         self.shapes = ShapeWatch(model, layout, self.dynamics, state)
         self.shapes.tolerance = work.touching_gap
         self.rims = Rims(model, data, self.dynamics, state)
@@ -413,7 +405,7 @@ class Instant:
         touching = self._closed(modes[: len(self.names)])
         slips = (modes[touching] == SLIP) & (np.array(touching) < work.contacts)
         passed = without and work.force_margin == -math.inf
-        slack = max(PASSED * passed, CLEAR * singular)
+        slack = max(NEARLY_SINGULAR * passed, CLEAR * singular)
         group = self._impacts.without_forces(self.state.t, self.state.q, self.state.v, touching, slips, slack)
         if group is None:
             return False

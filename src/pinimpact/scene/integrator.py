@@ -17,6 +17,7 @@ from ..robot.names import coordinate_names
 from ._kernels import smooth_motion, step_dop853, step_drives, step_radau
 from ._kernels.events.consequences import ARRIVAL
 from ._kernels.events.registry import EVENTS, force_bound, gap, saturation
+from ._kernels.tolerances import NEARLY_SINGULAR, ROUNDING
 from .controls import Control, JointPD, SampledControl
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
@@ -39,9 +40,6 @@ Array = NDArray[np.float64]
 Report = Callable[[float, float], None]
 """report(t, duration), called after every step."""
 
-NEARLY_SINGULAR = 1e-4
-"""The part to which the effects of forces cancel where their growth lets no step be short enough."""
-
 FALSE_ALARM = 0.2
 """Part of a step to try next where forces have left their bounds only by its error."""
 
@@ -54,9 +52,6 @@ that comes after a long time without one is seen, unless it is over within some 
 
 BEYOND = 1.3
 """No step is taken beyond so many times a bounce that has just begun, or what is left of a slip."""
-
-ROUNDING = 1e-15
-"""A sample of a control closer to the end of a run than this part of its time is at the end."""
 
 
 def _dynamics_of(*made_of: Any) -> SceneDynamics:

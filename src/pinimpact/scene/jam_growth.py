@@ -9,13 +9,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ._kernels.tolerances import NEGLIGIBLE, PULLS
+
 Array = NDArray[np.float64]
-
-RANK = 1e-9
-"""Eigenvalues below this part of the largest are zero."""
-
-PULLS = 1e-6
-"""Part of the largest force up to which one that pulls is rounding."""
 
 MOST_CHOSEN = 12
 """Contacts of which all choices of some are tried."""
@@ -33,13 +29,13 @@ def friction_of_jam(delassus: Array, velocity: Array, friction: Array, slips: ND
     rows, along = _slipping_rows(velocity, friction, slips)
     of_rows = delassus[rows]
     weights, basis = np.linalg.eigh(of_rows[:, rows])
-    known = weights > RANK * weights[-1]
+    known = weights > NEGLIGIBLE * weights[-1]
     basis = basis[:, known] / np.sqrt(weights[known])
     # det(1 − s C) = 0
     inverses = np.linalg.eigvals(basis.T @ of_rows @ along @ basis)
-    real = inverses.real[np.abs(inverses.imag) <= RANK * np.abs(inverses).max()]
+    real = inverses.real[np.abs(inverses.imag) <= NEGLIGIBLE * np.abs(inverses).max()]
     largest = float(real.max(initial=0.0))
-    return max(1.0, (1.0 + RANK) / largest) if largest > 0.0 else math.inf
+    return max(1.0, (1.0 + NEGLIGIBLE) / largest) if largest > 0.0 else math.inf
 
 
 def growing_indentations(
@@ -96,14 +92,14 @@ def _fastest_growth(
     held = system[np.ix_(~normal, ~normal)]
     answer = np.zeros((int((~normal).sum()), len(active)))  # of what sticks, whose tangential rows are held
     if held.size:
-        answer = -np.linalg.pinv(held, rcond=RANK, hermitian=True) @ system[np.ix_(~normal, normal)]
+        answer = -np.linalg.pinv(held, rcond=NEGLIGIBLE, hermitian=True) @ system[np.ix_(~normal, normal)]
     pressed = system[np.ix_(normal, normal)] + system[np.ix_(normal, ~normal)] @ answer
     values, vectors = np.linalg.eig(stiffness[active, None] * pressed)
     size = float(np.abs(values).max())
-    real = np.abs(values.imag) <= RANK * size
+    real = np.abs(values.imag) <= NEGLIGIBLE * size
     rates = np.where(real, values.real, np.inf)
     fastest = int(np.argmin(rates))
-    if not rates[fastest] < 0.1 * RANK * size:
+    if not rates[fastest] < 0.1 * NEGLIGIBLE * size:
         return None
     forces = vectors[:, fastest].real
     forces /= forces[np.argmax(np.abs(forces))]

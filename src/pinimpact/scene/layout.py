@@ -18,15 +18,13 @@ from ..robot.joint_limits import JointLimit, joint_limits
 from ..robot.names import ShapedRobot, frame_id, motion_signs
 from ..robot.pinocchio_bridge import RobotDynamics, robot_dynamics
 from ..robot.shape_pair import ShapePair, shape_pair
+from ._kernels.tolerances import APART
 from .contact_runs import bounding_sphere, runs
 from .joint_charts import joint_table
 from .reach import chain_length, link_lengths, out_of_reach
 
 K = TypeVar("K")
 V = TypeVar("V")
-
-PAIR_ROUNDING = 1e-8
-"""Part of a pair's size by which it has to stay apart."""
 
 
 class SceneLayout:
@@ -189,7 +187,7 @@ class SceneLayout:
             np.array([side.in_joint.act(side.shape.center) for side in sides]),
             reaches,
             np.array([motion_signs(self._model, side.joint, 0) != 0.0 for side in sides], dtype=np.int64),
-            PAIR_ROUNDING * reaches.sum(axis=1),
+            APART * reaches.sum(axis=1),
         )
 
     def places(self, contacts: Sequence[Contact]) -> list[tuple[Contact, list[int]]]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from ..checks import real_number
 from ..errors import InputError
+from ._kernels.tolerances import ATOL, DT, RTOL
 
 LARGEST_RTOL = 0.1
 """The largest relative tolerance of a step: beyond it the error estimate says nothing."""
@@ -15,11 +16,11 @@ LARGEST_RTOL = 0.1
 class Options(NamedTuple):
     """Tolerances and bounds of a motion; see `simulate`."""
 
-    rtol: float = 1e-8
-    atol: float = 1e-10
+    rtol: float = RTOL
+    atol: float = ATOL
     max_step: float | None = None
     max_impacts: float = 100_000
-    dt: float = 1e-3
+    dt: float = DT
 
     def checked(self) -> Options:
         """Return them as numbers of one type each, for kernels are compiled by type.

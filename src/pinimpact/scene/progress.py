@@ -10,6 +10,7 @@ import pinocchio as pin
 from ..contact_space.simultaneous import LAST
 from ..errors import IrregularMotionError, SimulationError
 from ..robot.pinocchio_bridge import kinetic_energy
+from ._kernels.tolerances import PROGRESS, STALLED
 from .dense_step import DenseStep
 from .hybrid_state import HybridState
 from .instant import Instant
@@ -18,9 +19,9 @@ from .options import Options
 MAX_STALLED = 200
 """Steps without progress after which a simulation gives up."""
 
-JUMPING, FEW = 1e-3, 0.1
-"""So many steps that cover less than this part of the scene's time scale, this part of them refused before,
-are those of a control that jumps again and again."""
+FEW = 0.1
+"""Steps that make no progress in time are those of a control that jumps again and again if this part of them
+has been refused before."""
 
 RUBBING = slice(1, 3)
 """Which of the works are those of friction, in joints and in contacts: it takes energy."""
@@ -32,12 +33,6 @@ ROLLING = 0.25
 """Friction of what sticks and rolls, in parts of the weight: over the error of velocities it does work that
 grows with time and is no gain. With none of it rolling balls are refused, with all of it a gain of 0.4 % of
 the energy is not seen. In one step, friction may give what its own impulse does over that error."""
-
-STALLED = 1e-8
-"""Time [s] that is no progress, or that part of a duration below 1 s."""
-
-ACCELERATED = 1e-3
-"""The part of the velocity whose change is progress: near a jam forces grow and do much in no time."""
 
 
 class Progress:
@@ -77,7 +72,7 @@ class Progress:
             return None
         covered, t = state.t - then, state.t
         refused = state.rejected - rejected > FEW * count
-        if self._jumps and refused and covered < JUMPING * self._time_scale:
+        if self._jumps and refused and covered < PROGRESS * self._time_scale:
             return IrregularMotionError(
                 f"control: it jumps again and again at t = {t:.6g} s, "
                 f"where {count} steps cover {covered:.2g} s; "
@@ -85,7 +80,7 @@ class Progress:
                 "control that switches, with period=",
                 field="control",
             )
-        least = max(ACCELERATED * np.abs(velocity).max(), self._instant.error(velocity))
+        least = max(PROGRESS * np.abs(velocity).max(), self._instant.error(velocity))
         if not (np.abs(state.v - velocity).max() > least or covered > STALLED * scale):
             return IrregularMotionError(
                 f"scene: {count} steps at t = {t:.6g} s without progress; the contact modes do not "

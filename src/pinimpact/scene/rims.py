@@ -13,13 +13,11 @@ from ..robot.placed_robot import PlacedRobot
 from ..robot.touching import flat_rim, tilt_of_rim
 from ._kernels.approach import APART
 from ._kernels.contact_forces import FREE
+from ._kernels.tolerances import NEARLY_SINGULAR
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
 
 Array = NDArray[np.float64]
-
-NEARLY_FLAT = 1e-4
-"""Sine of the angle between a closed rim and its plane, below which that is why no step is short enough."""
 
 
 class Rims:
@@ -54,7 +52,7 @@ class Rims:
             SimulationError: See above.
         """
         closed = [k for k in self._rims if self._dynamics.work.modes[k] != FREE]
-        self._refuse_flat(closed, NEARLY_FLAT)
+        self._refuse_flat(closed, NEARLY_SINGULAR)
 
     def check(self, where: NDArray[np.int64]) -> None:
         """Stop where a rim touches all round, within the tolerance of touching."""

@@ -16,12 +16,13 @@ from ..robot.corner_motion import Corner
 from ..robot.many_derivatives import RowSlopes
 from ..robot.placed_robot import PlacedRobot
 from ._kernels.contact_forces import SLIP, STICK
+from ._kernels.tolerances import CONTINUOUS, REMAINS, REPRODUCED, ROUNDING
 from ._kernels.variations import stop
 from .dense_step import WORKS, DenseStep
 from .dynamics import SceneDynamics
 from .events import Jacobian, as_events
 from .forces import ClosedSet
-from .impact_jumps import DEPENDENT, REPRODUCED, GroupJump, ImpactJumps, Parameter, SingleJump
+from .impact_jumps import GroupJump, ImpactJumps, Parameter, SingleJump
 from .integrator import Integrator
 from .mode_slopes import ModeSlopes, Slip, SlopesOfModes
 from .options import Options
@@ -33,9 +34,6 @@ Array = NDArray[np.float64]
 
 SLOWEST = 1e3
 """A gap that closes slower than so many errors of a velocity closes at no certain time."""
-
-CONTINUOUS = 1e-5
-"""Part of the acceleration by which it may differ at an event that does not change it."""
 
 _BOUNDS = {"friction": (0.0,), "restitution": (0.0, 1.0)}
 
@@ -214,7 +212,7 @@ class Saltation:
         """Return changes without what rounding leaves of the velocities that vanish; undefined if more."""
         missed, size = plus.rows @ x, np.abs(plus.rows) @ np.abs(x)
         known = np.isfinite(x).all(axis=0)
-        if (np.abs(missed) > 1e-4 * (size + 1.0))[:, known].any():
+        if (np.abs(missed) > REMAINS * (size + 1.0))[:, known].any():
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         return _onto(plus, x) if len(missed) else x
 
@@ -304,7 +302,7 @@ class Saltation:
         M times it is the least impulses that stop what is closed afterwards.
         """
         nv, response = len(removed), plus.inverse @ plus.rows[:, len(removed) :].T
-        forces = np.linalg.lstsq(response, removed, rcond=DEPENDENT)[0]
+        forces = np.linalg.lstsq(response, removed, rcond=ROUNDING)[0]
         if not np.linalg.norm(response @ forces - removed) <= REPRODUCED * np.linalg.norm(removed):
             return self._undefined(x, Boundary.EVENTS_COINCIDE)
         work, end = self._dynamics.work, 0

@@ -24,6 +24,7 @@ from ..robot.joint_limits import JointLimit
 from ..robot.names import ShapedRobot, frame_id, free_velocities, joint_keys, model_of, motion_signs
 from ..robot.shape_pair import is_pair, places
 from ..robot.solids import Shape, Solid
+from ._kernels.tolerances import RESTING
 from .controls import Control, JointPD
 from .effects import Plan, check_names, make_plan
 from .events import Event, Guard, as_events
@@ -31,9 +32,6 @@ from .layout import SceneLayout
 from .model_numbers import check_numbers
 
 Array = NDArray[np.float64]
-
-RESTING_FRACTION = 1e-4
-"""The default resting speed, in parts of √(g L): such a bounce rises 5·10⁻⁹ of the robot's size L."""
 
 STANDARD_GRAVITY = 9.80665
 
@@ -313,7 +311,7 @@ class Scene:
         """The resting speed [m/s]."""
         if self.resting_speed is not None:
             return self.resting_speed
-        return RESTING_FRACTION * math.sqrt(self._gravity * self.extent)
+        return RESTING * math.sqrt(self._gravity * self.extent)
 
     @property
     def time_scale(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from .._numeric.tolerances import RANK
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import ManyInputs, find_policy
 from ..contact_space.solve import solve_impact
@@ -28,6 +29,7 @@ from ..robot.pinocchio_bridge import kinetic_energy
 from ..robot.placed_robot import PlacedRobot
 from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
+from ._kernels.tolerances import LEAST_NUDGE, NUDGE, ROUNDING
 from .dynamics import SceneDynamics
 from .impact_results import GroupImpact, Impact, Solved, given, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
@@ -39,12 +41,6 @@ from .switched_off import locked_joints
 Array = NDArray[np.float64]
 
 _compiled: set[tuple[bool, bool]] = set()
-
-NUDGE = 1e-8
-"""Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
-
-LEAST_NUDGE = 1e-9
-"""Part of the fastest slip that this is at least."""
 
 GROWN = 100.0
 """By what factor it has grown at least where it is no rounding."""
@@ -163,7 +159,7 @@ class SceneImpacts:
         c = float(column[limit.index_v])
         speed = float(v[limit.index_v])
         constrained = self._held or self._locked
-        if constrained and c <= 1e-12 * float(np.abs(column).max(initial=0.0)):
+        if constrained and c <= ROUNDING * float(np.abs(column).max(initial=0.0)):
             raise SimulationError(
                 f"locked: the joint limit {limit.name!r} is hit at {approach:.6g}, but held "
                 "contacts or locked joints keep the joint from moving; remove them there",
@@ -389,7 +385,7 @@ class SceneImpacts:
             held = range(contacts - len(self._held), contacts)
             rows = np.vstack([rows, self._dynamics.free_motion_at(t, q, v, held).jacobian.reshape(-1, nv)])
         response = inverse @ rows.T
-        inverse -= response @ np.linalg.pinv(rows @ response, rcond=1e-10, hermitian=True) @ response.T
+        inverse -= response @ np.linalg.pinv(rows @ response, rcond=RANK, hermitian=True) @ response.T
         return inverse
 
     def without_collision(self, q: Array, v: Array, i: int) -> Impact:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from ..errors import IrregularMotionError
 from ..geometry.convex_pair import Touch, corners_of, follow, gap, touches
 from ..geometry.convex_shape import cross
+from ..geometry.tolerances import COINCIDE
 from ..geometry.touch_time import Advance, Front, PairState, advance, first_touch, normal_rate
 from ..robot.forest import forward_kinematics, joint_jacobian
 from ._kernels.events.gap import SAFETY
+from ._kernels.tolerances import SHORT_WHILE, VISIBLE
 from .crossing import crossing
 from .dense_step import DenseStep
 from .touching_points import Placed, TouchingPoints, Watched
@@ -33,17 +35,8 @@ THIRDS = 8
 SAMPLES = (0.5, 1.0)
 """Parts of a step at which it is seen whether a point has left its face or edge."""
 
-ROUNDING = 1e-12
-"""Part of the shapes' size by which a point may be beyond its face or edge through rounding."""
-
-AHEAD = 1e-6
-"""Part of the shapes' size by which they move before it is seen what touches after a point has left."""
-
 TURNED = 0.1
 """Part of the angle between two edges by which they turn before bounds are computed again."""
-
-SUNK = 1e-6
-"""Part of the shapes' size by which they never overlap, but for a fault."""
 
 MEMBERS_PREFERRED = ("vertex-face", "face-vertex", "edge-edge", "vertex-edge", "edge-vertex", "vertex-vertex")
 
@@ -67,7 +60,7 @@ class ShapeWatch(TouchingPoints):
 
     def _lift(self, watched: Watched) -> float:
         """Return the height over the plane of contact below which corners lie in it [m]."""
-        return max(4.0 * self.tolerance, 1e-9 * watched.size)
+        return max(4.0 * self.tolerance, COINCIDE * watched.size)
 
     def within(self, step: DenseStep, end: float) -> Meeting | None:
         """Return where the first pair ends a step until a time, or None."""
@@ -140,7 +133,7 @@ class ShapeWatch(TouchingPoints):
     def _change(self, watched: Watched, step: DenseStep, end: float, peak: Array) -> Meeting | None:
         """Return where what touches becomes something else."""
         at = self._at(watched, step)
-        slack = max(ROUNDING * watched.size, self.tolerance)
+        slack = self.tolerance
         best: Meeting | None = None
 
         def beyond(t: float) -> float:
@@ -165,7 +158,7 @@ class ShapeWatch(TouchingPoints):
         if best is None:
             last = at(end)
             depth = -gap(last.a, last.b).value
-            if depth > SUNK * watched.size:
+            if depth > VISIBLE * watched.size:
                 raise IrregularMotionError(
                     f"contacts: {watched.label!r} penetrates by {depth:.3g} m at t = {end:.6g} s, "
                     "beyond its contact points: corners may have met corners or edges exactly; "
@@ -228,7 +221,7 @@ class ShapeWatch(TouchingPoints):
             return np.concatenate(heights), np.concatenate(rates), bend, until
 
         apart = (end - step.start) / THIRDS
-        little = 1e-3 * apart
+        little = SHORT_WHILE * apart
         third: float | None = None
 
         def front(t: float) -> list[Front]:
@@ -262,7 +255,7 @@ class ShapeWatch(TouchingPoints):
             normal = follow(watched.points[i].touch, *placed, watched.normals[i]).normal
             now = self._at(watched, step)(meeting.time)
             low_a, low_b = _heights(watched.points[i].touch, normal, now)
-            sunk = min(-min(low_a.min(), low_b.min(), 0.0), SUNK * watched.size)
+            sunk = min(-min(low_a.min(), low_b.min(), 0.0), VISIBLE * watched.size)
             slack = max(self._slack(watched, placed), sunk)
             found = touches(*placed, normal, slack)
             arriving = self._fill(watched, found, placed, normal)
@@ -286,7 +279,7 @@ class ShapeWatch(TouchingPoints):
     def _change_features(self, watched: Watched, step: DenseStep, t: float, q: Array, v: Array) -> list[int]:
         """Let go of points that leave their faces and edges; let touch what touches a little later."""
         speed = float(np.abs(v).max()) * (1.0 + watched.size)
-        ahead = AHEAD * watched.size / speed if speed > 0.0 else 0.0
+        ahead = VISIBLE * watched.size / speed if speed > 0.0 else 0.0
         later, _ = step.at(t + min(ahead, 0.1 * step.h))
         self._set(later)
         placed = watched.pair.placed(self._data)
@@ -296,9 +289,7 @@ class ShapeWatch(TouchingPoints):
         found = touches(*placed, apart.normal, slack) if round_ else []
         known = {(touch.kind, touch.features) for touch in found}
         for i, point in list(watched.points.items()):
-            beyond = follow(point.touch, *placed, watched.normals[i]).beyond > max(
-                ROUNDING * watched.size, self.tolerance
-            )
+            beyond = follow(point.touch, *placed, watched.normals[i]).beyond > self.tolerance
             other = bool(known) and (point.touch.kind, point.touch.features) not in known
             if beyond or other:
                 self._leave(watched, i)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import choice, function
 from ..errors import PinimpactError, SimulationError
+from ._kernels.tolerances import ATOL, DT, RTOL
 from .alternating import Alternating
 from .control_slopes import HeldForces, jacobian_of
 from .integrator import Integrator, Report
@@ -30,13 +31,13 @@ def simulate(
     v0: ArrayLike,
     duration: float,
     *,
-    rtol: float = 1e-8,
-    atol: float = 1e-10,
+    rtol: float = RTOL,
+    atol: float = ATOL,
     max_step: float | None = None,
     max_impacts: int = 100_000,
     progress: Report | None = None,
     scheme: str = "auto",
-    dt: float = 1e-3,
+    dt: float = DT,
     sensitivities: Sequence[str] = (),
 ) -> Trajectory:
     """Simulate a scene. (scenes.md)

@@ -14,17 +14,9 @@ from ..errors import InputError
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
+from ._kernels.tolerances import HELD_GAP, HELD_SPEED, START_ROUNDING
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
-
-START_ROUNDING = 2e-9
-"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
-
-HELD_GAP = 1e-3
-"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
-
-HELD_SPEED = 1e-6
-"""Speed [m/s] up to which they start at rest: rounding of velocities up to 1, in parts of larger ones."""
 
 Array = NDArray[np.float64]
 

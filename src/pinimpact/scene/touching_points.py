@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, IrregularMotionError
 from ..geometry.convex_pair import Touch, follow, gap, touches
 from ..geometry.convex_shape import PlacedShape
+from ..geometry.tolerances import COINCIDE
 from ..robot.contact import Contact, contact_constants
 from ..robot.forest import forward_kinematics
 from ..robot.shape_pair import PointContact, ShapePair, point_contact
@@ -227,7 +228,7 @@ class TouchingPoints:
     def _fill(self, watched: Watched, found: Sequence[Touch], placed: Placed, normal: Array) -> list[int]:
         """Give places to what touches and has none; return them."""
         present = [follow(point.touch, *placed, normal).touch.point for point in watched.points.values()]
-        near = 1e-9 * watched.size
+        near = COINCIDE * watched.size
         fresh = [
             touch
             for touch in found

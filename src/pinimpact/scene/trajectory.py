@@ -17,6 +17,7 @@ from ..errors import InputError, UnknownNameError
 from ..geometry.surfaces import contact_axes
 from ..robot.contact import Contact
 from ..tables import AXES, by_component, data_frame
+from ._kernels.tolerances import ROUNDING
 from .columns import impact_columns, mode_columns, modes_at
 from .dense_step import WORKS, DenseStep
 from .forces import Forces, ForceSource, TabulatedForces
@@ -34,9 +35,6 @@ from .records import (
 from .trajectory_io import read_trajectory, write_trajectory
 
 Array = NDArray[np.float64]
-
-TIME_ROUNDING = 1e-12
-"""Relative rounding of a time that a caller sums up, such as 3 * 0.1 > 0.3; 4500 roundings at most."""
 
 PARTS = (
     *("impacts", "events", "modes", "energy", "notes", "stepped"),
@@ -318,11 +316,11 @@ class Trajectory:
     def _covered(self, t: float) -> float:
         """Return a time as a float, or raise `InputError` where the trajectory does not cover it.
 
-        Times off its ends by `TIME_ROUNDING` are taken as the ends.
+        Times off its ends by rounding (such as 3 * 0.1 > 0.3) are taken as the ends.
         """
         time = real_number("t", t)
         start, end = self.t[[0, -1]].tolist()
-        slack = TIME_ROUNDING * max(abs(start), abs(end))
+        slack = ROUNDING * max(abs(start), abs(end))
         if not start - slack <= time <= end + slack:
             raise InputError(
                 f"t: {in_short(t)} lies outside the trajectory, from {start:.6g} s to {end:.6g} s",

@@ -25,12 +25,10 @@ from ..._numeric.coulomb_problem import (
 from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero, repeated
+from .tolerances import NEGLIGIBLE
 
 AT_REST, AS_BEFORE, NONE = range(3)
 """Forces from which the search begins: those at which what is pressed rests, those of before, and none."""
-
-NOTHING = 1e-12
-"""Effective inverse inertia of slip, over that without friction, that is none but for rounding."""
 
 
 @declared(*SYSTEM, FLAGS, FLOATS, bool, result=bool)
@@ -188,6 +186,6 @@ def driven_in(delassus, free, slip, mu, held, x):
         for a in range(len(x)):
             if not b <= a < b + 3:
                 acceleration += delassus[b + 2, a] * x[a]
-        if whole - mu[k] * across <= NOTHING * whole and acceleration < 0.0:
+        if whole - mu[k] * across <= NEGLIGIBLE * whole and acceleration < 0.0:
             return k
     return -1

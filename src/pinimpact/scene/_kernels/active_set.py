@@ -12,17 +12,11 @@ from ..._numeric.cone_program import cholesky
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, nonzero
 from .contact_forces import FREE, HELD, SLIP
+from .tolerances import CHEAP, DIFFERENT, HARDLY_DIFFERENT
 from .workspace import SceneWorkspace
 
 NORMAL, ALL = np.arange(2)  # as variables, for literals would be compiled one by one
 """Which rows of a contact that slips: those whose velocity vanishes, or the tangential ones too."""
-
-
-DIFFERENT, HARDLY_DIFFERENT = 1e-5, 1e-9
-"""Part of the largest by which rows differ at least from each other, else they count as the same."""
-
-SMALL = 1e-3
-"""Part of all velocities that the difference of rows that hardly differ may cost."""
 
 
 @inlined
@@ -160,7 +154,7 @@ def stop_along(rows, velocity, minverse, v):
             total -= lower[i, j] * w[j]
         w[i] = total / lower[i, i]
         size, more = size + w[i] ** 2, more + (finer[i] - change[i]) ** 2
-    if more <= SMALL**2 * size:
+    if more <= CHEAP**2 * size:
         assign(change, finer)
     energy = 0.0
     for j in range(n):

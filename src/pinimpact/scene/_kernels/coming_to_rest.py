@@ -12,9 +12,7 @@ from ..._numeric.elimination import largest_of
 from ..._numeric.loops import assign
 from ..._numeric.products import apply, dot
 from .active_set import stop_along
-
-ROUNDING = 1e-12
-"""Part of the fastest velocity that may be left by rounding of one that vanishes."""
+from .tolerances import ROUNDING
 
 
 @declared(FLOAT_ROWS, FLOAT_ROWS, FLOATS, FLAGS, FLOATS, FLAGS, int, float, float, float, INTEGERS, FLOATS)

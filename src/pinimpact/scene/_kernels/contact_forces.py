@@ -17,33 +17,11 @@ from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
 from ..._numeric.semidefinite import factor
+from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, RIGID, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 FREE, SLIP, STICK, HELD = range(4)
 """Modes of a contact: open, sliding, at rest against its surface, held by the scene."""
-
-SINGULAR_STILL = 1e-7
-"""Like `RANK` where singular values have been below that, lest a motion along the edge goes to and fro."""
-
-MISSING = 1e-9
-"""Accelerations by which the equations may be missed, in parts of what makes them up, row by row; where more
-is missed, the rank that was taken is too low."""
-
-LEAST_SIZE = 1e-3 * 9.80665
-"""What makes up an acceleration counts as this at the least."""
-
-FINEST = 1e-13
-"""Part of the largest pivot at which the rank is decided then: a leg of 1 kg, stretched but for 10⁻⁵ rad,
-bears a load, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
-
-LEAST_EFFECTIVE = 1e-9
-"""Effective inverse inertia of a slipping contact, over that without friction, that counts as none."""
-
-SLIPPING = 1e-14
-"""Part of the largest pivot below which pivots of slip that nears its singularity count as zero."""
-
-RIGID = 1e-14
-"""Rows whose effective inverse inertia is below this part of the largest do not move."""
 
 
 @inlined
@@ -216,7 +194,7 @@ def may_grow(effective):
     """
     n, size, scale = len(effective), 1.0, 1.0
     if n == 1:
-        return effective[0, 0] <= LEAST_EFFECTIVE
+        return effective[0, 0] <= NEGLIGIBLE
     product, power = np.empty((n, n)), np.zeros((n, n))
     for k in range(n):
         power[k, k] = 1.0
@@ -231,7 +209,7 @@ def may_grow(effective):
                     product[k, m] += effective[k, a] * power[a, m]
             trace += product[k, k]
         minors, scale = trace / order, scale * size
-        if minors < -LEAST_EFFECTIVE * scale:
+        if minors < -NEGLIGIBLE * scale:
             return True
         for k in range(n):
             for m in range(n):
@@ -268,7 +246,7 @@ def solve_least_norm(work):
     for a in range(size):
         solution[a] += known[a]
     off = missed_by(work, solution)
-    if off > MISSING:
+    if off > NEGLIGIBLE:
         # what little moves along a closed row is not to be moved at all, however large its force
         least_norm(system, right, FINEST, trial, no_basis)
         for a in range(size):
@@ -304,7 +282,7 @@ def solve_least_norm(work):
             share_by_compliances(columns, work.rank_tolerance, touching, part)
         for a in range(size):
             trial[a] = part[a] + known[a] if pushes[a] else 0.0
-        if not missed_by(work, trial) <= MISSING:
+        if not missed_by(work, trial) <= NEGLIGIBLE:
             return unique
 
 

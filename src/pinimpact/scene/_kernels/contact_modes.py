@@ -25,6 +25,7 @@ from .dynamics import (
     set_state,
 )
 from .slip import CERTAIN, behind
+from .tolerances import AT_BOUND, STILL
 from .touching_rows import (
     determines_forces,
     forces_on,
@@ -40,14 +41,8 @@ ROUNDS = 4
 """How often modes are determined again: contacts that close change the velocity, and with it the direction of
 slip and the forces that depend on it."""
 
-INSIDE = 1.0 - 1e-9
-"""Part of the largest friction below which it holds, whatever rounding leaves of the acceleration."""
-
 SEPARATES, RUBS, KEEPS_SLIDING = 1, 2, 3
 """State of a rejected candidate, see `find_modes`."""
-
-NOTHING = 1e-3
-"""Part of the speed of sticking that changes nothing."""
 
 
 class Choice(NamedTuple):
@@ -84,7 +79,7 @@ def set_modes(work, t, q, v, slow):
     chosen, dragged = Choice(modes, reference, breaking, rejected), np.zeros(n, dtype=np.int64)
     certain, error = work.certain_speed, error_of_step(work, v)
     jamming, converged, energy, stopped, tried = -1, True, 0.0, math.inf, 0
-    while tried < ROUNDS and stopped > NOTHING * work.stick_speed:
+    while tried < ROUNDS and stopped > STILL * work.stick_speed:
         for j in range(n):  # stopping one may have set other joints in motion
             if dry[j] > 0.0:
                 slow_enough = abs(v[j]) <= work.stick_speed
@@ -99,7 +94,7 @@ def set_modes(work, t, q, v, slow):
             break
         jamming, converged, gained, stopped, off = find_modes(work, t, q, v, candidates, certain, chosen)
         energy, tried, error = energy + gained, tried + 1, max(error, off)
-        released, last = False, tried == ROUNDS or stopped <= NOTHING * work.stick_speed
+        released, last = False, tried == ROUNDS or stopped <= STILL * work.stick_speed
         if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
@@ -244,8 +239,8 @@ def modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, a
         a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
         rubs = scalar[work.limits + i] != 0
         closed = not (
-            (free[a] > pace[a] and strength <= INSIDE * what.lower[m] + work.force_tolerance)
-            or (free[a] < -pace[a] and strength >= INSIDE * what.upper[m] - work.force_tolerance)
+            (free[a] > pace[a] and strength <= (1.0 - AT_BOUND) * what.lower[m] + work.force_tolerance)
+            or (free[a] < -pace[a] and strength >= (1.0 - AT_BOUND) * what.upper[m] - work.force_tolerance)
         )
         stopped[a] = closed
         if rubs and not closed:
@@ -357,7 +352,7 @@ def modes_of_contacts(work, what, force, unique, pace, stopped, chosen):
         # just after, see `events.force_bound`
         pushes = normal > work.force_tolerance  # a contact without load may be moved by others
         begins = math.hypot(acceleration[b], acceleration[b + 1])
-        inside = pushes and tangent <= INSIDE * mu[k] * normal
+        inside = pushes and tangent <= (1.0 - AT_BOUND) * mu[k] * normal
         inside |= (not unique or before[i] != SLIP) and begins <= pace[b]
         if mu[k] > 0.0 and speed == 0.0 and inside:
             modes[i] = STICK

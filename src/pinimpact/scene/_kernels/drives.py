@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import inlined, jit
+from .tolerances import AT_BOUND
 from .workspace import SceneWorkspace
-
-CLEAR = 1e-9
-"""A law beyond the bound of its effort by less than this part of it is at the bound."""
 
 
 @inlined
@@ -37,8 +35,8 @@ def set_saturation(work, q, v):
         off = work.drive_reference[j] - q[work.drive_coordinate[j]]
         asked = work.drive_stiffness[j] * off - work.drive_damping[j] * v[j]
         side, limit = work.drive_side[j], work.drive_limit[j]
-        if side != 0 and side * asked < limit * (1.0 - CLEAR):
+        if side != 0 and side * asked < limit * (1.0 - AT_BOUND):
             side = 0
-        if side == 0 and abs(asked) > limit * (1.0 + CLEAR):
+        if side == 0 and abs(asked) > limit * (1.0 + AT_BOUND):
             side = 1 if asked > 0.0 else -1
         work.drive_side[j] = side

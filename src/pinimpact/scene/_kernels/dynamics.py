@@ -16,6 +16,7 @@ from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .drives import drive
+from .tolerances import NEGLIGIBLE, RIGID, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
@@ -267,12 +268,10 @@ def evaluate(work, t, out):
         return
     orientation, rubs = 0, contact_forces.rubs(work)
     if rubs:
-        rank = RANK if work.forces_unique else contact_forces.SINGULAR_STILL
+        rank = RANK if work.forces_unique else SINGULAR_STILL
         orientation = solve(system, target, work.solution, rank)
         if orientation == 0 and contact_forces.rows_independent(work):
-            orientation = solve(
-                system, target, work.solution, contact_forces.SLIPPING
-            )  # it is slip that is singular, or near
+            orientation = solve(system, target, work.solution, RIGID)  # it is slip that is singular, or near
     elif work.forces_unique:  # else it says nothing new, and without slip there is no jam
         orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0
@@ -280,5 +279,5 @@ def evaluate(work, t, out):
         work.forces_unique = contact_forces.solve_least_norm(work) and not rubs
     margin = contact_forces.apply_forces(work, out[:n], out[n + 2 :])
     # without friction the determinant is positive, so where it is not, slip has passed a singularity
-    drives = effective <= contact_forces.LEAST_EFFECTIVE and contact_forces.accelerates_inward(work)
+    drives = effective <= NEGLIGIBLE and contact_forces.accelerates_inward(work)
     work.force_margin = -math.inf if orientation < 0 or drives else work.force_tolerance + margin

@@ -15,6 +15,7 @@ from ..._compile.jit import inlined
 from .dense_output import set_state_within
 from .gap_bounds import clear, curvatures
 from .slip import set_directions_within
+from .tolerances import LOCATED, NEIGHBOURS
 
 PARTS = 8
 """Parts of a step at which a function without a bound is sampled."""
@@ -63,12 +64,12 @@ def search_for_touch(value_at):
             guess = t - found / slope
             if not low < guess < high:
                 guess = low + 0.5 * (high - low)
-            if guess in (low, high) or abs(guess - t) <= 2e-16 * abs(t):
+            if guess in (low, high) or abs(guess - t) <= NEIGHBOURS * abs(t):
                 break
             t = guess
             found, slope = value_at(work, i, t)
             found -= base
-            if abs(found) <= 1e-3 * work.gap_floor:
+            if abs(found) <= LOCATED * work.gap_floor:
                 break
             if found > 0.0:
                 low = t
@@ -125,11 +126,8 @@ def search_for_closing(value):
             if falling and gap > 0.0 and later_gap[depth] < 0.0:
                 return root(work, i, base, time, later[depth], later_gap[depth], later_rate[depth])
             middle = time + 0.5 * width
-            if (
-                not time < middle < later[depth]
-                or width <= 4e-16 * abs(later[depth])
-                or depth + 1 == len(later)
-            ):
+            shortest = 2.0 * NEIGHBOURS * abs(later[depth])
+            if not time < middle < later[depth] or width <= shortest or depth + 1 == len(later):
                 if later_gap[depth] < -floor:
                     return later[depth]
                 time, gap, rate = later[depth], max(later_gap[depth], 0.0), later_rate[depth]

@@ -14,19 +14,10 @@ from ..._compile.declared import FLOATS, declared
 from ..._compile.jit import external, inlined, jit
 from .active_set import scalar_rows
 from .contact_forces import SLIP, rubs
-from .contact_modes import NOTHING
 from .dynamics import evaluate
+from .tolerances import ASIDE, DOUBTFUL, NEGLIGIBLE, STILL
 from .widest_margin import ANY_MOTION, SAME_MOTION, widest_margin
 from .workspace import SceneWorkspace
-
-DOUBTFUL = 1e-8
-"""Part of the largest force by which others may miss their bounds for the error of a step alone."""
-
-BACKWARDS = 1e-9
-"""Part of the largest acceleration of a contact by which slip may begin against its direction."""
-
-ASIDE = 1e-3
-"""How far slip may begin aside of its friction, in parts of how far it begins along it."""
 
 
 @declared(SceneWorkspace, float, FLOATS)
@@ -93,14 +84,14 @@ def fit(work, t, out, enough):
                 total += jacobian[k, d, j] * (out[j] - acceleration[j])
             along += reference[k, d] * total
             across += reference[k, 1 - d] * total * (1 - 2 * d)
-        begins = speed <= NOTHING * work.stick_speed
-        if along < -BACKWARDS * largest or (begins and abs(across) > ASIDE * along + BACKWARDS * largest):
+        begins = speed <= STILL * work.stick_speed
+        if along < -NEGLIGIBLE * largest or (begins and abs(across) > ASIDE * along + NEGLIGIBLE * largest):
             return False
     sliding, v = work.sliding_friction, work.v
     for j in range(len(acceleration)):
         if sliding[j] != 0.0 and abs(v[j]) <= work.certain_speed:
             along = out[j] if sliding[j] > 0.0 else -out[j]
-            if along < -BACKWARDS * (abs(acceleration[j]) + abs(out[j])):
+            if along < -NEGLIGIBLE * (abs(acceleration[j]) + abs(out[j])):
                 return False
     return True
 

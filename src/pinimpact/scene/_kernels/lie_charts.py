@@ -11,6 +11,7 @@ import math
 
 from ..._compile.declared import FLOATS, INTEGER_ROWS, declared
 from ..._compile.jit import inlined, jit
+from .tolerances import TURN
 
 VECTOR, CIRCLE, PLANAR, ROTATION, RIGID = range(5)
 """Kinds: plain numbers; (cos, sin); (x, y, cos, sin); quaternion (x, y, z, w); position, quaternion."""
@@ -23,7 +24,7 @@ ASTRAY = 1e50
 def half_turn(angle):
     """Return sin(θ/2)/θ, cos(θ/2) and (1 − (θ/2) cot(θ/2))/θ²."""
     h = 0.5 * angle
-    if angle < 1e-2:
+    if angle < TURN:
         s = h * h
         return (
             0.5 * (1.0 - s / 6.0 * (1.0 - s / 20.0)),

@@ -18,6 +18,7 @@ from .dop853 import STAGES as LAST
 from .dynamics import evaluate, set_state
 from .lie_charts import advance, chart_rate, gone_astray, magnitudes, turned_too_far
 from .samples import record_sample
+from .tolerances import ITERATED
 
 STAGES = 5
 
@@ -155,7 +156,7 @@ def iterate(correct, finish, most):
             ratio = size / before if iteration > 0 else 0.5
             if not size < math.inf or (iteration > 2 and ratio >= 1.0):
                 return math.inf
-            if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= 1e-2):
+            if size == 0.0 or (ratio < 1.0 and size * ratio / (1.0 - ratio) <= ITERATED):
                 start_error(rates, h, error)
                 finish(work, h, known, error)
                 return reach_end(work, h, error, scale)

@@ -8,17 +8,11 @@ from ..._compile.declared import FLOAT_ROWS, declared
 from ..._compile.jit import external, inlined
 from ..._numeric.loops import assign
 from .contact_forces import SLIP
+from .tolerances import STILL, TINY
 from .workspace import SceneWorkspace
 
 CERTAIN = 10.0
 """Slip goes on, however slowly, where it is faster than the error of a step by this factor."""
-
-DIRECTED = 1e-3
-"""Part of the speed of sticking below which slip has no direction but the one last known."""
-
-BEHIND = 1e-3
-"""A reversal slower than this part of the speed at which a contact may stick is none, if the error of a step
-is larger."""
 
 
 @inlined
@@ -39,13 +33,13 @@ def set_certain_speed(work):
 @inlined
 def set_direction_speed(work):
     """Set below which speed slip has no direction but the one last known."""
-    work.direction_speed = min(certain(work), DIRECTED * work.stick_speed)
+    work.direction_speed = min(certain(work), STILL * work.stick_speed)
 
 
 @inlined
 def behind(work):
     """Return the speed up to which a reversal is none: no more than the error of a step."""
-    return min(BEHIND * work.stick_speed, work.certain_speed / CERTAIN)
+    return min(STILL * work.stick_speed, work.certain_speed / CERTAIN)
 
 
 @declared(SceneWorkspace, FLOAT_ROWS)
@@ -107,5 +101,5 @@ def stiffness_of_slip(work):
                 a = s1 * jacobian[k, 1, i] - s2 * jacobian[k, 0, i]
                 for j in range(n):
                     total += a * minverse[i, j] * (s1 * jacobian[k, 1, j] - s2 * jacobian[k, 0, j])
-            fastest = max(fastest, mu[k] * abs(force[k, 2]) * total / max(speed, 1e-300))
+            fastest = max(fastest, mu[k] * abs(force[k, 2]) * total / max(speed, TINY))
     return fastest

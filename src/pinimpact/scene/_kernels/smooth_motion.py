@@ -35,6 +35,7 @@ from .slip import (
     turn_references,
 )
 from .step_drives import rate_of_drives
+from .tolerances import LEAST_BEFORE, LEAST_ERROR
 from .workspace import SceneWorkspace
 
 
@@ -197,11 +198,11 @@ def set_growth(work, h, error):
     The trend of the last two steps counts where it asks for less: steps towards the end of a slip shrink one
     after the other. (K. Gustafsson, ACM Transactions on Mathematical Software 20, 1994)
     """
-    error, power = max(error, 1e-7), step_dop853.POWERS[work.method]
+    error, power = max(error, LEAST_ERROR), step_dop853.POWERS[work.method]
     factor = min(5.0, 0.9 * error**-power)
     if work.previous_length > 0.0:
         trend = 0.9 * h / work.previous_length
-        factor = min(factor, trend * (max(work.previous_error, 1e-2) / error**2) ** power)
+        factor = min(factor, trend * (max(work.previous_error, LEAST_BEFORE) / error**2) ** power)
     work.previous_length, work.previous_error = h, error
     work.growth = max(factor, 0.2)
 

@@ -18,11 +18,9 @@ from ..._numeric.semidefinite import factor
 from .acting_forces import find_forces
 from .active_set import scalar_row, scalar_rows
 from .approach import PRESSED, SLIDES
-from .contact_forces import FREE, LEAST_SIZE, RIGID, SLIP
+from .contact_forces import FREE, SLIP
 from .dynamics import follow_surface, motion_of_contact
-
-ROUNDED, ROUNDED_SHARED = 1e-11, 1e-9
-"""Part of what makes up an acceleration below which it is none, where forces are unique and else. (11.10)"""
+from .tolerances import LEAST_SIZE, NEGLIGIBLE, RIGID, ROUNDED
 
 
 class Touching(NamedTuple):
@@ -169,7 +167,7 @@ def resulting_accelerations(delassus, free, force, contacts, unique, pace):
     for a in range(size):
         if a < closed and a % 3 == 0:  # the axes of a contact are arbitrary
             pace[a] = pace[a + 1] = pace[a + 2] = max(pace[a], pace[a + 1], pace[a + 2])
-        pace[a] = (ROUNDED if unique else ROUNDED_SHARED) * (pace[a] + LEAST_SIZE)
+        pace[a] = (ROUNDED if unique else NEGLIGIBLE) * (pace[a] + LEAST_SIZE)
         if unit > 0.0:  # forces are no more accurate
             pace[a] += USABLE / scale_a[a]
 

@@ -19,11 +19,8 @@ from ..._numeric.cone_program import CONE, cone_program
 from ..._numeric.least_norm import least_norm
 from ..._numeric.loops import assign, repeated
 from .contact_forces import SLIP, STICK, rubs
+from .tolerances import MARGIN, NEGLIGIBLE
 from .workspace import SceneWorkspace
-
-ACCURACY = 1e-13
-FELT = 1e-9
-"""Part of the parts that make it up below which an acceleration is rounding."""
 
 LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
@@ -69,7 +66,7 @@ def widest_margin(work, moving, found):
     P, c = np.zeros((n, n)), np.zeros(n)
     c[free] = -1.0
     y, s, z = np.empty(n), np.empty(rows), np.empty(rows)
-    cone_program(P, c, G, h, lines, sizes, ACCURACY, y, s, z)
+    cone_program(P, c, G, h, lines, sizes, MARGIN, y, s, z)
     if y[free] > 0.0:
         for a in range(size):
             found[a] = x[a]
@@ -106,7 +103,7 @@ def margin_at(work, x, null, free):
     for c in range(free):
         for b in range(first, stop):
             moves = max(moves, abs(null[c, b]))
-    return least, moves <= FELT
+    return least, moves <= NEGLIGIBLE
 
 
 @inlined
@@ -134,10 +131,10 @@ def keep_motion(work, x, null, free):
                 parts += abs(response[m, j] * null[c, m])
             largest, whole = max(largest, abs(effects[j, c])), max(whole, parts)
     assign(x, work.solution)
-    if largest <= FELT * whole:
+    if largest <= NEGLIGIBLE * whole:
         return free
     basis, kept = np.zeros((free, free)), np.zeros((free, size))
-    left = free - least_norm(effects, no_change, FELT * whole / largest, none, basis)
+    left = free - least_norm(effects, no_change, NEGLIGIBLE * whole / largest, none, basis)
     for c in range(left):
         for d in range(free):
             for m in range(size):
@@ -164,7 +161,7 @@ def least_admissible(work, x):
     fill_bounds(work, x, null, free, unit, 0.0, G, h, 0, lines)
     P, c = np.eye(free), np.zeros(free)  # x is at right angles to the null space
     y, s, z = np.zeros(free), np.empty(rows), np.empty(rows)
-    cone_program(P, c, G, h, lines, repeated(cones, CONE), ACCURACY, y, s, z)
+    cone_program(P, c, G, h, lines, repeated(cones, CONE), MARGIN, y, s, z)
     for j in range(free):
         for a in range(size):
             x[a] += unit * y[j] * null[j, a]

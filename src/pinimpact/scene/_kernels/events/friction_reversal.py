@@ -13,9 +13,6 @@ from .gap import SAFETY
 
 CONSEQUENCE = MODE_CHANGE
 
-ROUNDING = 1e-12
-"""A reversal slower than this [rad/s or m/s] is none."""
-
 
 @inlined
 def value(work, j, t):
@@ -35,7 +32,7 @@ def first(work, end):
     for j in range(len(v0)):
         if sliding[j] != 0.0 and not abs(v0[j]) > SAFETY * change * slowest[j]:
             speed = max(abs(v0[j]), abs(work.v1[j]))
-            found = first_fall(work, j, end, max(ROUNDING, work.atol + work.rtol * speed))
+            found = first_fall(work, j, end, work.atol + work.rtol * speed)
             if found < end:
                 time, end, which = found, found, j
     return time, which

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from ...._compile.jit import external, inlined
-from ..drives import CLEAR, law
+from ..drives import law
 from ..event_location import search_for_fall
+from ..tolerances import AT_BOUND
 from .consequences import SIDE_CHANGE
 from .gap import SAFETY
 
@@ -47,7 +48,7 @@ def first(work, end):
             if (side[j] != 0 and part == 1) or room > reach:
                 continue
             i = j + part * len(v0)
-            found = first_fall(work, i, end, CLEAR * limit)
+            found = first_fall(work, i, end, AT_BOUND * limit)
             if found < end:
                 time, end, which = found, found, i
     return time, which

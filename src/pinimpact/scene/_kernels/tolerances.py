@@ -1,0 +1,162 @@
+"""Tolerances of motions. Each says what it is a part of, or its unit, and why it has its size."""
+
+from __future__ import annotations
+
+# ---- rounding
+
+ROUNDING = 1e-12
+"""Part of the largest of what belongs together (sizes, times, speeds, entries of a matrix) that is rounding:
+some thousands of roundings."""
+
+RIGID = 1e-14
+"""Part of the largest inverse inertia or pivot below which one is zero: the rounding of a row that nothing
+moves."""
+
+NEIGHBOURS = 2e-16
+"""Relative difference of two times that are neighbours in floating point."""
+
+TINY = 1e-300
+"""A speed [m/s] by which slip at rest can be divided."""
+
+# ---- accelerations and forces of what is closed
+
+NEGLIGIBLE = 1e-9
+"""Part of what makes up an acceleration, or an inverse inertia, below which it is none, where forces may be
+shared in several ways: their error is larger than rounding by the condition of the shares."""
+
+ROUNDED = 1e-11
+"""The same where forces are unique. (11.10)"""
+
+LEAST_SIZE = 1e-3 * 9.80665
+"""What makes up an acceleration counts as this at the least [m/s²]: a thousandth of gravity."""
+
+WEIGHTLESS = 1e-10
+"""Part of the robot's weight below which a force is none."""
+
+AT_BOUND = 1e-9
+"""Part of a bound within which what is limited is at it: efforts of drives, friction that holds."""
+
+SINGULAR_STILL = 1e-7
+"""Part of the largest pivot below which one is zero where pivots have been below `RANK`, lest a motion along
+the edge goes to and fro."""
+
+FINEST = 1e-13
+"""The same where that misses accelerations by more than `NEGLIGIBLE`: a leg of 1 kg, stretched but for
+10⁻⁵ rad, bears a load, beside the stop of a finger of 10 g. Rounding is at 10⁻¹⁵."""
+
+DOUBTFUL = 1e-8
+"""Part of the largest force by which others may miss their bounds for the error of a step alone."""
+
+ASIDE = 1e-3
+"""How far slip may begin aside of its friction, in parts of how far it begins along it."""
+
+MARGIN = 1e-13
+"""To what part of the forces the largest margin is found, near the end of what the method can."""
+
+# ---- velocities
+
+STILL = 1e-3
+"""Part of the speed of sticking below which a speed is none: slip has no direction of its own, does not
+reverse, and what modes stop of it changes nothing."""
+
+DIFFERENT = 1e-5
+"""Part of the largest by which rows of velocities differ at least from each other, else they are the same."""
+
+HARDLY_DIFFERENT = 1e-9
+"""The same where what the difference asks for is small, see `CHEAP`."""
+
+CHEAP = 1e-3
+"""Part of all velocities that the difference of rows that hardly differ may cost."""
+
+RESTING = 1e-4
+"""The default resting speed, in parts of √(g L): such a bounce rises 5·10⁻⁹ of the robot's size L."""
+
+# ---- impacts without collision
+
+SINGULAR = 1e-8
+"""Forces whose effects cancel to this part are those of a singularity."""
+
+NEARLY_SINGULAR = 1e-4
+"""How near a singularity is where it has let no step be short enough, or has been passed: the part to which
+the effects of forces cancel, or friction is too small, and the sine of the tilt of a rim."""
+
+NUDGE = 1e-8
+"""Part of the speed of slip at which contacts that jam are let approach; it grows to what it can."""
+
+LEAST_NUDGE = 1e-9
+"""Part of the fastest slip that this is at least."""
+
+PULLS = 1e-6
+"""Part of the largest force up to which one that pulls is rounding."""
+
+# ---- steps and their events
+
+PROGRESS = 1e-3
+"""Part of the scene's time scale, or of velocities, that a number of steps has to change."""
+
+STALLED = 1e-8
+"""Time [s] that is no progress, or that part of a duration below 1 s."""
+
+LEAST_AHEAD = 1e-9
+"""How far to look ahead for modes that begin without a jump at the least, in parts of a step."""
+
+LOCATED = 1e-3
+"""Part of the rounding of gaps to which the time of a touch lets a gap vanish."""
+
+ITERATED = 1e-2
+"""Part of the tolerance of a step to which its implicit equations are solved."""
+
+LEAST_ERROR = 1e-7
+"""An error of a step over its tolerance below which steps grow no faster."""
+
+LEAST_BEFORE = 1e-2
+"""The same of the step before, in the trend of two steps."""
+
+FIRST_STEP = 1e-4
+"""Part of a time step that the first one of a crossing takes: what arrives without restitution is stopped in
+it, where it is."""
+
+TURN = 1e-2
+"""Angle [rad] below which functions of it are series, whose next terms are below rounding."""
+
+# ---- convex shapes, in parts of their size
+
+APART = 1e-8
+"""By what a pair has to stay apart."""
+
+VISIBLE = 1e-6
+"""A length far above rounding and far below the motion of a step: shapes move by it before it is seen what
+touches after a point has left, and overlap by less, but for a fault."""
+
+SHORT_WHILE = 1e-3
+"""Part of the intervals between samples of a step over which second rates are taken."""
+
+# ---- starts
+
+START_ROUNDING = 2e-9
+"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
+
+HELD_GAP = 1e-3
+"""Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
+
+HELD_SPEED = 1e-6
+"""Speed [m/s] up to which they start at rest: rounding of velocities up to 1, in parts of larger ones."""
+
+# ---- derivatives
+
+CONTINUOUS = 1e-5
+"""Part of the acceleration by which it may differ at an event that does not change it."""
+
+REMAINS = 1e-4
+"""Part of the changes of velocities that vanish that an event may leave of them."""
+
+REPRODUCED = 1e-6
+"""Part of the change of velocity to which an impact is computed again for its derivatives."""
+
+# ---- defaults of options
+
+RTOL, ATOL = 1e-8, 1e-10
+"""Tolerances of steps, relative and absolute."""
+
+DT = 1e-3
+"""Length of time steps [s]."""
