@@ -119,7 +119,6 @@ NUMBERS = [
     (progress.MAX_STALLED, 200, "where 200 steps make no progress"),
     (instant.CROWD, 16, "more than 16 contacts of more than five islands touch"),
     (instant.ISLANDS, 5, "of more than five islands touch"),
-    (integrator.FALSE_ALARM, 0.2, "the next step is a fifth as long"),
     (integrator.SEEN_EVERY, 0.25, r"no step is longer than $\sqrt{L/g}/4$"),
     (tolerances.NUDGE, 1e-8, r"\max\bigl(10^{-8}\,|v_t|"),
     (tolerances.LEAST_NUDGE, 1e-9, r"10^{-9}\max|v_t|"),

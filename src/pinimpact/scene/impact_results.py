@@ -118,8 +118,3 @@ def of_limit(c: float, rate: float, e: float) -> tuple[ImpactProblem, Array]:
 
 def _of_group(group: ImpactGroup, place: int, impulse: Array, axes: Array) -> tuple[ImpactProblem, Array]:
     return group.part(place), impulse @ axes
-
-
-def given(problem: ImpactProblem, impulse: Array) -> tuple[ImpactProblem, Array]:
-    """Return the same, as they are."""
-    return problem, impulse

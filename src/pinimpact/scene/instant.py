@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..contact_space.simultaneous import LAST, MOST_IMPACTS, without_end
 from ..errors import BoundReachedWarning, IrregularMotionError
-from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import check_inertia
 from ._kernels.approach import APART, ARRIVING, STRUCK
 from ._kernels.contact_forces import SLIP
@@ -156,7 +155,7 @@ class Instant:
         if self.shapes:
             self.shapes.refresh(self.state.q)
         resolved: list[dict[str, Any]] = []
-        jams, retried = 0, False
+        jams = 0
         while True:
             i, rate = self.dynamics.fastest_approach(self.state.q, self.state.v, starting, where, slow)
             self.rims.check(where)
@@ -178,9 +177,6 @@ class Instant:
                     field="scene",
                 )
             struck = self._without_forces(before, jammed)
-            if not struck and jammed >= 0 and not retried:
-                retried = True  # what has come to rest may have turned the slip that jams
-                continue
             if not struck:
                 raise IrregularMotionError(
                     f"contacts: neither forces nor impulses were found for what touches at t = "
@@ -188,7 +184,7 @@ class Instant:
                     field="contacts",
                 )
             resolved += struck
-        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self._keep(resolved)
 
     def _refuse_crowd(self) -> None:
         """Refuse to go on where so much touches, in so many islands, that time steps are cheaper by far."""
@@ -213,7 +209,7 @@ class Instant:
                 break
             self._where[:] = np.where(near, ARRIVING, APART)
             resolved += self._strike(i, -float(rates[i]), resolved)
-        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self._keep(resolved)
 
     def _without_forces(self, v: Array, jammed: int) -> list[dict[str, Any]]:
         """Resolve the impact without collision where no forces hold what touches.
@@ -318,27 +314,14 @@ class Instant:
             self.note(text)
         if impact.bounded:
             self._warn_of_bound()
-        contacts, before = len(self.dynamics.contacts), self.state.v
+        before, found = self.state.v, []
         self.change_velocity(impact.v)
-        found = []
         for source, place, resting, make in impact.struck:
             self._where[source] = STRUCK
             if resting:
                 self._note_rest(source)
-            found.append(
-                {
-                    "time": self.state.t,
-                    "source": self.names[source],
-                    "q": self.state.q,
-                    "v_before": before,
-                    "v_after": impact.v,
-                    "contact_space": make,
-                    "resting": resting,
-                    "record": self._recorded and source < contacts,
-                    "group": (impact.group, place),
-                    "contact": self._of_pair(source),
-                }
-            )
+            fields = self._fields(source, before, make, resting)
+            found.append(fields | {"group": (impact.group, place)})
         return found
 
     def _warn_of_bound(self) -> None:
@@ -362,22 +345,27 @@ class Instant:
         """Take over the velocity after an impact; return the fields of its record."""
         before = self.state.v
         self.change_velocity(impact.v)
+        return self._fields(i, before, impact.contact_space, impact.resting)
+
+    def _fields(self, i: int, before: Array, contact_space: Any, resting: bool) -> dict[str, Any]:
+        """Return the fields of the record of an impact that led from a velocity (nv,) to the present one."""
+        contacts, touches = self.dynamics.contacts, i < len(self.dynamics.contacts)
         return {
             "time": self.state.t,
             "source": self.names[i],
             "q": self.state.q,
             "v_before": before,
-            "v_after": impact.v,
-            "contact_space": impact.contact_space,
-            "resting": impact.resting,
-            "record": self._recorded and i < len(self.dynamics.contacts),
-            "contact": self._of_pair(i),
+            "v_after": self.state.v,
+            "contact_space": contact_space,
+            "resting": resting,
+            "record": self._recorded and touches,
+            "contact": contacts[i] if touches and contacts[i].pair is not None else None,
         }
 
-    def _of_pair(self, i: int) -> Contact | None:
-        """Return the contact of two shapes as it is now; None of what is no such contact."""
-        contacts = self.dynamics.contacts
-        return contacts[i] if i < len(contacts) and contacts[i].pair is not None else None
+    def _keep(self, resolved: list[dict[str, Any]]) -> None:
+        """Record the impacts of this instant."""
+        several = len(resolved) > 1
+        self.record.impacts += [ImpactRecord(**fields, simultaneous=several) for fields in resolved]
 
     def change_velocity(self, v: Array) -> None:
         """Go on with another velocity, and count the kinetic energy that it brings."""
@@ -414,7 +402,7 @@ class Instant:
             f"Slip at {slipping} makes the forces grow without bound (jam): an impact without collision."
         )
         resolved = self._take_over_group(group)
-        self.record.impacts += [ImpactRecord(**fields, simultaneous=len(resolved) > 1) for fields in resolved]
+        self._keep(resolved)
         return True
 
     # ---- contacts that stay closed

@@ -40,9 +40,6 @@ Array = NDArray[np.float64]
 Report = Callable[[float, float], None]
 """report(t, duration), called after every step."""
 
-FALSE_ALARM = 0.2
-"""Part of a step to try next where forces have left their bounds only by its error."""
-
 HIGH_ORDER = 10
 """Steps for which a low order is not tried again where it has not been accurate enough."""
 
@@ -290,8 +287,8 @@ class Integrator:
             self._end_at_meeting(step, meeting)
             return natural
         if time <= step.end:
-            confirmed = self._end_at_event(step, time, arriving)
-            return natural if confirmed else FALSE_ALARM * trial
+            self._end_at_event(step, time, arriving)
+            return natural
         state.cut_short = trial == stop - t
         self._complete(step, stop if state.cut_short else step.end)
         longer = trial * work.growth
@@ -444,19 +441,13 @@ class Integrator:
             if state.ended_by is None:
                 self._settle_contacts()
 
-    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> bool:
-        """End a step at an event and deal with it: something arrives, or else modes change.
-
-        Returns:
-            Whether it was one: forces that have left their bounds along the step, but are well within them at
-            the same modes found again, have been off by the error of the step.
-        """
+    def _end_at_event(self, step: DenseStep, t: float, arriving: int | None) -> None:
+        """End a step at an event and deal with it: something arrives, or else modes change."""
         self._cut(step, t)
         self._correct_drift()
         if EVENTS[self.work.event_kind] is saturation and t == self.work.event_time:
             self.dynamics.change_side(self.work.event_index)
         bounded = arriving is None and EVENTS[self.work.event_kind] is force_bound
-        modes, impacts = self.work.modes.copy(), len(self.record.impacts)
         if arriving is None:
             self.instant.resolve_jam(leaving=bounded)
         self._settle_and_begin(arriving)
@@ -465,8 +456,6 @@ class Integrator:
             self.instant.set_modes_ahead(step)
             self._begin_motion()  # with the forces by which the modes were found, if those ahead are the same
         self._sample()
-        same = len(self.record.impacts) == impacts and bool((self.work.modes == modes).all())
-        return not (bounded and same and not self.work.force_bound_ignored)
 
     def _end_at_meeting(self, step: DenseStep, meeting: Meeting) -> None:
         """End a step where two shapes touch, or touch elsewhere."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -13,21 +13,16 @@ from .._compile.jit import compile_all
 from ..robot._kernels.python_calls import raise_kept_error
 from ..robot.contact import Contact
 from ..robot.pinocchio_bridge import call_addresses
-from ._kernels.pair_bounds import separations, stay_apart, turn_to_gaps
+from ._kernels.pair_bounds import stay_apart, turn_to_gaps
 from .dense_step import DenseStep
 from .layout import SceneLayout
 
 Array = NDArray[np.float64]
 
-SHORTEST = 1.0 / 65.0
-"""Part of a step below which conservative advancement continues."""
-
-_ONE, _FIRST = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
-
 
 @functools.cache
 def _compile() -> None:
-    compile_all((separations,), (stay_apart,), (turn_to_gaps,))
+    compile_all((stay_apart,), (turn_to_gaps,))
 
 
 class PairsApart:
@@ -90,39 +85,3 @@ class PairsApart:
         if not went_well:
             raise_kept_error()
         return apart
-
-    def until(self, pair: int, step: DenseStep, normal: Callable[[float], Array]) -> float:
-        """Return until when a pair stays apart in the step last looked at [s], as far as that is easily seen.
-
-        Args:
-            pair: Which.
-            step: The step.
-            normal: Returns the direction (3,) of the gap at a time.
-        """
-        t, end, width = step.start, step.start + step.h, step.h
-        while t < end:
-            self._directions[pair] = normal(t)
-            here = self._separation(pair, step, t)
-            while width > SHORTEST * step.h:
-                later = min(t + width, end)
-                least = min(here, self._separation(pair, step, later))
-                if least - 0.125 * (later - t) ** 2 * self.bends[pair] > self._tables.least[pair]:
-                    break
-                width *= 0.5
-            else:
-                return t
-            t, width = later, 2.0 * width
-        return end
-
-    def _separation(self, pair: int, step: DenseStep, t: float) -> float:
-        """Return how far a pair is apart at a time, along the direction known [m]."""
-        robot, tables, one = self._dynamics, self._tables, slice(pair, pair + 1)
-        fractions, found = np.array([(t - step.start) / step.h]), np.empty((1, 1))
-        went_well = separations(
-            *(self._calls, robot.q, robot.placements, tables.joints[one], tables.vertices),
-            *(tables.ranges[one], tables.radii[one], self._directions[one]),
-            *(step.coefficients, step.joints, step.q, step.v, fractions, _ONE, _FIRST, found),
-        )
-        if not went_well:
-            raise_kept_error()
-        return float(found[0, 0])

@@ -31,7 +31,7 @@ from ..robot.robot_impact import Hit, impact
 from ._kernels.contact_forces import FREE, SLIP
 from ._kernels.tolerances import LEAST_NUDGE, NUDGE, ROUNDING
 from .dynamics import SceneDynamics
-from .impact_results import GroupImpact, Impact, Solved, given, group_impact, of_hit, of_limit
+from .impact_results import GroupImpact, Impact, Solved, group_impact, of_hit, of_limit
 from .islands import islands, tree_roots
 from .jam_growth import friction_of_jam, growing_indentations
 from .records import ImpactGroup
@@ -409,7 +409,7 @@ class SceneImpacts:
             factor_scale=matrices.factor_scale,
         )
         p = solve_impact(problem).impulse
-        return Impact(v + matrices.response @ p, False, partial(given, problem, p @ matrices.axes))
+        return Impact(v + matrices.response @ p, False, lambda: (problem, p @ matrices.axes))
 
     def _matrices_of(self, q: Array, contact: Contact) -> ContactMatrices:
         """Return the matrices of a contact, with what the scene holds and locks."""

@@ -96,17 +96,9 @@ class ShapeWatch(TouchingPoints):
 
     def _touch(self, watched: Watched, step: DenseStep, end: float) -> Advance:
         """Return where a pair that is apart touches."""
-        at = self._at(watched, step)
-
-        def normal(t: float) -> Array:
-            state = at(t)
-            return gap(state.a, state.b).normal
-
-        start = self._apart.until(watched.number, step, normal)
-        if start >= end:
-            return Advance(end, np.inf, False)
         bend, floor = float(self._apart.bends[watched.number]), 0.25 * self._work.touching_gap
-        return self._settled(watched, first_touch(at, start, end, bend, floor), step)
+        found = first_touch(self._at(watched, step), step.start, end, bend, floor)
+        return self._settled(watched, found, step)
 
     def _settled(self, watched: Watched, found: Advance | None, step: DenseStep) -> Advance:
         if found is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -407,7 +408,7 @@ class Trajectory:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the forces as numbers, for what evaluates them has addresses of this process."""
-        return _restored, (self._parts(),)
+        return partial(Trajectory, **self._parts()), ()
 
     def __repr__(self) -> str:
         return (
@@ -474,7 +475,3 @@ def _in_axes(forces: Forces | None, i: int | None) -> Array:
     if forces is None or i is None or not forces.world[i].any():
         return np.zeros(3)
     return contact_axes(forces.normals[i]) @ forces.world[i]
-
-
-def _restored(parts: dict[str, Any]) -> Trajectory:
-    return Trajectory(**parts)

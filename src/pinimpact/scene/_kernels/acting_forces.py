@@ -51,15 +51,15 @@ def find_forces(delassus, free, slip, mu, least, held, lower, upper, x, pressed,
         Whether forces were found.
     """
     nc, size = len(mu), len(x)
-    starts = (AT_REST, NONE, AT_REST, AS_BEFORE, NONE)  # of the limit of small compliances, then without
+    starts = (AT_REST, AT_REST, AS_BEFORE, NONE)  # first of the limit of small compliances
     width, scale_a, scale_f, a_now = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     for a in range(size):
         x[a] = 0.0
     if scale(delassus, free, nc, width, scale_a, scale_f) == 0.0:
         return True
     trial, found = np.empty(size), False
-    for attempt in range(2 if unique else 0, len(starts)):
-        soft, start = attempt < 2, starts[attempt]
+    for attempt in range(1 if unique else 0, len(starts)):
+        soft, start = attempt < 1, starts[attempt]
         if start == AT_REST:
             at_rest(delassus, free, slip, mu, held, lower, upper, pressed, trial)
         elif start == AS_BEFORE:
@@ -145,30 +145,12 @@ def stop_rows(delassus, free, drag, rows, x):
 @declared(*SYSTEM, FLOATS, FLOATS, FLOATS, result=int)
 @external
 def orientation(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f):
-    """Return the sign of the determinant of the equations that forces x solve, zero where singular.
-
-    Where slip begins, it is also negative if it is negative with the present directions of slip.
-    """
+    """Return the sign of the determinant of the equations that forces x solve, zero where singular."""
     nc, size = len(mu), len(x)
     system, right, undecided = np.empty((size, size)), np.empty(size), repeated(nc, AS_FORCES_SAY)
     residual(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f)
     linearize(
         *(delassus, free, velocity, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
-        *(system, right),
-    )
-    sign = solve(system, right, np.empty(size), RANK)
-    directed, begins = velocity.copy(), False
-    for k in range(nc):
-        rests = mu[k] > 0.0 and not held[k] and velocity[k, 0] == 0.0 and velocity[k, 1] == 0.0
-        b = 3 * k
-        g1 = x[b] / scale_f[b] - a_now[b] * scale_a[b]
-        g2 = x[b + 1] / scale_f[b] - a_now[b + 1] * scale_a[b]
-        if rests and math.hypot(g1, g2) > mu[k] * x[b + 2] / scale_f[b]:
-            directed[k, 0], directed[k, 1], begins = -g1, -g2, True
-    if sign <= 0 or not begins:
-        return sign
-    linearize(
-        *(delassus, free, directed, mu, least, held, lower, upper, x, a_now, scale_a, scale_f, undecided),
         *(system, right),
     )
     return solve(system, right, np.empty(size), RANK)

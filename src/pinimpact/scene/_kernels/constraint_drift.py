@@ -11,8 +11,6 @@ from . import lie_charts
 from .active_set import NORMAL, active_rows, stop_along
 from .contact_forces import SLIP
 from .dynamics import evaluate, set_state
-from .samples import along
-from .slip import behind
 from .workspace import SceneWorkspace
 
 
@@ -83,26 +81,4 @@ def correct_constraint_drift(work, t, q, v):
     total = active_rows(work, v, NORMAL, rows, off)
     if total == 0 or work.callback_failed:
         return 0.0
-    before = v.copy()
-    gained = stop_along(rows[:total], off[:total], minverse, v)
-    if ns > 0 and reverses_slip(work, before, v):
-        # a joint whose row hardly differs from those of contacts rests but for its error
-        assign(v, before)
-        gained = stop_along(rows[: total - ns], off[: total - ns], minverse, v)
-    return gained
-
-
-@inlined
-def reverses_slip(work, before, v):
-    """Whether slip along its direction at `before` (nv,), that of the workspace, is against it at v."""
-    mode, jacobian, reference = work.active_mode, work.contact_jacobian, work.slip_reference
-    reverses = False
-    for k in range(len(mode)):
-        if mode[k] == SLIP:
-            forward = along(work, k, work.contact_velocity)
-            after = forward
-            for d in range(2):
-                for j in range(len(v)):
-                    after += reference[k, d] * jacobian[k, d, j] * (v[j] - before[j])
-            reverses |= forward >= 0.0 and after < -behind(work)
-    return reverses
+    return stop_along(rows[:total], off[:total], minverse, v)

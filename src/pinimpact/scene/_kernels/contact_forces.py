@@ -16,7 +16,6 @@ from ..._numeric.elimination import RANK, solve
 from ..._numeric.least_norm import least_norm, least_norms
 from ..._numeric.loops import assign, flags
 from ..._numeric.products import apply_symmetric, dot, products
-from ..._numeric.semidefinite import factor
 from .tolerances import FINEST, LEAST_SIZE, NEGLIGIBLE, RIGID, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
@@ -123,17 +122,6 @@ def delassus_of_rows(rows, minverse, response, delassus):
     for a in range(len(rows)):
         apply_symmetric(minverse, rows[a], response[a])
     products(rows, response, delassus)
-
-
-@declared(SceneWorkspace)
-@external
-def rows_independent(work):
-    """Return whether the rows of what is closed are, so that forces without friction are unique."""
-    rows, minverse = work.equation_rows, work.minverse
-    size, n = rows.shape
-    response, gram = np.empty((size, n)), np.empty((size, size))
-    delassus_of_rows(rows, minverse, response, gram)
-    return factor(gram, np.empty(size, dtype=np.int64), np.zeros((size, size))) == size
 
 
 @declared(SceneWorkspace)

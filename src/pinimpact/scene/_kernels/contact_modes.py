@@ -52,7 +52,7 @@ class Choice(NamedTuple):
         modes: (n + nl + nv,) modes of contacts, limits and joints.
         reference: (n, 2) directions of slip where they are known.
         breaking: (nv,) the force on each joint that its dry friction holds no longer.
-        rejected: (n + nl + nv,) the state of rejected candidates: `SEPARATES` for an open contact or limit
+        rejected: (n + nl + nv,) the state of rejected candidates: `SEPARATES` for an open contact
             that separates, `RUBS` for an open contact that loses a velocity along its surface, both if it
             stays open; `KEEPS_SLIDING` for a contact whose sticking would accelerate a joint against its
             force. For a joint that sticking contacts drag against its friction, or that would so accelerate
@@ -98,14 +98,12 @@ def set_modes(work, t, q, v, slow):
         if jamming >= 0 or work.callback_failed:
             assign(sliding, slid)
             return jamming, converged, energy
-        drags, without_forces = False, certain > 0.0 and not converged
+        drags = False
         for i in range(len(rejected)):
             if i >= touching or rejected[i] == KEEPS_SLIDING:
                 drags |= rejected[i] != 0
             elif rejected[i] != 0 and modes[i] == FREE:
                 candidates[i], released = 0 if rejected[i] == SEPARATES else SLIDES, True
-            elif rejected[i] == SEPARATES and without_forces:
-                candidates[i], released = 0, True
         much = drags or (last and largest_of(v - before, 0) > CERTAIN * error)
         if not released and much and certain > error:
             # sticking that changes other velocities by more than the error of a step is rejected (11.8)
@@ -128,10 +126,7 @@ def set_modes(work, t, q, v, slow):
             energy, stopped, tried = 0.0, math.inf, 0
     for j in range(n):
         if breaking[j] != 0.0:
-            if idles(work, v[j], certain) and slid[j] != 0.0:
-                sliding[j] = slid[j]
-            else:
-                sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
+            sliding[j] = -math.copysign(dry[j], breaking[j] if v[j] == 0.0 else -v[j])
     assign(work.modes, modes)
     close(work, reference)
     return jamming, converged, energy
@@ -181,7 +176,7 @@ def find_modes(work, t, q, v, candidates, certain, chosen):
     modes_of_contacts(work, what, force, unique, pace, stopped, chosen)
     reject_contacts(work, what, stopped, certain, chosen.rejected)
     scalar = candidates[work.contacts :]
-    modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, against, chosen)
+    modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen)
     start = np.empty(size)
     off = speeds_of_rows(work, what, v, start)
     gained, fastest = stop(work, what, candidates, start, stopped, against, chosen, v)
@@ -216,7 +211,7 @@ def reject_contacts(work, what, stopped, certain, rejected):
 
 
 @inlined
-def modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, against, chosen):
+def modes_of_scalar_rows(work, what, scalar, force, pace, stopped, against, chosen):
     """Fill the modes of limits and of joints with dry friction from the forces on their rows.
 
     A force at its bound holds what it does not let move; else the row starts or keeps moving.
@@ -225,15 +220,13 @@ def modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, a
         work: The workspace.
         what: What is `Touching`, with accelerations that include the forces.
         scalar: (nl + nv,) candidates past the contacts.
-        v: (nv,) velocity.
         force: (m,) forces.
         pace: (m,) accelerations that count as none.
-        certain: As in `find_modes`.
         stopped: (m,) takes whether the velocity of a row becomes zero.
         against: (m,) takes the sign of the force on a joint that starts moving, else zero.
         chosen: The `Choice` to be filled.
     """
-    modes, _, breaking, rejected = chosen
+    modes, _, breaking, _ = chosen
     free, first = what.free, 3 * len(what.contacts)
     for m in range(len(what.joints)):
         a, i, limit, strength = first + m, what.scalars[m], what.joints[m], force[first + m]
@@ -245,11 +238,8 @@ def modes_of_scalar_rows(work, what, scalar, v, force, pace, certain, stopped, a
         stopped[a] = closed
         if rubs and not closed:
             breaking[i] = strength
-            against[a] = 0.0 if idles(work, v[i], certain) else math.copysign(1.0, strength)
+            against[a] = math.copysign(1.0, strength)
         modes[work.contacts + limit] = 1 if closed else 0
-        separates = limit < work.limits and work.limit_sign[limit] * v[i] > certain
-        if closed and separates and work.modes[work.contacts + limit] == FREE:
-            rejected[work.contacts + limit] = SEPARATES
         if rubs:
             modes[work.contacts + work.limits + i] = 1 if closed else 0
 
@@ -311,12 +301,6 @@ def turn_rows(direction, rows, velocity):
         rows[0, j], rows[1, j] = x * first + y * second, x * second - y * first
     first, second = velocity
     velocity[0], velocity[1] = x * first + y * second, x * second - y * first
-
-
-@inlined
-def idles(work, speed, certain):
-    """Whether a joint that yields is too fast for rest, now that less is taken for it. (11.8)"""
-    return certain < abs(speed) <= work.certain_speed
 
 
 @inlined

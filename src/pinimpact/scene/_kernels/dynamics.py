@@ -16,7 +16,7 @@ from ...robot._kernels import contact_kinematics, contact_motion
 from ...robot._kernels.python_calls import call
 from . import contact_forces
 from .drives import drive
-from .tolerances import NEGLIGIBLE, RIGID, SINGULAR_STILL
+from .tolerances import NEGLIGIBLE, SINGULAR_STILL
 from .workspace import SceneWorkspace
 
 ABA, INVERT, KINEMATICS, CONTROL = np.int64(0), np.int64(2), np.int64(4), np.int64(6)
@@ -270,8 +270,6 @@ def evaluate(work, t, out):
     if rubs:
         rank = RANK if work.forces_unique else SINGULAR_STILL
         orientation = solve(system, target, work.solution, rank)
-        if orientation == 0 and contact_forces.rows_independent(work):
-            orientation = solve(system, target, work.solution, RIGID)  # it is slip that is singular, or near
     elif work.forces_unique:  # else it says nothing new, and without slip there is no jam
         orientation = 1 if solve_definite(system, target, work.solution) else 0
     work.forces_unique = orientation != 0

@@ -29,7 +29,7 @@ TURNS = 12
     *(INTEGERS, FLOATS, FLOAT_ROWS, INTEGER_ROWS, FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOAT_ROWS),
     *(FLOAT_ROWS, INTEGER_ROWS, FLOATS, FLOATS, FLOATS, FLAGS, INTEGERS, FLOAT_ROWS),
 )
-@jit
+@external
 def separations(
     calls, q, placements, joints, vertices, ranges, radii, directions,
     coefficients, charts, q0, v0, fractions, wanted, rows, out,

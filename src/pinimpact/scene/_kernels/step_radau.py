@@ -123,12 +123,9 @@ def correct(work, t, h, known, changes):
                         total += across[i, c, m] * effect[j, d, m]
                     matrix[row, j * count + d] = h * MATRIX[i, j] * total
             matrix[row, row] -= speeds[i, c]
-    # contacts that share their loads turn together where slip begins, and one of them cannot alone
     equilibrate(matrix, right)
     if solve(matrix, right, angle, RANK) == 0:
-        if work.forces_unique:
-            return False
-        least_norm(matrix, right, RANK, angle, np.empty((0, size)))
+        return False
     for i in range(s):
         for c in range(count):
             change = angle[i * count + c]

@@ -47,9 +47,6 @@ FINEST = 1e-13
 DOUBTFUL = 1e-8
 """Part of the largest force by which others may miss their bounds for the error of a step alone."""
 
-ASIDE = 1e-3
-"""How far slip may begin aside of its friction, in parts of how far it begins along it."""
-
 MARGIN = 1e-13
 """To what part of the forces the largest margin is found, near the end of what the method can."""
 

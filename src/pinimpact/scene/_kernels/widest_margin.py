@@ -26,31 +26,23 @@ LARGEST = 1e4
 """Forces beyond this times what the loads call for are not looked for."""
 
 
-ANY_MOTION, SAME_MOTION = np.int64(1), np.int64(0)
-"""Whether forces may move what they act on in another way."""
-
-
-@declared(SceneWorkspace, int, FLOATS)
+@declared(SceneWorkspace, FLOATS)
 @external
-def widest_margin(work, moving, found):
-    """Return the largest margin of all forces that the modes need at the state last evaluated [N].
+def widest_margin(work, found):
+    """Return the largest margin of all forces with the same motion at the state last evaluated [N].
 
     Args:
         work: The workspace.
-        moving: Whether the motion may be another one for them: ANY_MOTION or SAME_MOTION.
         found: (size,) takes its forces, if they keep within their bounds.
     """
     size = len(work.target)
     x, null = np.empty(size), np.empty((size, size))
     free = size - least_norm(work.system, work.target, work.rank_tolerance, x, null)
-    if moving == SAME_MOTION and rubs(work):
+    if rubs(work):
         free = keep_motion(work, x, null, free)
     unit = largest_force(work, x)
     if unit == 0.0:
         return 0.0
-    margin, decided = margin_at(work, x, null, free)
-    if decided and margin <= 0.0:
-        return margin
     n = free + 1
     lines, cones = count_bounds(work)
     lines += 1
@@ -73,37 +65,6 @@ def widest_margin(work, moving, found):
             for j in range(free):
                 found[a] += unit * y[j] * null[j, a]
     return unit * y[free]
-
-
-@inlined
-def margin_at(work, x, null, free):
-    """Return how far forces x keep from their bounds, and whether none of null (free, size) can change that.
-
-    They cannot where the bound that x is the nearest to is that of a force which they leave as it is.
-    """
-    modes, mu, lower, upper = work.active_mode, work.active_friction, work.scalar_lower, work.scalar_upper
-    least, first, stop = math.inf, 0, 0
-    a = 0
-    for k in range(len(modes)):
-        rows = 1 if modes[k] == SLIP else 3
-        margin = math.inf
-        if modes[k] == SLIP:
-            margin = x[a]
-        elif modes[k] == STICK:
-            margin = mu[k] * x[a + 2] - math.hypot(x[a], x[a + 1])
-        if margin < least:
-            least, first, stop = margin, a, a + rows
-        a += rows
-    for m in range(len(lower)):
-        margin = min(x[a] - lower[m], upper[m] - x[a])
-        if margin < least:
-            least, first, stop = margin, a, a + 1
-        a += 1
-    moves = 0.0
-    for c in range(free):
-        for b in range(first, stop):
-            moves = max(moves, abs(null[c, b]))
-    return least, moves <= NEGLIGIBLE
 
 
 @inlined

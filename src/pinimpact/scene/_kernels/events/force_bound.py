@@ -11,7 +11,7 @@ from ...._compile.jit import external, inlined, jit
 from ..dynamics import evaluate
 from ..event_location import search_for_fall
 from ..samples import clear_of_zero
-from ..widest_margin import SAME_MOTION, widest_margin
+from ..widest_margin import widest_margin
 from ..workspace import SceneWorkspace
 from .consequences import MODE_CHANGE
 
@@ -35,7 +35,7 @@ def margin_of_forces(work, enough):
     """
     margin = work.force_margin
     if margin < enough and not work.forces_unique:
-        margin = widest_margin(work, SAME_MOTION, work.inner_forces) + work.force_tolerance
+        margin = widest_margin(work, work.inner_forces) + work.force_tolerance
     return margin
 
 

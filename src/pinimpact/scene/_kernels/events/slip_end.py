@@ -30,14 +30,6 @@ value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_
 
 
 @inlined
-def has_turned(work, k, velocity):
-    """Whether slip that is not along the direction last known is across rather than against it."""
-    reference = work.slip_reference
-    across = abs(reference[k, 0] * velocity[k, 1] - reference[k, 1] * velocity[k, 0])
-    return across > max(work.direction_speed, -along(work, k, velocity))
-
-
-@inlined
 def least_reversal(work, speed):
     """Return the speed of a reversal that is no rounding, nor the error of a step, of slip of some speed."""
     return max(behind(work), min(work.atol + work.rtol * speed, 0.1 * work.stick_speed))
@@ -94,13 +86,6 @@ def first(work, end):
                 continue
             speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
             found = first_fall(work, k, end, least_reversal(work, speed))
-            if found == math.inf and end_speed <= 0.0 and has_turned(work, k, work.end_velocity):
-                against = value_at(work, k, start)[0] <= 0.0
-                speed = math.hypot(velocity[k, 0], velocity[k, 1])
-                return (start if against and speed > 0.5 * work.direction_speed else -math.inf), k
         if found < end:
-            value_at(work, k, found)
-            if found > start and math.hypot(velocity[k, 0], velocity[k, 1]) > work.stick_speed:
-                return -math.inf, k
             time, end, which = found, found, k
     return time, which
