@@ -41,6 +41,13 @@ def test_modes_settle(seed):
     assert wrong_in(trajectory, run.rtol) == ""
 
 
+def test_a_contact_keeps_sliding_whose_sticking_would_accelerate_a_joint_against_its_friction():
+    """Else its modes do not settle, and time steps cross ten intervals. (theory.md, 11.5)"""
+    run = draw(9801000098)
+    trajectory = simulate(run.scene, run.q, run.v, DURATION, rtol=run.rtol, atol=1e-2 * run.rtol)
+    assert not trajectory.stepped
+
+
 @pytest.mark.parametrize("seed", [1000285, 1000348])
 def test_no_contact_pulls_beside_a_joint_whose_dry_friction_and_stop_share_its_load(seed):
     """Forces that are not unique are within their bounds where any are, not where those of least norm are."""

@@ -13,10 +13,10 @@ from .workspace import SceneWorkspace
 
 
 @inlined
-def law(work, j):
-    """Return what the law of a drive asks for at the state that is set [N or N m]."""
-    off = work.drive_reference[j] - work.q[work.drive_coordinate[j]]
-    return work.drive_stiffness[j] * off - work.drive_damping[j] * work.v[j]
+def law(work, q, v, j):
+    """Return what the law of a drive asks for at a state [N or N m]."""
+    off = work.drive_reference[j] - q[work.drive_coordinate[j]]
+    return work.drive_stiffness[j] * off - work.drive_damping[j] * v[j]
 
 
 @inlined
@@ -24,7 +24,7 @@ def drive(work):
     """Set the forces of the drives at the state that is set."""
     for j in work.drive_velocity:
         side = work.drive_side[j]
-        work.control_force[j] = law(work, j) if side == 0 else side * work.drive_limit[j]
+        work.control_force[j] = law(work, work.q, work.v, j) if side == 0 else side * work.drive_limit[j]
 
 
 @declared(SceneWorkspace, FLOATS, FLOATS)
@@ -32,8 +32,7 @@ def drive(work):
 def set_saturation(work, q, v):
     """Tell which drives are at their bounds, at a state to which the velocity may have jumped."""
     for j in work.drive_velocity:
-        off = work.drive_reference[j] - q[work.drive_coordinate[j]]
-        asked = work.drive_stiffness[j] * off - work.drive_damping[j] * v[j]
+        asked = law(work, q, v, j)
         side, limit = work.drive_side[j], work.drive_limit[j]
         if side != 0 and side * asked < limit * (1.0 - AT_BOUND):
             side = 0

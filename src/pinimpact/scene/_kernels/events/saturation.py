@@ -23,10 +23,10 @@ def value(work, i, t):
     """
     n = len(work.v)
     j, sign = (i, 1.0) if i < n else (i - n, -1.0)
-    side = work.drive_side[j]
+    side, asked = work.drive_side[j], law(work, work.q, work.v, j)
     if side != 0:
-        return side * law(work, j) - work.drive_limit[j], 0.0
-    return work.drive_limit[j] - sign * law(work, j), 0.0
+        return side * asked - work.drive_limit[j], 0.0
+    return work.drive_limit[j] - sign * asked, 0.0
 
 
 first_fall = search_for_fall(value)
@@ -41,7 +41,7 @@ def first(work, end):
         stiffness, damping, limit = work.drive_stiffness[j], work.drive_damping[j], work.drive_limit[j]
         if not limit < math.inf:
             continue
-        start = stiffness * (work.drive_reference[j] - q0[work.drive_coordinate[j]]) - damping * v0[j]
+        start = law(work, q0, v0, j)
         reach = SAFETY * h * (stiffness * bounds[0, j] + damping * bounds[1, j])
         for part in range(2):
             room = side[j] * start - limit if side[j] != 0 else limit - (1.0 - 2.0 * part) * start
