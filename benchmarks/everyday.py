@@ -65,7 +65,7 @@ def stack(count: int) -> Boxes:
 def pile(count: int) -> Boxes:
     rng = np.random.default_rng(0)
     places = np.array([(*rng.normal(0.0, 0.05, 2), 0.06 + 0.13 * k) for k in range(count)])
-    return Boxes(f"{count} boxes pile up", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 2.0)
+    return Boxes(f"{count} boxes pile up", (0.2, 0.2, 0.1), 1.0, 0.5, 0.5, places, np.zeros(6), 3.0)
 
 
 def apart(count: int) -> Boxes:

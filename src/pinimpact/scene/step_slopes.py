@@ -26,6 +26,10 @@ from .step_taken import StepTaken
 Array = NDArray[np.float64]
 
 
+DRIFTS = 1e-2
+"""Part of a change by which that of a closed gap may be more than zero: steps let it drift, by some h ω."""
+
+
 class _Rows(NamedTuple):
     """The rows of a step and how they change.
 
@@ -125,8 +129,7 @@ class StepSlopes:
             reached = x[3 * nv] + step.h * shift + part * moved.length
             return np.vstack([self._within(x, moved, step, part, shift), moved.pushed, reached])
         result = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))
-        if taken.removal is not None:
-            result[:nv] = self._removed(result[:nv], moved, step)
+        result[:nv] = self._removed(result[:nv], taken)
         result[nv:][taken.stopped] = 0.0
         return np.vstack([result, moved.pushed, np.zeros(x.shape[1])])
 
@@ -137,9 +140,9 @@ class StepSlopes:
             return self.through(x, step, force)[: 2 * nv]
         moved, part = self._differentiate(x, step, force), (t - step.start) / step.h
         result = self._within(x, moved, step, part, -(x[-1] + part * moved.length) / step.h)
-        if taken.removal is not None:  # little by little in the dense output
+        if taken.removals:  # little by little in the dense output
             end = self._within(x, moved, step, 1.0, np.zeros(x.shape[1]))[:nv]
-            result[:nv] += part * (self._removed(end, moved, step) - end)
+            result[:nv] += part * (self._removed(end, taken) - end)
         return result
 
     def modes(self, taken: StepTaken) -> NDArray[np.int64]:
@@ -206,7 +209,7 @@ class StepSlopes:
         largest = np.nanmax(np.abs(np.concatenate([moved.middle, v_end])), initial=0.0)
         pinned = rows.jacobian[sets.rows[sets.closing == PINNED]]
         sizes = np.abs(pinned).sum(axis=1)
-        tied = (np.abs(pinned @ moved.middle) > TIED * largest * sizes[:, None]).any(axis=0)
+        tied = (np.abs(pinned @ moved.middle) > DRIFTS * largest * sizes[:, None]).any(axis=0)
         if sets.tied:
             other = self._solve(taken, self._sets(taken, True), *given)
             tied |= (np.abs(v_end - other.v_end) > TIED * largest).any(axis=0)
@@ -329,34 +332,30 @@ class StepSlopes:
             rate[axes] = rotation @ v[axes]
         return rate, by_rate
 
-    def _removed(self, by_q: Array, moved: _Moved, step: DenseStep) -> Array:
-        """Return changes of q (nv, n) at the end of a step, after overlap has been taken away. (D36)"""
-        taken, model = _taken(step), self._model
-        assert taken.removal is not None
-        (xi, pushes, took_part, before), rows = taken.removal, taken.rows
-        nc, nh = len(rows.contacts), len(rows.held)
-        jacobian, normals = moved.rows.jacobian, rows.normals[took_part]
-        length, h = moved.length, taken.h
-        ends = 0.5 * h * moved.u_end[normals] + 0.5 * np.outer(taken.found.u_end[normals], length)
-        gaps = np.concatenate([ends, np.zeros((nh, len(length)))])
-        every = np.concatenate([normals, rows.held_normals])
-        gaps += jacobian[every] @ moved.middle
-        turned, world = np.zeros((len(jacobian), len(length))), np.zeros((nc + nh, 3))
-        motions = moved.rows.slopes.motions(xi)
-        for k, row in enumerate(moved.rows.slopes.rows):
-            turned[3 * k : 3 * k + 3] = row.slopes(motions) @ moved.middle
-        gaps += turned[every]
-        of_contacts = every < 3 * (nc + nh)
-        world[every[of_contacts] // 3, 2] = pushes[of_contacts]
-        acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(normals))
-        kept = jacobian[every[acts]]
-        bent = moved.rows.slopes.forces(world) @ moved.middle
-        bent -= RowSlopes(PlacedRobot(model, self._data, before), ()).of_mass(xi) @ by_q
-        solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
-        free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
-        impulses = limit_of_compliances(kept @ response, -(kept @ free + gaps[acts]), np.ones(len(kept)))
-        turn, push = pin.dIntegrate(model, before, xi)
-        return np.asarray(turn @ by_q + push @ (free + response @ impulses))
+    def _removed(self, by_q: Array, taken: StepTaken) -> Array:
+        """Return changes of q (nv, n) at the end of a step after overlap has been taken away. (D36)"""
+        model = self._model
+        for xi, pushes, before, rows, contacts, corners in taken.removals:
+            placed = PlacedRobot(model, self._data, before)
+            slopes, jacobian = RowSlopes(placed, contacts, corners), _dense(rows, len(xi))
+            of_contacts = 3 * (len(rows.contacts) + len(rows.held))
+            every = np.concatenate([rows.normals, rows.held_normals])
+            acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(rows.normals))
+            turned, world = np.zeros_like(jacobian), np.zeros((of_contacts // 3, 3))
+            motions = slopes.motions(xi)
+            for k, row in enumerate(slopes.rows):
+                turned[3 * k : 3 * k + 3] = row.slopes(motions)
+            pushing = every < of_contacts
+            world[every[pushing] // 3, 2] = pushes[pushing]
+            kept = jacobian[every[acts]]
+            bent = (slopes.forces(world) - slopes.of_mass(xi)) @ by_q
+            solved = np.linalg.solve(self._mass(before), np.column_stack([bent, kept.T]))
+            free, response = solved[:, : bent.shape[1]], solved[:, bent.shape[1] :]
+            opened = -(kept @ (free + by_q) + turned[every[acts]] @ by_q)
+            impulses = limit_of_compliances(kept @ response, opened, np.ones(len(kept)))
+            turn, push = pin.dIntegrate(model, before, xi)
+            by_q = turn @ by_q + push @ (free + response @ impulses)
+        return by_q
 
 
 def _taken(step: DenseStep) -> StepTaken:

@@ -18,19 +18,22 @@ Bools = NDArray[np.bool_]
 
 
 class Removal(NamedTuple):
-    """How overlap is taken away at the end of a step.
+    """A displacement that takes away overlap at the end of a step.
 
     Attributes:
         displacement: (nv,) ξ.
-        pushes: z, along `StepRows.normals` of what has taken part, then of held contacts [kg m or kg m²].
-        took_part: (nc + nl,) which of `StepRows.normals` have.
+        pushes: z, along `StepRows.normals`, then of held contacts [kg m or kg m²].
         before: (nq,) the configuration before.
+        rows: The rows there.
+        contacts, corners: As in `StepTaken`, of these.
     """
 
     displacement: Array
     pushes: Array
-    took_part: Bools
     before: Array
+    rows: StepRows
+    contacts: tuple[Contact, ...]
+    corners: Mapping[int, Corner]
 
 
 @dataclass(slots=True, eq=False)
@@ -51,7 +54,7 @@ class StepTaken:
         arriving: Numbers of the near contacts, and limits past those, that touch where it is cut.
         struck: Of contacts of two shapes that touch where it is cut, by number.
         touching: Gap up to which contacts touch [m].
-        removal: Of overlap at the end, if there was any.
+        removals: Of overlap at the end, one after another.
     """
 
     h: float
@@ -68,4 +71,4 @@ class StepTaken:
     touching: float
     arriving: tuple[int, ...] = ()
     struck: Mapping[int, Corner] = field(default_factory=dict)
-    removal: Removal | None = None
+    removals: list[Removal] = field(default_factory=list)

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from .._numeric.proximal_newton import VelocityProblem
 from ..errors import IrregularMotionError
+from ..robot.contact import Contact
+from ..robot.corner_motion import Corner
 from ..robot.forest import mass_matrix, potential_energy
 from ..robot.pinocchio_bridge import kinetic_energy
 from ._kernels.falling_asleep import trees_at_rest
-from ._kernels.midpoint_step import midpoint_step, near_rows
+from ._kernels.midpoint_step import midpoint_step, near_rows, rows_at
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
@@ -62,10 +64,13 @@ FAILED = 0.1
 ROUGH = 1e-6
 """Part of an overlap that may be left when it is taken away."""
 
+MOST_REMOVALS = 10
+"""Displacements at the end of a step; what overlaps after that is left to the next step."""
+
 REST = 1e-5
 """Part of the resting speed up to which velocities are none: what the contact problem leaves at rest."""
 
-_NONE = np.empty(0)
+_NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
 
 
 class TimeStepping(Integrator):
@@ -158,40 +163,11 @@ class TimeStepping(Integrator):
         self._faces.place(middle, v, h)
         if self.dynamics.driven:
             self.dynamics.set_saturation(middle, v)
-        rows = self._rows(middle, v, h)
-        softened = self._softening(h)
-        self._invert(middle, softened)
-        system = StepSystem(
-            *(self._mass, self._inverse, softened, self._tree),
-            *(self._rest.joints, self._bounces, self._compliances),
-        )
-        found = _empty_result(rows, len(v))
-        state.warm_start, state.pushed = np.array(state.warm_start), np.array(state.pushed)
-        off, share, lost, overlap = midpoint_step(
-            *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf),
-            *(system, rows, state.warm_start, state.pushed, found),
-        )
-        self.dynamics.check()
-        if not np.isfinite(found.v_end).all():
-            raise IrregularMotionError(
-                f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
-                "for instance with gains that are too high for its period",
-                field="scene",
-            )
-        if off > FAILED:
-            raise IrregularMotionError(
-                f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
-                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help",
-                field="scene",
-            )
-        if off > max(USABLE, state.unsolved):
-            if state.unsolved == 0.0:
-                self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
-            state.unsolved = off
+        rows, system, found, (share, lost, overlap) = self._solve(t, h, middle, strikes)
         step, axes = self._dense(t, h, system, rows, found)
         step.end = t + share * h
         if self.record.keeps_steps:
-            step.taken = self._taken(h, (middle, softened, pushed), axes, rows, found)
+            step.taken = self._taken(h, (middle, system.softened, pushed), axes, rows, found)
         self.record.modes.update(t, self.work.modes, self.work.drive_side)
         self.record.dense_steps.append(step)
         if self.events:
@@ -216,13 +192,73 @@ class TimeStepping(Integrator):
         active = ~found.arrives
         moved = self._no_change
         if overlap > self._touching:
-            moved = self._project(step, rows, active, found.gap_end)
+            moved = self._project(step, h, overlap)
         if self._continuous is None:
             self._let_rest(step, rows, active, (v, found.v_end, moved / h))
             if step.taken is not None:
                 step.taken.stopped |= self._rest.joints[self.work.velocity_joint]
         state.v = found.v_end
         return False
+
+    def _solve(
+        self, t: float, h: float, middle: Array, strikes: bool
+    ) -> tuple[StepRows, StepSystem, StepResult, tuple[float, float, float]]:
+        """Solve the equations of a step, whose rows include all that would overlap at its end without them.
+
+        Args:
+            t: Its start [s].
+            h: Its length [s].
+            middle: (nq,) configuration at its midpoint.
+            strikes: As of `_take`.
+
+        Returns:
+            Its rows, matrices and result, and what `close_gaps` returns.
+        """
+        state, v, slack = self.state, self.state.v, SLACK * h * h * self._gravity
+        softened, pushed = self._softening(h), state.pushed
+        self._invert(middle, softened)
+        system = StepSystem(
+            *(self._mass, self._inverse, softened, self._tree),
+            *(self._rest.joints, self._bounces, self._compliances),
+        )
+        state.warm_start = np.array(state.warm_start)
+        rows = self._rows(middle, v, h, slack, self._faces.boxes)
+        while True:
+            found, state.pushed = _empty_result(rows, len(v)), np.array(pushed)
+            off, *ends = midpoint_step(
+                *(self.work, t + 0.5 * h, h, middle, v, self._touching if strikes else math.inf),
+                *(system, rows, state.warm_start, state.pushed, found),
+            )
+            self.dynamics.check()
+            self._check(t, off, found)
+            if not found.impulse.any():
+                break
+            # impulses may drive points in that were not near before
+            known = rows.near(self.work.contacts)
+            driven = self._numbers(middle, found.v_end, h, -self._touching, False)
+            if np.isin(driven, known).all():
+                break
+            rows = self._rows(middle, v, h, slack, False, np.union1d(known, driven))
+        if off > max(USABLE, state.unsolved):
+            if state.unsolved == 0.0:
+                self.instant.note(f"A contact problem was solved only to {off:.2g} of its velocities.")
+            state.unsolved = off
+        return rows, system, found, (ends[0], ends[1], ends[2])
+
+    def _check(self, t: float, off: float, found: StepResult) -> None:
+        """Refuse a step without a solution: velocities beyond all numbers, a contact problem not solved."""
+        if not np.isfinite(found.v_end).all():
+            raise IrregularMotionError(
+                f"scene: the velocities grow beyond all numbers at t = {t:.6g} s; a control may be unstable, "
+                "for instance with gains that are too high for its period",
+                field="scene",
+            )
+        if off > FAILED:
+            raise IrregularMotionError(
+                f"scene: the contact problem of the time step at t = {t:.6g} s is not solved: the "
+                f"impulses violate Coulomb's law by {off:.2g} of its velocities; another dt may help",
+                field="scene",
+            )
 
     def _let_rest(
         self,
@@ -251,14 +287,30 @@ class TimeStepping(Integrator):
         if step.closed is not None and self._rest.begin(islands, step.closed):
             velocities[1][islands[self._tree] >= 0] = 0.0
 
-    def _rows(self, q: Array, v: Array, h: float) -> StepRows:
-        """Return the rows of what may close within a step, not filled as yet."""
-        work = self.work
-        slack = SLACK * h * h * self._gravity
-        near, held, dry, rest = self._near, self._held, self._dry, self._rest
-        placed = self._faces.boxes  # at this state
+    def _numbers(self, q: Array, v: Array, h: float, slack: float, placed: bool) -> Integers:
+        """Return the numbers of contacts, and of limits past those, that may close within a step.
+
+        Args:
+            q: (nq,) configuration at the midpoint.
+            v: (nv,) velocity.
+            h: Length of the step [s].
+            slack: What gaps may close by beside their rates [m or rad].
+            placed: Whether kinematics are those of this state already.
+        """
+        near, joints = self._near, self._rest.joints
+        return near[: near_rows(self.work, q, v, h, slack, self._faces.idle, joints, placed, near)]
+
+    def _rows(
+        self, q: Array, v: Array, h: float, slack: float, placed: bool, others: Integers = _NO_NUMBERS
+    ) -> StepRows:
+        """Return the rows of what may close within a step, not filled as yet.
+
+        Arguments are those of `_numbers`, with the numbers of others that count.
+        """
+        work, held, dry, rest = self.work, self._held, self._dry, self._rest
         while True:
-            found = near[: near_rows(work, q, v, h, slack, self._faces.idle, rest.joints, placed, near)]
+            found = self._numbers(q, v, h, slack, placed)
+            found = np.union1d(found, others) if len(others) else found
             first = int(np.searchsorted(found, work.contacts))
             contacts, limits = found[:first].copy(), found[first:] - work.contacts
             if not rest:
@@ -322,44 +374,70 @@ class TimeStepping(Integrator):
         found: StepResult,
     ) -> StepTaken:
         """Return what a step was computed from: configuration at its midpoint, what softens, `pushed`, …."""
-        work, contacts, (q, softened, pushed) = self.work, self.dynamics.contacts, matrices
+        work, (q, softened, pushed) = self.work, matrices
         assert pushed is not None
         follows = np.zeros(len(softened), dtype=bool)
         follows[work.drive_velocity] = work.drive_side[work.drive_velocity] == 0
-        near = tuple(contacts[i] for i in (*rows.contacts, *rows.held))
-        every = self._faces.corners()
-        corners = {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every}
+        near, corners = self._contacts_of(rows)
         kept = found._replace(v_end=found.v_end.copy(), predicted=found.predicted.copy())
         rests = self._rest.joints[work.velocity_joint]
         given = h, q, softened, pushed, follows, rests, near, corners, axes
         return StepTaken(*given, rows, kept, self._touching)
 
-    def _project(self, step: DenseStep, rows: StepRows, active: NDArray[np.bool_], gap: Array) -> Array:
-        """Take away what overlaps at the end of a step, by the least displacement (nv,) in the metric of M.
+    def _contacts_of(self, rows: StepRows) -> tuple[tuple[Contact, ...], dict[int, Corner]]:
+        """Return the contacts of some rows, and by place what those of two shapes stand for now."""
+        every = self._faces.corners()
+        near = tuple(self.dynamics.contacts[i] for i in (*rows.contacts, *rows.held))
+        return near, {k: every[i] for k, i in enumerate(rows.contacts.tolist()) if i in every}
+
+    def _project(self, step: DenseStep, h: float, depth: float) -> Array:
+        """Take away what overlaps at the end of a step; return the displacement (nv,).
+
+        It is the least one in the metric of M for the gaps as they are; where it brings other points into
+        contact, or gaps are not linear, it is followed by another one. (theory.md, 16)
 
         Args:
             step: The step, which ends where it is taken away.
-            rows: Its rows.
-            active: (nc + nl,) contacts and limits that took part.
-            gap: (nc + nl,) gaps at the end [m or rad].
+            h: Its length [s].
+            depth: The largest overlap [m or rad].
         """
-        correction = np.empty(self.model.nv)
-        self._invert(self.state.q, np.zeros(self.model.nv))
-        normals = np.concatenate([rows.normals[active], rows.held_normals])
-        free = np.concatenate([gap[active], rows.off])
+        state, nv = self.state, self.model.nv
+        moved, before = np.zeros(nv), self._energy(state.q, state.v)
+        for _ in range(MOST_REMOVALS):
+            self._faces.place(state.q, state.v, h)
+            still = np.zeros(nv)
+            if not len(self._held) and not len(self._numbers(state.q, still, h, -self._touching, False)):
+                break
+            rows = self._rows(state.q, still, h, depth, True)
+            rows_at(self.work, state.q, state.v, rows)
+            places = rows.gap_places
+            depth = max(-rows.gap[places].min(initial=0.0), np.abs(rows.off).max(initial=0.0))
+            if depth <= self._touching:
+                break
+            correction, pushes = self._least_displacement(rows, places)
+            if step.taken is not None:
+                step.taken.removals.append(
+                    Removal(correction, pushes, state.q, rows, *self._contacts_of(rows))
+                )
+            state.q = pin.integrate(self.model, state.q, correction)
+            moved += correction
+        state.impact_energy += self._energy(state.q, state.v) - before
+        step.coefficients[0, :nv] += moved
+        return moved
+
+    def _least_displacement(self, rows: StepRows, places: Integers) -> tuple[Array, Array]:
+        """Return the displacement (nv,) that opens gaps, held ones to zero, and the pushes of their rows."""
+        correction, nothing = np.zeros((2, self.model.nv))
+        self._invert(self.state.q, nothing)
+        numbers = np.concatenate([rows.normals, rows.held_normals])
+        free, pushes = np.concatenate([rows.gap[places], rows.off]), np.empty(len(numbers))
         upper = np.full(len(free), math.inf)
-        lower = np.where(np.arange(len(free)) < active.sum(), 0.0, -math.inf)
-        jacobian = rows.values[normals], rows.columns[normals], rows.counts[normals]
+        lower = np.where(np.arange(len(free)) < len(places), 0.0, -math.inf)
+        jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
         problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
-        every, nothing, pushes = np.ones(len(free), dtype=bool), np.zeros(self.model.nv), np.empty(len(free))
-        step_impulses(problem, every, self._tree, ROUGH, nothing, correction, pushes)
-        if step.taken is not None:
-            step.taken.removal = Removal(correction, pushes, active, self.state.q)
-        before = self._energy(self.state.q, self.state.v)
-        self.state.q = pin.integrate(self.model, self.state.q, correction)
-        self.state.impact_energy += self._energy(self.state.q, self.state.v) - before
-        step.coefficients[0, : self.model.nv] += correction
-        return correction
+        every = np.ones(len(free), dtype=bool)
+        step_impulses(problem, every, self._tree, ROUGH, nothing.copy(), correction, pushes)
+        return correction, pushes
 
     def _energy(self, q: Array, v: Array) -> float:
         """Return the kinetic and the potential energy [J]."""

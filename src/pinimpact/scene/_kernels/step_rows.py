@@ -35,11 +35,21 @@ class StepRows(NamedTuple):
     surface: FloatRows
     gap: Floats
 
+    def near(self, contacts: int) -> Integers:
+        """Return the numbers of contacts, and of limits past those, which are so many."""
+        return np.concatenate([self.contacts, self.limits + contacts])
+
     @property
     def normals(self) -> Integers:
         """(nc + nl,) The rows along the normals of contacts, and those of limits."""
         nc, nh = len(self.contacts), len(self.held)
         return np.concatenate([3 * np.arange(nc) + 2, 3 * (nc + nh) + np.arange(len(self.limits))])
+
+    @property
+    def gap_places(self) -> Integers:
+        """(nc + nl,) Where the gaps of contacts and limits stand in `gap`."""
+        nc, nh = len(self.contacts), len(self.held)
+        return np.concatenate([np.arange(nc), nc + nh + np.arange(len(self.limits))])
 
     @property
     def held_normals(self) -> Integers:
