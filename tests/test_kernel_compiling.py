@@ -467,8 +467,7 @@ def test_memory_is_released_once() -> None:
 
 @inlined
 def sums_of_rows(rows, out):
-    rows, out = borrowed(rows), borrowed(out)
-    parts = Pair(out, 1.0)
+    rows, parts = borrowed((rows, Pair(out, 1.0)))
     for k in range(len(rows)):
         row = rows[k]
         parts = Pair(parts.kept[1:] if k > 0 else parts.kept, parts.factor + k)

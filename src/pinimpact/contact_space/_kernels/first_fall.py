@@ -84,12 +84,12 @@ def first_fall(c, degree, h, zero, rows):
         for j in range(n + 1):
             right[j] = rest[j]
         lowest, changes = rest[0], 0
-        for r in range(n + 1):  # de Casteljau's scheme
-            left[r] = right[0]
+        for r in range(n + 1):  # de Casteljau's scheme, which leaves the whole interval as it is
+            left[r] = right[0] if part < 1.0 else rest[r]
             lowest = min(lowest, left[r])
             if r > 0 and (left[r] < 0.0) != (left[r - 1] < 0.0):
                 changes += 1
-            for i in range(n - r):
+            for i in range(n - r if part < 1.0 else 0):
                 right[i] += part * (right[i + 1] - right[i])
         width = part * (1.0 - start)
         if lowest >= -noise:
