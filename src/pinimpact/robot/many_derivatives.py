@@ -90,17 +90,22 @@ class RowSlopes:
         placed: The robot at its configuration.
         contacts: The k contacts.
         corners: By place among these: of contacts of two shapes, the corners that they stand for.
+        spare: A Data of the model, of which nothing else is read.
 
     Raises:
         InputError: A corner whose motion is not known.
     """
 
     def __init__(
-        self, placed: PlacedRobot, contacts: Sequence[Contact], corners: Mapping[int, Corner] | None = None
+        self,
+        placed: PlacedRobot,
+        contacts: Sequence[Contact],
+        corners: Mapping[int, Corner] | None = None,
+        spare: pin.Data | None = None,
     ) -> None:
         model, corners = placed.model, corners or {}
         self._placed, self._tree = placed, Tree.of(placed)
-        self._data = model.createData()
+        self._data = model.createData() if spare is None else spare
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
         contacts = [corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)]
         self.axes, self.rows = self.of(contacts, True)

@@ -86,7 +86,8 @@ class StepSlopes:
 
     def __init__(self, dynamics: SceneDynamics, model: pin.Model, parameters: Sequence[Parameter]) -> None:
         check_joints(model)
-        self._work, self._model, self._data = dynamics.work, model, model.createData()
+        self._work, self._model = dynamics.work, model
+        self._data, self._spare = model.createData(), model.createData()
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
         self._parameters = tuple(parameters)
         self.boundary = Boundary.NONE
@@ -269,7 +270,7 @@ class StepSlopes:
         """Return the rows of a step, which starts with v, with their changes."""
         jacobian = _dense(taken.rows, len(v))
         placed = PlacedRobot(self._model, self._data, taken.middle)
-        slopes = RowSlopes(placed, taken.contacts, taken.corners)
+        slopes = RowSlopes(placed, taken.contacts, taken.corners, self._spare)
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end = np.zeros((2, len(jacobian), middle.shape[1]))
         for out, velocity in ((start, v), (end, taken.found.v_end)):
@@ -337,7 +338,8 @@ class StepSlopes:
         model = self._model
         for xi, pushes, before, rows, contacts, corners in taken.removals:
             placed = PlacedRobot(model, self._data, before)
-            slopes, jacobian = RowSlopes(placed, contacts, corners), _dense(rows, len(xi))
+            slopes = RowSlopes(placed, contacts, corners, self._spare)
+            jacobian = _dense(rows, len(xi))
             of_contacts = 3 * (len(rows.contacts) + len(rows.held))
             every = np.concatenate([rows.normals, rows.held_normals])
             acts = (pushes > 0.0) | (np.arange(len(pushes)) >= len(rows.normals))
