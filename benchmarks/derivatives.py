@@ -13,6 +13,7 @@ two steps. With --keep the counts of impacts are written to docs/figures.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections import Counter
 from dataclasses import replace
@@ -265,7 +266,7 @@ def cost() -> None:
         )
 
 
-def standing() -> tuple[pinimpact.Stepper, Any]:
+def standing(scheme: str) -> tuple[pinimpact.Stepper, Any]:
     """Return a solo12 on four feet, and its control."""
     robot = pinimpact.load_robot("solo12")
     model, data, q = robot.model, robot.data, pin.neutral(robot.model)
@@ -274,7 +275,7 @@ def standing() -> tuple[pinimpact.Stepper, Any]:
     pin.framesForwardKinematics(model, data, q)
     q[2] -= min(data.oMf[model.getFrameId(foot)].translation[2] for foot in feet)
     contacts = [pinimpact.Contact(foot, pinimpact.Plane(), friction=0.6) for foot in feet]
-    stepper = pinimpact.Stepper(pinimpact.Scene(model, contacts), q, np.zeros(model.nv))
+    stepper = pinimpact.Stepper(pinimpact.Scene(model, contacts), q, np.zeros(model.nv), scheme=scheme)
 
     def control() -> np.ndarray:
         return np.append(np.zeros(6), 20.0 * (q[7:] - stepper.q[7:]) - 0.5 * stepper.v[6:])
@@ -282,23 +283,24 @@ def standing() -> tuple[pinimpact.Stepper, Any]:
     return stepper, control
 
 
-def swinging() -> tuple[pinimpact.Stepper, Any]:
+def swinging(scheme: str) -> tuple[pinimpact.Stepper, Any]:
     """Return a Panda that swings above a floor, and its control."""
     robot = pinimpact.load_robot("panda")
     floor = pinimpact.Plane(point=(0.0, 0.0, -1.0))
     scene = pinimpact.Scene(robot, pinimpact.Contact(FRAMES["panda"], floor), without=["joint limits"])
-    stepper = pinimpact.Stepper(scene, robot.q0, np.zeros(9))
+    stepper = pinimpact.Stepper(scene, robot.q0, np.zeros(9), scheme=scheme)
     return stepper, lambda: 5.0 * np.sin(100.0 * stepper.t + np.arange(9))
 
 
 def cost_of_steps() -> None:
     """Print what the derivatives of a step of 1 ms cost, over that step and over steps in a row."""
-    for name, make in (("solo12 on four feet", standing), ("Panda in flight", swinging)):
+    scenes = ("solo12 on four feet", standing), ("Panda in flight", swinging)
+    for (name, make), scheme in itertools.product(scenes, ("auto", "time-stepping")):
         best = np.full(3, np.inf)
         for _ in range(5):
             times = np.empty((3, 100))
             for alone in (True, False):
-                stepper, control = make()
+                stepper, control = make(scheme)
                 stepper.linearize(control(), 1e-3)
                 for k in range(100):
                     tau, begun = control(), time.perf_counter()
@@ -310,7 +312,7 @@ def cost_of_steps() -> None:
             best = np.minimum(best, 1e6 * np.median(times, axis=1))
         linear, step, alone_step = best.tolist()
         print(
-            f"{name}: step {step:.0f} µs, linearize {linear:.0f} µs, {linear / step:.1f} × "
+            f"{name}, {scheme}: step {step:.0f} µs, linearize {linear:.0f} µs, {linear / step:.1f} × "
             f"({linear / alone_step:.1f} × {alone_step:.0f} µs of steps without it)"
         )
 
