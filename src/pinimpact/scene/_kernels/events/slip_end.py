@@ -30,16 +30,10 @@ value_at, first_fall, root = sampled(value), search_for_fall(value), search_for_
 
 
 @inlined
-def least_reversal(work, speed):
-    """Return the speed of a reversal that is no rounding, nor the error of a step, of slip of some speed."""
-    return max(behind(work), min(work.atol + work.rtol * speed, 0.1 * work.stick_speed))
-
-
-@inlined
 def first_against(work, k):
     """Return the first time within a step of `step_radau` at which slip goes against its friction."""
     slip, times = work.sample_slip, work.sample_times
-    least = least_reversal(work, abs(slip[0, k]))
+    least = behind(work)
     for i in range(1, work.samples - 1):
         if slip[i, k] < -least:
             return work.step_start + times[i] * work.step_length
@@ -84,8 +78,7 @@ def first(work, end):
         else:
             if clear_of_zero(work.sample_times, work.sample_slip[:, k], work.samples):
                 continue
-            speed = max(abs(work.sample_slip[0, k]), abs(end_speed))
-            found = first_fall(work, k, end, least_reversal(work, speed))
+            found = first_fall(work, k, end, behind(work))
         if found < end:
             time, end, which = found, found, k
     return time, which
