@@ -109,7 +109,9 @@ def check_joints(model: pin.Model) -> None:
 def _restitution(
     model: pin.Model, data: pin.Data, q: ArrayLike, v: ArrayLike, contact: Contact
 ) -> tuple[float, float]:
-    """Return e that is a function at the approach speed, and de/d(approach speed)."""
+    """Return e, at the approach speed where it is a function, and de/d(approach speed)."""
+    if not callable(contact.restitution):
+        return float(contact.restitution), 0.0
     cache = data_cache(model, data)
     velocity = contact_geometry(model, data, q, contact).velocity(finite_array("v", v, cache.v_shape))
     speed = max(-float(velocity[2]), 0.0)
@@ -259,9 +261,8 @@ def _differentiated(
     model = model_of(model)
     if held or contact.rim > 0.0:
         check_rims(PlacedRobot(model, data, q), (contact, *held))
-    e = _restitution(model, data, q, v, contact)
+    e, cache = _restitution(model, data, q, v, contact), data_cache(model, data)
     if not (held or locked):
-        cache = data_cache(model, data)
         work = strike(cache, model, data, contact)[1]
         if work is not None:
             block = np.empty((cache.nv + 3, 2 * cache.nv + kernel.MORE))

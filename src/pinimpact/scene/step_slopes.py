@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 DRIFTS = 1e-2
-"""Part of a change by which that of a closed gap may be more than zero: steps let it drift, by some h ω."""
+"""Part of a change by which that of a closed gap may be more than zero: constraint drift, some h ω."""
 
 
 class _Rows(NamedTuple):
