@@ -79,6 +79,15 @@ def test_every_equation_that_is_cited_exists() -> None:
     assert missing == {}
 
 
+def test_every_equation_of_derivatives_that_is_cited_exists_once() -> None:
+    page = (DOCS / "derivatives.md").read_text(encoding="utf-8")
+    tags = re.findall(r"\\tag\{(D\d+)\}", page)
+    assert len(tags) == len(set(tags)) > 30
+    places = [*DOCS.rglob("*.md"), *(ROOT / "src").rglob("*.py"), *(ROOT / "tests").glob("*.py")]
+    cited = {number for path in places for number in re.findall(r"\b(D\d{1,2})\b", prose_of(path))}
+    assert {number for number in cited if int(number[1:]) >= 3} <= set(tags)
+
+
 def test_equations_stand_in_their_sections_in_order_of_sections() -> None:
     theory = (DOCS / "theory.md").read_text(encoding="utf-8")
     sections = re.split(r"^## (\d+)\. ", theory, flags=re.MULTILINE)[1:]

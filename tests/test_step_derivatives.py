@@ -113,6 +113,18 @@ def test_a_block_that_slides_loses_speed_as_friction_says():
     assert np.isclose(across @ found.state[6:8, 6:8] @ across, 1.0 - 0.3 * 9.81 * t, rtol=2e-3)
 
 
+def test_friction_of_its_own_in_sustained_contact_is_no_friction_of_impacts():
+    model, q = box(), pin.neutral(box())
+    q[2] = 0.15
+    contacts = [replace(one, sliding_friction=0.2) for one in corners(0.3, 0.0)]
+    names = [f"friction:{contact.label}" for contact in Scene(model, contacts).contacts]
+    run = simulate(
+        Scene(model, contacts), q, [1.0, 0, 0, 0, 0, 0], 0.05, scheme="time-stepping", sensitivities=names
+    )
+    assert run.v[-1][0] == pytest.approx(1.0 - 0.2 * 9.81 * 0.05, rel=1e-6)
+    assert all((by == 0.0).all() for by in run.sensitivity(0.05).parameters.values())
+
+
 def test_a_box_at_rest_keeps_its_place():
     model, q = box(), pin.neutral(box())
     q[2] = 0.15

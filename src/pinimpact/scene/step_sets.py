@@ -165,7 +165,7 @@ def active_sets(
 
 
 def limit_of_compliances(matrix: Array, velocities: Array, compliances: Array) -> Array:
-    """Return impulses (m, n) that cause velocities, in the limit of small compliances. (D33)
+    """Return impulses (m, n) that cause velocities, in the limit of small compliances. (D37)
 
     Args:
         matrix: (m, m) velocities by the impulses, of any rank.

@@ -89,7 +89,9 @@ class StepSlopes:
         self._work, self._model = dynamics.work, model
         self._data, self._spare = model.createData(), model.createData()
         self._compliances = np.array([1.0 / c.stiffness for c in dynamics.contacts])
-        self._parameters = tuple(parameters)
+        # what has a friction of its own in sustained contact does not depend on that of impacts
+        own = [contact.sliding_friction is not None for contact in dynamics.contacts]
+        self._parameters = tuple(None if own[p.contact] else p for p in parameters)
         self.boundary = Boundary.NONE
         self._frames = [row for row in dynamics.work.joint_charts.tolist() if row[0] in (RIGID, PLANAR)]
         self._carried = np.zeros(model.nv, dtype=bool)
@@ -168,7 +170,7 @@ class StepSlopes:
     # ---- the equations of a step
 
     def _differentiate(self, x: Array, step: DenseStep, force: Array) -> _Moved:
-        """Return the changes over a step; NaN where a tie makes a difference. (D33)"""
+        """Return the changes over a step; NaN where a tie makes a difference. (D37)"""
         taken, nv, h, v = _taken(step), len(step.v), step.h, step.v
         found, softened, q = taken.found, taken.softened, taken.middle
         by_q, by_v, by_pushed, length = x[:nv], x[nv : 2 * nv], x[2 * nv : 3 * nv], -x[3 * nv]
@@ -226,7 +228,7 @@ class StepSlopes:
         matrices: tuple[Array, Array],
         changes: tuple[Array, Array, Array],
     ) -> _Moved:
-        """Return the changes over a step, from those of the forces at given velocities and impulses. (D33)"""
+        """Return the changes over a step, from those of the forces at given velocities and impulses. (D37)"""
         (total, softer), (middle, known, length) = matrices, changes
         jacobian, found, h = rows.jacobian, taken.found, taken.h
         own = found.impulse[: 3 * len(rows.turns)].reshape(-1, 1, 3) @ rows.turns
