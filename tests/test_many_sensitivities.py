@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,6 +13,7 @@ from pinimpact import Boundary, Contact, Plane, Scene, Stepper, simulate
 
 from .robot_cases import load
 from .test_sensitivities import FREE, agrees, modes
+from .test_step_derivatives import two_boxes
 
 pytestmark = pytest.mark.filterwarnings("ignore::pinimpact.JointLimitWarning")
 
@@ -169,3 +172,30 @@ def test_linearize_through_it():
     assert np.linalg.norm(A @ dx + B @ du - expected) < 1e-6 * np.linalg.norm(expected)
     run = simulate(scene, q, v, 0.01)
     assert groups(run)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("what", ["edges", "corner on face"])
+def test_a_box_strikes_another_that_stands(what, restitution):
+    # both contacts take part: that of the boxes, and the ball below the lower one
+    places, turns = {
+        "edges": ([(0, 0, 0.2), (0.07, 0.03, 0.45)], [(0, 0.8, 0.1), (0.8, 0, 0)]),
+        "corner on face": ([(0, 0, 0.2), (0.02, 0.01, 0.43)], [(0, 0, 0.1), (0.5, 0.6, 0.1)]),
+    }[what]
+    scene, q = two_boxes(places, turns, restitution)
+    ball = Contact("box 0", Plane((0, 0, 0.17)), friction=0.5, restitution=0.2, radius=0.03, name="ball")
+    scene = replace(scene, contacts=[*scene.contacts, ball])
+    v, model = np.array([0.0] * 6 + [0.3, 0.1, -2.9, 0.1, 0.2, 0.3]), scene.model
+    options = {"scheme": "event-driven", "rtol": 1e-11, "atol": 1e-13}
+    run = simulate(scene, q, v, 0.03, sensitivities="state", **options)
+    assert {impact.source for impact in run.impacts} == {"box 1 on box 0", "ball"}
+    towards = np.zeros(24)
+    towards[[*range(6, 12), *range(18, 24)]] = np.random.default_rng(0).normal(size=12)
+    ends = []
+    for s in (-2, -1, 1, 2):
+        e = 1e-5 * s * towards
+        end = simulate(scene, pin.integrate(model, q, e[:12]), v + e[12:], 0.03, **options)
+        ends.append(np.concatenate([pin.difference(model, run.q[-1], end.q[-1]), end.v[-1]]))
+    a, b, c, d = ends
+    expected = (a - 8 * b + 8 * c - d) / 12e-5
+    assert np.allclose(run.sensitivity(0.03).state @ towards, expected, atol=1e-8 * np.abs(expected).max())

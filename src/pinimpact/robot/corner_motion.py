@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,8 @@ from ..geometry.convex_shape import PlacedShape
 from ..geometry.tolerances import COINCIDE
 from ._kernels import configuration_slopes as places
 from .contact import Contact
-from .shape_pair import ShapePair, point_contact
+from .placed_robot import PlacedRobot
+from .shape_pair import ShapePair, closest_points, point_contact
 
 Array = NDArray[np.float64]
 
@@ -75,6 +76,26 @@ class Corner(NamedTuple):
             )
         shifts[:, :3] = moved
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
+
+
+def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
+    """Return where two shapes are closest, with the contact at each place; none where features meet.
+
+    Args:
+        robot: The robot or its model.
+        data: Its data; ``data.oMi`` is up to date afterwards.
+        q: (nq,) configuration.
+        pair: The two shapes.
+    """
+    places = closest_points(robot, data, q, pair)
+    found, placed = [], PlacedRobot(robot, data, q)
+    for touch, instant, lasting, _ in (place[0] for place in places if len(place) == 1):
+        if lasting is None:
+            continue
+        n = placed.geometry(instant).axes[2]
+        ends = touch.point - pair.a.shape.radius * n, touch.other + pair.b.shape.radius * n
+        found.append((Corner(pair, n, *ends), instant))
+    return found
 
 
 def _motions(columns: Array, carried: Array) -> tuple[Array, Array]:

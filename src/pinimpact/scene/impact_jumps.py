@@ -16,7 +16,7 @@ from ..contact_space.many_inputs import many_inputs
 from ..contact_space.problem import ImpactProblem
 from ..contact_space.simultaneous import find_policy
 from ..errors import InputError
-from ..robot.corner_motion import Corner
+from ..robot.corner_motion import Corner, closest_corners
 from ..robot.derivatives import derivatives_at_point, slope_of_restitution
 from ..robot.many_derivatives import ManySlopes, coefficient_change
 from ..robot.matrices import contact_matrices
@@ -27,7 +27,7 @@ from ._kernels.contact_forces import SLIP
 from ._kernels.tolerances import REPRODUCED, ROUNDING
 from .dynamics import SceneDynamics
 from .islands import islands, tree_roots
-from .records import ImpactRecord
+from .records import ImpactGroup, ImpactRecord
 from .scene import Scene
 from .scene_impacts import matrices_of_all
 from .switched_off import held_contacts, locked_joints
@@ -96,13 +96,35 @@ class ImpactJumps:
         """
         group = None if record.group is None else record.group[0]
         if group is not None and (len(group.sources) > 1 or group.policy != "propagate"):
-            return GroupJump(self, record, modes, corners or {})
+            return GroupJump(
+                self, record, modes, self._corners(record, group) if corners is None else corners
+            )
         (number,), resting, law = self.sources(record), record.resting, None
         if group is not None:  # others that are closed are lifted
             resting, law = float(group.problem.restitution[0]) == 0.0, "energetic"
         if number >= len(self.dynamics.contacts):
             return self._of_limit(number - len(self.dynamics.contacts), record, resting)
         return self._of_contact(number, record, resting, law)
+
+    def _corners(self, record: ImpactRecord, group: ImpactGroup) -> dict[int, Corner]:
+        """Return what contacts of two shapes stand for in an impact, by number, where that is known."""
+        found: dict[int, Corner] = {}
+        left: dict[int, list[tuple[Corner, Array]]] = {}
+        for place, i in enumerate(group.sources):
+            basis = self.dynamics.contacts[i].pair if i < len(self.dynamics.contacts) else None
+            if basis is None:
+                continue
+            if id(basis) not in left:
+                pair, given = self.pairs[basis], (self.model, self.data, record.q)
+                left[id(basis)] = [
+                    (corner, contact_matrices(*given, contact).velocity(record.v_before))
+                    for corner, contact in closest_corners(*given, pair)
+                ]
+            velocity = np.asarray(group.problem.velocity)[place]  # tells which of them it is
+            off = [float(np.abs(own - velocity).max()) for _, own in left[id(basis)]]
+            if off:
+                found[i] = left[id(basis)].pop(int(np.argmin(off)))[0]
+        return found
 
     def _of_contact(self, number: int, record: ImpactRecord, resting: bool, law: str | None) -> SingleJump:
         """Return the derivatives of the impact of a contact, without restitution or by another law."""
