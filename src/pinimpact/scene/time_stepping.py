@@ -234,9 +234,11 @@ class TimeStepping(Integrator):
             if not found.impulse.any():
                 break
             # impulses may drive points in that were not near before
-            known = rows.near(self.work.contacts)
             driven = self._numbers(middle, found.v_end, h, -self._touching, False)
-            if np.isin(driven, known).all():
+            known = rows.near(self.work.contacts)
+            joined = np.zeros(len(self._near), dtype=bool)
+            joined[known] = True
+            if joined[driven].all():
                 break
             rows = self._rows(middle, v, h, slack, False, np.union1d(known, driven))
         if off > max(USABLE, state.unsolved):
@@ -402,13 +404,13 @@ class TimeStepping(Integrator):
             depth: The largest overlap [m or rad].
         """
         state, nv = self.state, self.model.nv
-        moved, before = np.zeros(nv), self._energy(state.q, state.v)
-        for _ in range(MOST_REMOVALS):
+        moved, still, before = np.zeros(nv), np.zeros(nv), self._energy_at(state.q)
+        for attempt in range(MOST_REMOVALS):
             self._faces.place(state.q, state.v, h)
-            still = np.zeros(nv)
-            if not len(self._held) and not len(self._numbers(state.q, still, h, -self._touching, False)):
+            unknown = attempt > 0 and not len(self._held)
+            if unknown and not len(self._numbers(state.q, still, h, -self._touching, False)):
                 break
-            rows = self._rows(state.q, still, h, depth, True)
+            rows = self._rows(state.q, still, h, depth, unknown)
             rows_at(self.work, state.q, state.v, rows)
             places = rows.gap_places
             depth = max(-rows.gap[places].min(initial=0.0), np.abs(rows.off).max(initial=0.0))
@@ -421,7 +423,7 @@ class TimeStepping(Integrator):
                 )
             state.q = pin.integrate(self.model, state.q, correction)
             moved += correction
-        state.impact_energy += self._energy(state.q, state.v) - before
+        state.impact_energy += self._energy_at(state.q) - before
         step.coefficients[0, :nv] += moved
         return moved
 
@@ -431,18 +433,19 @@ class TimeStepping(Integrator):
         self._invert(self.state.q, nothing)
         numbers = np.concatenate([rows.normals, rows.held_normals])
         free, pushes = np.concatenate([rows.gap[places], rows.off]), np.empty(len(numbers))
-        upper = np.full(len(free), math.inf)
-        lower = np.where(np.arange(len(free)) < len(places), 0.0, -math.inf)
+        lower, upper = np.zeros(len(free)), np.full(len(free), math.inf)
+        lower[len(places) :] = -math.inf
         jacobian = rows.values[numbers], rows.columns[numbers], rows.counts[numbers]
         problem = VelocityProblem(self._mass, self._inverse, *jacobian, free, _NONE, lower, upper, _NONE)
         every = np.ones(len(free), dtype=bool)
         step_impulses(problem, every, self._tree, ROUGH, nothing.copy(), correction, pushes)
         return correction, pushes
 
-    def _energy(self, q: Array, v: Array) -> float:
-        """Return the kinetic and the potential energy [J]."""
+    def _energy_at(self, q: Array) -> float:
+        """Return the energy with the present velocity [J], but for kinetic energy that q does not change."""
         model, data = self.model, self.data
-        return kinetic_energy(model, data, q, v) + potential_energy(model, data, q)
+        potential = potential_energy(model, data, q)
+        return potential if self._mass_constant else potential + kinetic_energy(model, data, q, self.state.v)
 
     # ---- impacts
 
