@@ -196,15 +196,19 @@ def test_two_moving_boxes_meet(what, restitution):
     assert np.abs(run.v[-1][:3] - (v + 0.05 * np.array([0, 0, -9.81] + 9 * [0]))[:3]).max() > 0.05  # they met
 
 
-def test_a_box_rests_on_another():
+@pytest.mark.parametrize("aligned", [False, True])
+def test_a_box_rests_on_another(aligned):
     places, turns = [(0, 0, 0.2), (0.03, 0.02, 0.3)], [(0, 0, 0.1), (0, 0, 0.35)]
+    if aligned:
+        places, turns = [(0, 0, 0.2), (0, 0, 0.3)], [(0, 0, 0), (0, 0, 0)]
     scene, q = two_boxes(places, turns, 0.0)
     floor = [Contact(geometry="box 0", plane=Plane((0, 0, 0.15)), friction=0.5)]
     scene = replace(scene, contacts=[*scene.contacts, *floor])
     columns = [0, 1, 5, 6, 7, 11]
     run = simulate(scene, q, np.zeros(12), 0.01, scheme="time-stepping", dt=1e-3, sensitivities="state")
-    state = run.sensitivity(0.01).state
-    assert np.allclose(state[:, columns], np.eye(24)[:, columns], atol=1e-8)
+    found = run.sensitivity(0.01)
+    assert np.allclose(found.state[:, columns], np.eye(24)[:, columns], atol=1e-8)
+    assert (Boundary.FEATURES_MEET in found.boundary) == aligned
 
 
 @pytest.mark.parametrize("scheme", ["time-stepping", "auto"])

@@ -43,13 +43,16 @@ class Corner(NamedTuple):
         touch = Touch("vertex-face", self.point + a.radius * n, self.other - b.radius * n, (0, 0))
         return point_contact(self.pair, data, (), n, touch, basis).instant
 
-    def follow(self, data: pin.Data, columns: Array, shifts: Array) -> None:
+    def follow(self, data: pin.Data, columns: Array, shifts: Array) -> bool:
         """Set in `shifts` how the corner and the normal move, which those of that contact fix to the shapes.
 
         Args:
             data: With joint placements up to date.
             columns: (6, nv) motions of the joints, at the origin of the world.
             shifts: (nv, SHIFT) of the contact, see `configuration_slopes`.
+
+        Returns:
+            Whether it is a vertex on an edge of the other shape, so that it moves in another way to one side.
 
         Raises:
             InputError: A rounded shape in contact with an edge or a corner: its motion is not known.
@@ -76,6 +79,8 @@ class Corner(NamedTuple):
             )
         shifts[:, :3] = moved
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
+        ends = (a, point, b, other), (b, other, a, point)
+        return any(_is_vertex(one, at) and _edge_at(two, foot) is not None for one, at, two, foot in ends)
 
 
 def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
@@ -112,6 +117,11 @@ def _is_of_face(shape: PlacedShape, normal: Array) -> bool:
     return len(shape.shape.faces) > 0 and bool((shape.normals @ normal).max() > 1.0 - ON_FACE)
 
 
+def _is_vertex(shape: PlacedShape, point: Array) -> bool:
+    distances = np.linalg.norm(shape.vertices - point, axis=1)
+    return bool(distances.min() <= _NEAR * COINCIDE * shape.shape.reach)
+
+
 def _edge_at(shape: PlacedShape, point: Array) -> Array | None:
     """Return the direction (3,) of an edge on which a point is, None if there is none."""
     ends = shape.vertices[shape.shape.edges]
@@ -138,10 +148,10 @@ def _over_face(
     normal: Array,
 ) -> Array | None:
     """Return how a corner of A's face within the sides of B's moves, (nv, 3); `other` is its foot on B."""
-    near, moved = _NEAR * COINCIDE, _at(of_a, point)
-    if np.linalg.norm(a.vertices - point, axis=1).min() <= near * a.shape.reach:
+    moved = _at(of_a, point)
+    if _is_vertex(a, point):
         return moved
-    if np.linalg.norm(b.vertices - other, axis=1).min() <= near * b.shape.reach:
+    if _is_vertex(b, other):
         facing = a.normals[int(np.argmin(a.normals @ normal))]
         carried = _at(of_b, point)  # along the normal with the face of A
         return carried + np.outer((moved - carried) @ facing / (facing @ normal), normal)

@@ -92,6 +92,11 @@ class RowSlopes:
         corners: By place among these: of contacts of two shapes, the corners that they stand for.
         spare: A Data of the model, of which nothing else is read.
 
+    Attributes:
+        axes: (3, 3) of each contact, as rows.
+        rows: Their rows.
+        features_meet: Whether a corner is a vertex of one shape on an edge of the other.
+
     Raises:
         InputError: A corner whose motion is not known.
     """
@@ -109,8 +114,11 @@ class RowSlopes:
         self._still = pin.computeGeneralizedGravityDerivatives(model, self._data, placed.q).copy()
         contacts = [corners[k].contact(placed.data, c) if k in corners else c for k, c in enumerate(contacts)]
         self.axes, self.rows = self.of(contacts, True)
-        for k, corner in corners.items():
+        ties = [
             corner.follow(placed.data, self._tree.J, self.rows[k].place.shifts)
+            for k, corner in corners.items()
+        ]
+        self.features_meet = any(ties)
 
     def of(self, contacts: Sequence[Contact], turns: bool) -> tuple[list[Array], list[_Row]]:
         """Return axes and rows of contacts, with components along the axes or in the world."""

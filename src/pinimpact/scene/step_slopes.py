@@ -273,6 +273,8 @@ class StepSlopes:
         jacobian = _dense(taken.rows, len(v))
         placed = PlacedRobot(self._model, self._data, taken.middle)
         slopes = RowSlopes(placed, taken.contacts, taken.corners, self._spare)
+        if slopes.features_meet:
+            self.boundary |= Boundary.FEATURES_MEET
         turns = taken.axes @ np.array(slopes.axes).reshape(-1, 3, 3).transpose(0, 2, 1)
         start, end = np.zeros((2, len(jacobian), middle.shape[1]))
         for out, velocity in ((start, v), (end, taken.found.v_end)):
