@@ -123,6 +123,7 @@ def test_forces_that_only_just_fit_at_the_start_of_a_motion_give_way_to_others()
     assert not unlawful(drawn.scene, trajectory, drawn.rtol, 1)
 
 
+@pytest.mark.exhaustive
 def test_a_joint_that_others_move_by_rounding_alone_rubs_as_its_force_says():
     """As a tip sticks, the angles of a URDF, written with seven digits, move the elbow by 10⁻⁷ rad/s.
 

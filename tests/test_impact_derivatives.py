@@ -489,3 +489,18 @@ def test_rows_for_a_controller(radius):
     assert np.allclose(b, after(np.zeros(9)), rtol=1e-13, atol=1e-15)
     with pytest.raises(pinimpact.InputError, match="dt"):
         pinimpact.impact_rows(MODEL, DATA, q, v, contact, 0.0)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("law", ["newton", "poisson", "energetic"])
+def test_a_robot_of_one_joint(friction, law):
+    # v⁺ = −e v; the joint moves along the normal, so that nothing moves sideways
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    contact = pinimpact.Contact("height", pinimpact.Plane(), friction, 0.5, law)
+    d = pinimpact.impact_derivatives(model, model.createData(), np.zeros(1), np.array([-3.0]), contact)
+    assert d.dv_dv[0, 0] == pytest.approx(-0.5, abs=1e-15)
+    assert d.dv_drestitution[0] == pytest.approx(3.0, abs=1e-14)
+    assert d.dv_dq[0, 0] == d.dv_dfriction[0] == 0.0

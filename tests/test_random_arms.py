@@ -365,7 +365,7 @@ def _weak_twice(rng):
 def test_impacts_weak_in_two_directions_are_right_in_contact_space():
     """Slip creeps with 1e-26 of the common forces, and v₃ changes by what is left of c − μbᵀσ."""
     rng = np.random.default_rng(2)
-    for _ in range(150):
+    for _ in range(60):
         problem, W, v = _weak_twice(rng)
         exact = solve_reference(W, v, problem.friction, problem.restitution, problem.law)
         solution = solve_impact(problem)

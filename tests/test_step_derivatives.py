@@ -94,6 +94,23 @@ def test_a_box_lands_on_a_corner_and_slides_or_turns_over_it(friction, restituti
     assert any(interval.mode in ("slip", "stick") for interval in run.modes) or run.impacts
 
 
+@pytest.mark.parametrize("height", [0.5 * 9.81 * 0.1**2, 0.0503])
+def test_a_ball_that_bounces_in_a_step_or_at_its_end(height):
+    # steps are exact in free fall: [[1, t], [0, 1]], and [[−e, 0], [−(1 + e) g/v, −e]] at the impact
+    model, e, g = pin.Model(), 0.5, 9.81
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "height")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.addJointFrame(joint)
+    scene = Scene(model, [Contact("height", Plane(), restitution=e)])
+    run = simulate(scene, [height], [0.0], 0.15, scheme="time-stepping", dt=1e-3, sensitivities="state")
+    found = run.sensitivity(0.15)
+    fall = np.sqrt(2.0 * height / g)
+    struck = np.array([[-e, 0.0], [-(1.0 + e) * g / (-g * fall), -e]])
+    before, after = (np.array([[1.0, t], [0.0, 1.0]]) for t in (fall, 0.15 - fall))
+    assert len(run.impacts) == 1
+    assert np.allclose(found.state, after @ struck @ before, rtol=1e-9)
+
+
 def test_a_block_that_slides_loses_speed_as_friction_says():
     # v = v° − μ g t, whatever the step: ∂v/∂μ = −g t along the slip, ∂x/∂μ = −g t²/2
     model, q = box(), pin.neutral(box())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -327,6 +328,8 @@ class Sensitivities:
         self._hold(number)
         if step.taken is None:
             return slopes.along(x, step, t), slopes.saltation.boundary
+        if t >= step.end:
+            self._refuse([one for one in self._events if step.start < one.time <= step.end])
         return slopes.steps.at(x, step, t, slopes.force), slopes.steps.boundary
 
     def _hold(self, number: int) -> None:
@@ -342,8 +345,7 @@ class Sensitivities:
         while len(self._starts) <= number:
             k = len(self._starts)
             now = steps[k].start
-            struck = [record for record in self._impacts if record.time == now]
-            called = [record for record in self._events if record.time == now]
+            struck, called = self._at(k, self._impacts), self._at(k, self._events)
             if any(one.taken is not None for one in steps[max(k - 1, 0) : k + 1]):
                 self._starts.append(self._through_time_step(k, struck, called))
                 continue
@@ -371,6 +373,21 @@ class Sensitivities:
             self._starts.append((x, saltation.boundary))
         return self._starts[number]
 
+    def _at(self, k: int, records: Sequence[Any]) -> list[Any]:
+        """Return what has happened at the start of step k; the ends of time steps are rounded."""
+        now, before = self._steps[k].start, self._steps[max(k - 1, 0)]
+        since = before.start if k > 0 and before.taken is not None else math.nan
+        return [one for one in records if since < one.time <= now or one.time == now]
+
+    def _refuse(self, called: Sequence[EventRecord]) -> None:
+        """Refuse user events in time steps, which are cut by them."""
+        if called:
+            raise InputError(
+                f"sensitivities: the event {called[0].name!r} ends a time step at t = "
+                f"{called[0].time:.6g} s, where they are not available",
+                field="sensitivities",
+            )
+
     def _through_time_step(
         self, k: int, struck: Sequence[ImpactRecord], called: Sequence[EventRecord]
     ) -> tuple[Array, Boundary]:
@@ -384,12 +401,7 @@ class Sensitivities:
                 f"t = {step.start:.6g} s; give the scene a period=",
                 field="sensitivities",
             )
-        if called:
-            raise InputError(
-                f"sensitivities: the event {called[0].name!r} ends a time step at t = {step.start:.6g} s, "
-                "where they are not available",
-                field="sensitivities",
-            )
+        self._refuse(called)
         self._hold(max(k - 1, 0))
         saltation, steps = slopes.saltation, slopes.steps
         saltation.boundary = steps.boundary = boundary

@@ -183,7 +183,9 @@ def _close(problem, values, rate1, rate2, rate, p1, p2, p3):
     det = a11 * a22 - a12 * a12
     trace = a11 + a22
     i11, i12, i22 = a22 / det, -a12 / det, a11 / det
-    if problem.flat:
+    if trace == 0.0:  # nothing moves sideways
+        i11 = i12 = i22 = 0.0
+    elif problem.flat:
         i11, i12, i22 = a11 / (trace * trace), a12 / (trace * trace), a22 / (trace * trace)
     combine(values, OUT1, 1.0, VT1, rate1, END)
     combine(values, OUT2, 1.0, VT2, rate2, END)
