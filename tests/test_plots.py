@@ -41,12 +41,6 @@ PLANAR = pinimpact.ImpactProblem(
 )
 
 
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    pyplot.close("all")
-
-
 def random_problems(count: int):
     rng = np.random.default_rng(11)
     for _ in range(count):
