@@ -58,19 +58,19 @@ class Corner(NamedTuple):
             InputError: A rounded shape in contact with an edge or a corner: its motion is not known.
         """
         a, b = self.pair.placed(data)
-        of_a, of_b = (_motions(columns, shifts[:, flag]) for flag in (places.TIP, places.CARRIER))
-        n, point = self.normal, self.point + a.shape.radius * self.normal
-        other = self.other - b.shape.radius * self.normal
+        n = self.normal
+        one = _Side(a, _motions(columns, shifts[:, places.TIP]), self.point + a.shape.radius * n)
+        two = _Side(b, _motions(columns, shifts[:, places.CARRIER]), self.other - b.shape.radius * n)
         moved: Array | None = None
-        if _is_of_face(b, n):
-            moved, turn = _over_face(a, of_a, point, b, of_b, other, n), np.cross(of_b[1], n)
-        elif _is_of_face(a, -n):
-            moved, turn = _over_face(b, of_b, other, a, of_a, point, -n), np.cross(of_a[1], n)
+        if one.rests_on(two, n):
+            moved, turn = _over_face(one, two, n), np.cross(two.motions[1], n)
+        elif two.rests_on(one, -n):
+            moved, turn = _over_face(two, one, -n), np.cross(one.motions[1], n)
             if moved is not None:  # the point of A is the foot of that of B on its face
-                apart = moved - _at(of_a, other)
-                moved = _at(of_a, point) + apart - np.outer(apart @ n, n)
+                apart = moved - one.moves(two.point)
+                moved = one.moves(one.point) + apart - np.outer(apart @ n, n)
         elif a.shape.radius + b.shape.radius == 0.0:
-            moved, turn = _of_edges(a, of_a, point, b, of_b, other, n)
+            moved, turn = _of_edges(one, two, n)
         if moved is None:
             raise InputError(
                 f"sensitivities: {self.pair.contact.label!r} is of a rounded shape and an edge or a corner, "
@@ -79,8 +79,7 @@ class Corner(NamedTuple):
             )
         shifts[:, :3] = moved
         shifts[:, places.TURN : places.TURN + 3] = np.cross(n, turn)
-        ends = (a, point, b, other), (b, other, a, point)
-        return any(_is_vertex(one, at) and _edge_at(two, foot) is not None for one, at, two, foot in ends)
+        return any(s.at_vertex and o.edge is not None for s, o in ((one, two), (two, one)))
 
 
 def closest_corners(robot: Any, data: pin.Data, q: Array, pair: ShapePair) -> list[tuple[Corner, Contact]]:
@@ -108,79 +107,84 @@ def _motions(columns: Array, carried: Array) -> tuple[Array, Array]:
     return (carried * columns[:3]).T, (carried * columns[3:]).T
 
 
-def _at(motions: tuple[Array, Array], point: Array) -> Array:
-    """Return the velocities (nv, 3) of a point."""
-    return np.asarray(motions[0] + np.cross(motions[1], point))
+class _Side(NamedTuple):
+    """One of the shapes at a corner.
 
+    Attributes:
+        placed: The shape.
+        motions: Of the joints that carry it.
+        point: (3,) of its core at the corner.
+    """
 
-def _is_of_face(shape: PlacedShape, normal: Array) -> bool:
-    return len(shape.shape.faces) > 0 and bool((shape.normals @ normal).max() > 1.0 - ON_FACE)
+    placed: PlacedShape
+    motions: tuple[Array, Array]
+    point: Array
 
+    def moves(self, point: Array) -> Array:
+        """Return the velocities (nv, 3) of a point that moves with it."""
+        return np.asarray(self.motions[0] + np.cross(self.motions[1], point))
 
-def _is_vertex(shape: PlacedShape, point: Array) -> bool:
-    distances = np.linalg.norm(shape.vertices - point, axis=1)
-    return bool(distances.min() <= _NEAR * COINCIDE * shape.shape.reach)
+    def rests_on(self, other: _Side, normal: Array) -> bool:
+        """Whether a normal is that of a face of the other shape."""
+        faces = other.placed
+        return len(faces.shape.faces) > 0 and bool((faces.normals @ normal).max() > 1.0 - ON_FACE)
 
+    @property
+    def _near(self) -> float:
+        return _NEAR * COINCIDE * self.placed.shape.reach
 
-def _edge_at(shape: PlacedShape, point: Array) -> Array | None:
-    """Return the direction (3,) of an edge on which a point is, None if there is none."""
-    ends = shape.vertices[shape.shape.edges]
-    along = ends[:, 1] - ends[:, 0]
-    off = np.cross(point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None])
-    distances = np.linalg.norm(off, axis=1)
-    k = int(np.argmin(distances))
-    if distances[k] > _NEAR * COINCIDE * shape.shape.reach:
-        return None
-    return np.asarray(along[k] / np.linalg.norm(along[k]))
+    @property
+    def at_vertex(self) -> bool:
+        """Whether the corner is a vertex of it."""
+        distances = np.linalg.norm(self.placed.vertices - self.point, axis=1)
+        return bool(distances.min() <= self._near)
+
+    @property
+    def edge(self) -> Array | None:
+        """The direction (3,) of an edge on which the corner is, None if there is none."""
+        ends = self.placed.vertices[self.placed.shape.edges]
+        if len(ends) == 0:  # a ball
+            return None
+        along = ends[:, 1] - ends[:, 0]
+        off = np.cross(self.point - ends[:, 0], along / np.linalg.norm(along, axis=1)[:, None])
+        distances = np.linalg.norm(off, axis=1)
+        k = int(np.argmin(distances))
+        if distances[k] > self._near:
+            return None
+        return np.asarray(along[k] / np.linalg.norm(along[k]))
 
 
 _NEAR = 1e3
 """Distances of corners from edges and vertices, which come from some operations, in parts of `COINCIDE`."""
 
 
-def _over_face(
-    a: PlacedShape,
-    of_a: tuple[Array, Array],
-    point: Array,
-    b: PlacedShape,
-    of_b: tuple[Array, Array],
-    other: Array,
-    normal: Array,
-) -> Array | None:
-    """Return how a corner of A's face within the sides of B's moves, (nv, 3); `other` is its foot on B."""
-    moved = _at(of_a, point)
-    if _is_vertex(a, point):
+def _over_face(a: _Side, b: _Side, normal: Array) -> Array | None:
+    """Return how a corner of A's face within the sides of B's moves, (nv, 3); B's point is its foot on B."""
+    moved = a.moves(a.point)
+    if a.at_vertex:
         return moved
-    if _is_vertex(b, other):
-        facing = a.normals[int(np.argmin(a.normals @ normal))]
-        carried = _at(of_b, point)  # along the normal with the face of A
+    carried = b.moves(a.point)
+    if b.at_vertex:  # along the normal with the face of A
+        facing = a.placed.normals[int(np.argmin(a.placed.normals @ normal))]
         return carried + np.outer((moved - carried) @ facing / (facing @ normal), normal)
-    edge, side = _edge_at(a, point), _edge_at(b, other)
+    edge, side = a.edge, b.edge
     if edge is None or side is None:
         return None
     outward = np.cross(side, normal)
-    return moved + np.outer((_at(of_b, point) - moved) @ outward / (edge @ outward), edge)
+    return moved + np.outer((carried - moved) @ outward / (edge @ outward), edge)
 
 
-def _of_edges(
-    a: PlacedShape,
-    of_a: tuple[Array, Array],
-    point: Array,
-    b: PlacedShape,
-    of_b: tuple[Array, Array],
-    other: Array,
-    normal: Array,
-) -> tuple[Array | None, Array]:
+def _of_edges(a: _Side, b: _Side, normal: Array) -> tuple[Array | None, Array]:
     """Return how the point of A closest to an edge of B moves, and how their normal changes, (nv, 3)."""
-    one, two = _edge_at(a, point), _edge_at(b, other)
+    one, two = a.edge, b.edge
     if one is None or two is None:
-        return None, np.zeros_like(of_a[0])
+        return None, np.zeros_like(a.motions[0])
     cross = np.cross(one, two)
-    bent = np.cross(np.cross(of_a[1], one), two) + np.cross(one, np.cross(of_b[1], two))
+    bent = np.cross(np.cross(a.motions[1], one), two) + np.cross(one, np.cross(b.motions[1], two))
     bent *= np.sign(cross @ normal) / np.linalg.norm(cross)
     bent -= np.outer(bent @ normal, normal)
     # the points move by s and t along their edges, so that they stay opposite each other along the normal
-    moved, gap = _at(of_a, point), float((point - other) @ normal)
-    apart = _at(of_b, other) - moved + gap * bent
+    moved, gap = a.moves(a.point), float((a.point - b.point) @ normal)
+    apart = b.moves(b.point) - moved + gap * bent
     shares = np.linalg.lstsq(np.column_stack([one, -two]), apart.T, rcond=None)[0]
     return moved + np.outer(shares[0], one), bent

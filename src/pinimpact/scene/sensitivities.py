@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,13 +180,18 @@ class MotionSlopes:
         found = [Parameter(kind, labels.index(label)) for kind, _, label in split]
         nv = model.nv
         self.saltation = Saltation(scene, dynamics, model, found, np.zeros(nv) if tau is None else tau)
-        self.steps = StepSlopes(dynamics, model, found)
+        self._of_steps = dynamics, model, found
         self._nv = nv
         self._given = 0 if tau is None else nv
         self._count = len(found)
         self._control = None if scene.period is not None else jacobian_of(scene)
         self.force = np.zeros((nv, 2 * nv + self._given + self._count))
         self.force[:, 2 * nv : 2 * nv + self._given] = np.eye(nv, self._given)
+
+    @cached_property
+    def steps(self) -> StepSlopes:
+        """Takes changes through time steps, where there are any."""
+        return StepSlopes(*self._of_steps)
 
     @property
     def continuous(self) -> bool:
@@ -324,12 +330,13 @@ class Sensitivities:
     def _until(self, x: Array, boundary: Boundary, number: int, t: float) -> tuple[Array, Boundary]:
         """Return how changes at the start of a step are at a time within it, and flags."""
         slopes, step = self._slopes, self._steps[number]
-        slopes.saltation.boundary = slopes.steps.boundary = boundary
+        slopes.saltation.boundary = boundary
         self._hold(number)
         if step.taken is None:
             return slopes.along(x, step, t), slopes.saltation.boundary
         if t >= step.end:
             self._refuse([one for one in self._events if step.start < one.time <= step.end])
+        slopes.steps.boundary = boundary
         return slopes.steps.at(x, step, t, slopes.force), slopes.steps.boundary
 
     def _hold(self, number: int) -> None:

@@ -313,7 +313,7 @@ def _rests(system, state):
 
 @inlined
 def _loaded_ends(state):
-    """Let go of what is locked: friction holds it, and what it has stored stays there."""
+    """Unload what is locked: friction holds it, and what it has stored stays there."""
     for j in range(len(state.normal)):
         if state.normal[j] != OPEN:
             state.v[3 * j + 2] = 0.0

@@ -190,6 +190,6 @@ def attempt(work, t, h, rtol, atol):
     work.direction_speed = slowest
     if not error <= 1.0 or work.callback_failed:
         restore_directions(work)
-    else:  # where slip is slow, friction goes on in the direction that was found
+    else:  # where slip is slow, friction keeps the direction that was found
         complete(work, t, h)
     return error
