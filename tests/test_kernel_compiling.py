@@ -527,6 +527,16 @@ def test_without_a_writable_folder_the_wait_is_said_to_come_again(package: Path)
     assert "NUMBA_CACHE_DIR" in answer.stderr
 
 
+def test_a_damaged_cache_is_filled_again(package: Path) -> None:
+    assert call(package)[0] == [7.0, 130.0, -3.0]
+    for index in (package.parent / "cache").rglob("*.nbi"):
+        index.write_bytes(index.read_bytes()[:-20])
+    answers, made = call(package)
+    assert answers == [7.0, 130.0, -3.0]
+    assert made
+    assert call(package) == (answers, [])
+
+
 def test_plain_python_without_the_compiler(package: Path) -> None:
     answer = python(package, NUMBA_DISABLE_JIT="1")
     assert json.loads(answer.stdout) == [[7.0, 130.0, -3.0], []]

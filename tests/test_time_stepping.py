@@ -8,10 +8,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import root
 
 import pinimpact
 from pinimpact import Contact, Event, JointPD, Plane, Scene, Shape, load_robot, simulate
-from pinimpact._numeric.proximal_newton import VelocityProblem
+from pinimpact._numeric.augmented_newton import VelocityProblem
 from pinimpact.geometry._kernels.box_patch import box_patch
 from pinimpact.geometry.convex_shape import box
 from pinimpact.geometry.patch import patch
@@ -352,6 +353,35 @@ def test_more_rows_than_velocities_obey_coulombs_law():
         )  # μ f_n |u_t| where friction is along slip and at its bound
         np.testing.assert_allclose(work, mu * force[:, 2] * slip, atol=1e-5 * size * largest)
     assert unsolved <= 12
+
+
+def compliant(f, W, free, mu, given, part):
+    """By how much impulses miss Coulomb's law for contacts that give way by `part` of `given`."""
+    z = (f - (free + W @ f + part * given * f) / given).reshape(-1, 3)
+    push, pull = np.maximum(z[:, 2], 0.0), np.linalg.norm(z[:, :2], axis=1)
+    share = np.minimum(1.0, mu * push / np.maximum(pull, 1e-300))
+    return f - np.column_stack([z[:, :2] * share[:, None], push]).ravel()
+
+
+def test_impulses_are_the_limit_of_small_compliances_also_where_contacts_slide():
+    rng, halvings = np.random.default_rng(3), []
+    for _ in range(120):
+        mass, jacobian, free, mu = redundant_problem(rng)
+        W, x = jacobian @ np.linalg.inv(mass) @ jacobian.T, np.zeros(len(free))
+        c = rng.uniform(0.5, 2.0, len(mu))
+        if len(free) > 18 or solved(mass, jacobian, free, mu, c, x) > 1e-7 or not x.any():
+            continue
+        given, off = np.repeat(c, 3) / c.max() * np.diag(W).max(), []
+        for part in (1e-4, 1e-5):
+            found = root(compliant, x, args=(W, free, mu, given, part), tol=1e-13).x
+            if np.abs(compliant(found, W, free, mu, given, part)).max() < 1e-8:
+                off.append(np.abs(found - x).max() / np.abs(x).max())
+        if len(off) == 2:
+            halvings.append((off[1], off[1] / off[0]))
+    off, ratio = np.array(halvings).T
+    assert len(off) > 25
+    assert np.quantile(off, 0.9) < 1e-3  # of first order in the compliances
+    assert np.quantile(ratio, 0.9) < 0.15
 
 
 def test_where_impulses_are_not_unique_they_are_those_of_equal_compliances():

@@ -79,14 +79,23 @@ class _DiskCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a kernel without the imports that numba needs for compilation only."""
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+        try:
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
+        except Exception:  # pickle may raise any where a file is damaged
+            self.flush()
+            return None
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple()  # the stamp covers the code
 
     def knows(self, types: Any, codegen: Any) -> bool:
-        return self._index_key(types, codegen) in self._cache_file._load_index()
+        try:
+            known = self._cache_file._load_index()
+        except Exception:
+            self.flush()
+            return False
+        return self._index_key(types, codegen) in known
 
 
 @cache

@@ -1,8 +1,6 @@
-"""Symmetric matrices whose rows have zeros at their beginnings, and definite systems with them."""
+"""Matrices whose rows have zeros at their beginnings and ends, and systems with them."""
 
 from __future__ import annotations
-
-import math
 
 from .._compile.jit import external, inlined
 
@@ -19,23 +17,22 @@ def apply_within(matrix, start, x, out):
 
 
 @external
-def solve_profile(system, last, x):
-    """Replace x by the solution of a definite system, the matrix by its factor U; row a ends at last[a].
+def eliminate_profile(system, last, x):
+    """Replace x by the solution of a system, the matrix by its factors; return whether no pivot is zero.
 
-    Only the upper triangle is used.
+    Row a ends at last[a], as column a does. Rows are not exchanged, so the matrix should be nearly definite.
     """
     m = len(x)
     for k in range(m):
         pivot = system[k]
-        root = 1.0 / math.sqrt(max(pivot[k], 1e-300))
-        for b in range(k, last[k] + 1):
-            pivot[b] *= root
-        x[k] /= pivot[k]
+        if pivot[k] == 0.0:
+            return False
+        inverse = 1.0 / pivot[k]
         for a in range(k + 1, last[k] + 1):
-            part = pivot[a]
+            row = system[a]
+            part = row[k] * inverse
             if part != 0.0:
-                row = system[a]
-                for b in range(a, last[k] + 1):
+                for b in range(k + 1, last[k] + 1):
                     row[b] -= part * pivot[b]
                 x[a] -= part * x[k]
     for a in range(m - 1, -1, -1):
@@ -43,3 +40,4 @@ def solve_profile(system, last, x):
         for b in range(a + 1, last[a] + 1):
             total -= system[a, b] * x[b]
         x[a] = total / system[a, a]
+    return True

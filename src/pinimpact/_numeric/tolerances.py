@@ -29,9 +29,9 @@ SMALL = 1e-5
 """A compliance that is small relative to the largest of W: extrapolation leaves an error of its square,
 10⁻¹⁰."""
 
-# ---- Coulomb's law by proximal steps
+# ---- Coulomb's law in the velocities
 
-PROXIMAL = 3e-3
+SOFTEST = 3e-3
 """The largest r, relative to the largest of W: larger values take more iterations, smaller ones longer
 iterations."""
 
@@ -42,7 +42,7 @@ SETTLED = 1e-9
 """Part of u_free by which f⁺ − f may change velocities at the end, if rounding allows it."""
 
 STALLED = 1e-5
-"""The same, below which the iteration ends if `PATIENCE` iterations have not halved it."""
+"""The same, below which the iteration ends if it has not been halved by the last one."""
 
 # ---- cone programs
 

@@ -267,6 +267,8 @@ class Integrator:
             return self._jam_or_refuse(found)
         trial, natural, directions = found
         state.steps += 1
+        if self.dynamics.constrained:
+            self.progress.check_drift()
         step = self.dynamics.dense_step(t, trial, state.q, state.v, state.works)
         step.closed, step.directions = state.closed, directions
         self.progress.check_friction(step, min(work.event_time, step.end))

@@ -26,6 +26,10 @@ has been refused before."""
 RUBBING = slice(1, 3)
 """Which of the works are those of friction, in joints and in contacts: it takes energy."""
 
+DRIFTED = 100.0
+"""By how much closed contacts may drift in a step, in parts of the tolerance of its length: in thousands of
+steps of random scenes it is less than two of them. Conditions that drift by more contradict each other."""
+
 GAINED = 10.0
 """Factor on rtol: the part of the kinetic energy that friction may give by the errors of steps."""
 
@@ -54,6 +58,7 @@ class Progress:
         extent, self._time_scale = sizes
         self._weight = float(np.linalg.norm(model.gravity.linear)) * pin.computeTotalMass(model)
         self._little = self._weight * options.rtol * extent
+        self._tolerance = options.rtol * extent + options.atol
 
     def mark(self) -> None:
         """Note that there is progress."""
@@ -89,6 +94,20 @@ class Progress:
             )
         self.mark()
         return None
+
+    def check_drift(self) -> None:
+        """Refuse a step in which what is closed drifts by far more than the error of a step.
+
+        Raises:
+            IrregularMotionError: See above.
+        """
+        drift = self._instant.dynamics.work.drift_at_end
+        if drift > DRIFTED * self._tolerance:
+            raise IrregularMotionError(
+                f"contacts: the constraint drift of closed contacts reaches {drift:.3g} m or rad in a step at "
+                f"t = {self._state.t:.6g} s, so that the conditions of their modes contradict each other",
+                field="contacts",
+            )
 
     def check_friction(self, step: DenseStep, until: float) -> None:
         """Refuse a step until whose event friction has given energy.

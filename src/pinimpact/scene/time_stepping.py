@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from .._numeric.proximal_newton import VelocityProblem
+from .._numeric.augmented_newton import VelocityProblem
 from ..errors import IrregularMotionError
 from ..robot.contact import Contact
 from ..robot.corner_motion import Corner

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..._compile.declared import FLAGS, FLOATS, FOUR_FLOATS, INTEGERS, declared
 from ..._compile.jit import inlined, jit
+from ..._numeric.augmented_newton import VelocityProblem, rates
 from ..._numeric.loops import flags
 from ..._numeric.products import apply_symmetric
-from ..._numeric.proximal_newton import VelocityProblem, rates
 from ..._numeric.tolerances import SETTLED
 from ...geometry._kernels.constants import RADIUS
 from .dynamics import (

@@ -2,13 +2,17 @@
 
 From the impulses f of one iteration the next ones are
 
-    f⁺ = P(f − (u + s n)/r),   u = u_free + J w,   M w = Jᵀ f⁺,                                         (16.3)
+    f⁺ = P(f − u/r),   u = u_free + J w,   M w = Jᵀ f⁺,                                                 (16.3)
 
-P the projection onto the cones of the contacts and the bounds of the scalar rows, s = μ|u_t|, r > 0 a
-compliance for each contact or row. A fixed point satisfies the law, whatever r: this is the proximal point
-method (R. T. Rockafellar, SIAM J. Control Optim. 14, 1976). For given s, w is the minimum of a convex
-function. Newton's method with a line search finds it in a few steps, since M + Jᵀ (∂P/r) J is definite
-whatever the rank of J. The matrix has the size of w, and zeros for bodies that do not touch.
+r > 0 a compliance for each contact or row, P for a contact
+
+    P(z) = (Π_ρ(z_t), [z_n]₊),   ρ = μ [z_n]₊,                                                          (16.4)
+
+Π_ρ the projection onto the disc of radius ρ, and for scalar rows that onto their bounds. A fixed point
+satisfies the law, whatever r. (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991.) From
+f = 0 the first f⁺ are the forces of contacts with compliances r; each further iteration makes u smaller, by a
+factor of about r/W. Newton's method with a line search solves (16.3) for w in a few steps. Its matrix has the
+size of w, and zeros for bodies that do not touch.
 """
 
 from __future__ import annotations
@@ -20,34 +24,22 @@ import numpy as np
 
 from .._compile.declared import FLOATS, FloatRows, Floats, IntegerRows, Integers, declared
 from .._compile.jit import external, inlined
-from .coulomb_problem import into_cone
 from .loops import assign
 from .products import apply, dot
-from .profile import apply_within, solve_profile
+from .profile import apply_within, eliminate_profile
 from .tolerances import BALANCED, STALLED
 
 ITERATIONS = 40
-"""Largest number of iterations of the proximal point method."""
+"""Largest number of iterations of (16.3)."""
 
 STEPS = 40
 """Largest number of steps of Newton's method in an iteration, and of a line search."""
 
-
-PATIENCE = 3
-"""Iterations without progress after which r is made smaller, or the iteration ends."""
-
 FINER = 0.1
-"""Part of r that is used from there on, once: the distribution of loads has converged by then."""
+"""Part of r that is used, once, from an iteration on that does not halve the change."""
 
-INEXACT = 0.03
+INEXACT = 0.1
 """Tolerance of Newton's method, relative to the change of the previous iteration."""
-
-FARTHEST = 5.0
-"""Largest extrapolation, in changes of s."""
-
-DRIFT, WAITS = 0.03, 8
-"""Part of the largest impulse by which an inaccurate s may change it in an iteration, along impulses that
-satisfy the law; else f does not change, and s is improved first, at most `WAITS` times."""
 
 SLOPE = 0.1
 """Largest slope at the end of a line search, relative to that at its start."""
@@ -88,7 +80,6 @@ class Iterate(NamedTuple):
         w: (m,) velocities.
         u: (n,) u_free + J w.
         f: (n,) f⁺ of (16.3).
-        shift: (nc,) s.
         momentum: (m,) M w.
         off: (m,) M w − Jᵀ f⁺.
     """
@@ -96,7 +87,6 @@ class Iterate(NamedTuple):
     w: Floats
     u: Floats
     f: Floats
-    shift: Floats
     momentum: Floats
     off: Floats
 
@@ -125,117 +115,82 @@ def length(x, y):
     return math.sqrt(x * x + y * y)
 
 
-@inlined
-def slip(u, mu, shift):
-    """Fill s (nc,) = μ|u_t|."""
-    for i in range(len(mu)):
-        shift[i] = mu[i] * length(u[3 * i], u[3 * i + 1])
-
-
-@inlined
-def extrapolate(u, mu, iteration, shift, last, gain):
-    """Replace s (nc,) by the next one: that of u, and from the second iteration on extrapolated by a secant.
-
-    Args:
-        u: (n,) velocities.
-        mu: (nc,) coefficients of friction.
-        iteration: Its number.
-        shift: (nc,) s.
-        last: (nc,) μ|u_t| of the previous iteration; takes the present one.
-        gain: (nc,) its difference from s; takes the present one.
-    """
-    along = across = 0.0
-    for i in range(len(mu)):
-        now = mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i]
-        turn = now - gain[i]
-        along += now * turn
-        across += turn * turn
-    part = along / across if iteration > 1 and across > 0.0 else 0.0
-    part = min(max(part, -FARTHEST), 0.5)
-    for i in range(len(mu)):
-        now = mu[i] * length(u[3 * i], u[3 * i + 1])
-        gain[i] = now - shift[i]
-        shift[i] = max((1.0 - part) * now + part * last[i], 0.0)
-        last[i] = now
-
-
 @external
-def impulses(u, shift, before, mu, lower, upper, r, out):
-    """Fill out (n,) with f⁺ of (16.3) from u (n,), s (nc,) and f, `before` (n,)."""
-    nc, nowhere = len(mu), np.empty((0, 2))
+def impulses(u, before, mu, lower, upper, r, out):
+    """Fill out (n,) with f⁺ of (16.3) from u (n,) and f, `before` (n,)."""
+    nc = len(mu)
     for a in range(len(u)):
         out[a] = before[a] - u[a] / r[a]
     for i in range(nc):
-        out[3 * i + 2] -= shift[i] / r[3 * i + 2]
-        into_cone(out, 3 * i, mu[i], 0.0, nowhere, False)
+        j = 3 * i
+        out[j + 2] = max(out[j + 2], 0.0)
+        size, radius = length(out[j], out[j + 1]), mu[i] * out[j + 2]
+        if size > radius:
+            out[j] *= radius / size
+            out[j + 1] *= radius / size
     for i in range(len(lower)):
         out[3 * nc + i] = min(max(out[3 * nc + i], lower[i]), upper[i])
 
 
 @inlined
-def cone_derivative(z1, z2, z3, mu, d):
-    """Fill d (3, 3) with ∂P at z of a contact."""
+def fill_derivative(z1, z2, z3, mu, coupled, d):
+    """Fill d (3, 3) with ∂P at z of a contact that is closed, unless `coupled` without that by z_n of ρ."""
     for a in range(3):
         for b in range(3):
             d[a, b] = 0.0
-    size = length(z1, z2)
-    if size < mu * z3:  # sticks
-        d[0, 0] = d[1, 1] = d[2, 2] = 1.0
-    elif mu * size > -z3:  # slips
-        s1, s2 = z1 / max(size, 1e-300), z2 / max(size, 1e-300)
-        share = 1.0 / (1.0 + mu * mu)
-        across = mu * share * (mu * size + z3) / max(size, 1e-300)
-        d[0, 0] = share * mu * mu * s1 * s1 + across * s2 * s2
-        d[1, 1] = share * mu * mu * s2 * s2 + across * s1 * s1
-        d[0, 1] = d[1, 0] = (share * mu * mu - across) * s1 * s2
-        d[0, 2] = d[2, 0] = share * mu * s1
-        d[1, 2] = d[2, 1] = share * mu * s2
-        d[2, 2] = share
+    d[2, 2] = 1.0
+    size, radius = length(z1, z2), mu * z3
+    if size <= radius:  # sticks
+        d[0, 0] = d[1, 1] = 1.0
+        return
+    s1, s2 = z1 / size, z2 / size
+    part = radius / size
+    d[0, 0], d[1, 1] = part * s2 * s2, part * s1 * s1
+    d[0, 1] = d[1, 0] = -part * s1 * s2
+    if coupled:
+        d[0, 2], d[1, 2] = mu * s1, mu * s2
 
 
 @external
-def fill_system(problem, start, r, u, shift, before, system):
-    """Fill the upper triangle of the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
+def fill_system(problem, start, r, u, before, coupled, system):
+    """Fill the matrix of a step of Newton's method, M + Jᵀ (∂P/r) J.
 
     Args:
         problem: The `VelocityProblem`.
         start: (m,) first columns of the rows of M.
         r: (n,) of (16.3).
         u: (n,) velocities.
-        shift: (nc,) s.
         before: (n,) f.
+        coupled: Whether friction follows normal impulses; else the matrix is symmetric and definite.
         system: (m, m) takes the matrix.
     """
     mass, _, values, columns, counts, _, mu, lower, upper, _ = problem
     m, nc = len(mass), len(mu)
     d = np.empty((3, 3))
     for a in range(m):
-        for b in range(a, m):
-            system[a, b] = mass[a, b] if start[b] <= a else 0.0
+        for b in range(m):
+            system[a, b] = 0.0
+        for b in range(start[a], a + 1):
+            system[a, b] = system[b, a] = mass[a, b]
     for i in range(nc):
         j = 3 * i
-        cone_derivative(
-            before[j] - u[j] / r[j],
-            before[j + 1] - u[j + 1] / r[j],
-            before[j + 2] - (u[j + 2] + shift[i]) / r[j],
-            mu[i],
-            d,
-        )
-        if d[2, 2] == 0.0:
+        z3 = before[j + 2] - u[j + 2] / r[j]
+        if z3 <= 0.0:
             continue
+        fill_derivative(before[j] - u[j] / r[j], before[j + 1] - u[j + 1] / r[j], z3, mu[i], coupled, d)
         for k in range(counts[j]):
             j0, j1, j2 = values[j, k] / r[j], values[j + 1, k] / r[j], values[j + 2, k] / r[j]
-            t0 = j0 * d[0, 0] + j1 * d[1, 0] + j2 * d[2, 0]
-            t1 = j0 * d[0, 1] + j1 * d[1, 1] + j2 * d[2, 1]
-            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2 * d[2, 2]
+            t0 = j0 * d[0, 0] + j1 * d[1, 0]
+            t1 = j0 * d[0, 1] + j1 * d[1, 1]
+            t2 = j0 * d[0, 2] + j1 * d[1, 2] + j2
             row = system[columns[j, k]]
-            for o in range(k, counts[j]):
+            for o in range(counts[j]):
                 row[columns[j, o]] += t0 * values[j, o] + t1 * values[j + 1, o] + t2 * values[j + 2, o]
     for i in range(len(lower)):
         j = 3 * nc + i
         if lower[i] < before[j] - u[j] / r[j] < upper[i]:
             for k in range(counts[j]):
-                for o in range(k, counts[j]):
+                for o in range(counts[j]):
                     system[columns[j, k], columns[j, o]] += values[j, k] * values[j, o] / r[j]
 
 
@@ -246,12 +201,12 @@ def balance(problem, start, r, before, now):
     Other arguments are those of `fill_system`.
     """
     mass, _, values, columns, counts, free, mu, lower, upper, _ = problem
-    w, u, f, shift, momentum, out = now
+    w, u, f, momentum, out = now
     largest = square = 0.0
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += free[a]
-    impulses(u, shift, before, mu, lower, upper, r, f)
+    impulses(u, before, mu, lower, upper, r, f)
     apply_within(mass, start, w, momentum)
     for a in range(len(out)):
         out[a] = momentum[a]
@@ -269,7 +224,9 @@ def balance(problem, start, r, before, now):
 
 @external
 def length_of_step(problem, r, before, now, du, slope, curvature):
-    """Return the length of a step, at most one, that minimizes the convex function.
+    """Return the length of a step, at most one: where its residual is orthogonal to it, zero if nowhere.
+
+    Where friction does not follow normal impulses this is the minimum of a convex function.
 
     Args:
         problem: The `VelocityProblem`.
@@ -280,14 +237,16 @@ def length_of_step(problem, r, before, now, du, slope, curvature):
         slope: dᵀM w at its start.
         curvature: dᵀM d.
     """
-    mu, lower, upper, u, f, shift = problem.friction, problem.lower, problem.upper, now.u, now.f, now.shift
+    mu, lower, upper, u, f = problem.friction, problem.lower, problem.upper, now.u, now.f
     trial = np.empty(len(u))
     start = slope - dot(du, f)
+    if not start < 0.0:
+        return 0.0
     low, high, at_low, at_high, share, side = 0.0, 1.0, start, 0.0, 1.0, 0
     for k in range(STEPS):
         for a in range(len(u)):
             trial[a] = u[a] + share * du[a]
-        impulses(trial, shift, before, mu, lower, upper, r, f)
+        impulses(trial, before, mu, lower, upper, r, f)
         here = slope + share * curvature - dot(du, f)
         if abs(here) <= SLOPE * abs(start) or (k == 0 and here <= 0.0):
             break
@@ -324,7 +283,7 @@ def find_profile(problem, start, last):
 
 
 @external
-def fill_compliances(problem, proximal, diagonal, given):
+def fill_compliances(problem, part, diagonal, given):
     """Fill the diagonal (n,) of W, for each contact the largest, and the r (n,) of (16.3)."""
     _, inverse, values, columns, counts, _, _, _, _, compliance = problem
     nc, softest, largest = len(compliance), 0.0, 0.0
@@ -335,29 +294,27 @@ def fill_compliances(problem, proximal, diagonal, given):
             for o in range(k):
                 total += row[columns[a, o]] * values[a, o]
             diagonal[a] += values[a, k] * (2.0 * total + row[columns[a, k]] * values[a, k])
-        given[a] = proximal * diagonal[a]
+        given[a] = part * diagonal[a]
     for i in range(nc):
         j = 3 * i
         diagonal[j] = diagonal[j + 1] = diagonal[j + 2] = max(diagonal[j], diagonal[j + 1], diagonal[j + 2])
         largest, softest = max(largest, diagonal[j]), max(softest, compliance[i])
     for i in range(nc):
         for a in range(3 * i, 3 * i + 3):
-            given[a] = proximal * largest * compliance[i] / softest
+            given[a] = part * largest * compliance[i] / softest
 
 
 @inlined
-def minimize(problem, profile, r, before, least, now, system):
-    """Bring w to the minimum of the convex function for given s and f, by Newton's method.
-
-    Its gradient is M w − Jᵀ f⁺, its second derivative M + Jᵀ (∂P/r) J.
+def solve_compliances(problem, profile, r, before, least, now, system):
+    """Bring w to the solution of (16.3) for given f, by Newton's method.
 
     Args:
         problem: The `VelocityProblem`.
         profile: First columns (m,) and last ones (m,), see `find_profile`.
         r: (n,) of (16.3).
         before: (n,) f.
-        least: Relative sizes of the gradient: at which rounding may stop the steps, and which is enough.
-        now: The `Iterate`; all but its s changes.
+        least: Relative sizes of the residual: at which rounding may stop the steps, and which is enough.
+        now: The `Iterate`; it changes.
         system: (m, m) is overwritten.
     """
     start, last = profile
@@ -369,43 +326,20 @@ def minimize(problem, profile, r, before, least, now, system):
         left = balance(problem, start, r, before, now)
         if step == STEPS or left <= enough or (left < 1e3 * rounded and left > 0.5 * reached):
             break
-        reached = left
-        fill_system(problem, start, r, now.u, now.shift, before, system)
-        for a in range(m):
-            d[a] = -off[a]
-        solve_profile(system, last, d)
-        rates(problem.values, problem.columns, problem.counts, d, du)
-        apply_within(problem.mass, start, d, md)
-        share = length_of_step(problem, r, before, now, du, dot(d, momentum), dot(d, md))
+        reached, share = left, 0.0
+        for attempt in range(2):  # the second one descends in any case
+            fill_system(problem, start, r, now.u, before, attempt == 0, system)
+            for a in range(m):
+                d[a] = -off[a]
+            if not eliminate_profile(system, last, d):
+                continue
+            rates(problem.values, problem.columns, problem.counts, d, du)
+            apply_within(problem.mass, start, d, md)
+            share = length_of_step(problem, r, before, now, du, dot(d, momentum), dot(d, md))
+            if share > 0.0:
+                break
         for a in range(m):
             w[a] += share * d[a]
-
-
-@inlined
-def changes(mu, r, before, u, f, shift):
-    """Return by how much an iteration changes impulses and s, and what an inaccurate s does to impulses.
-
-    Args:
-        mu: (nc,) coefficients of friction.
-        r: (n,) of (16.3).
-        before: (n,) f.
-        u: (n,) velocities.
-        f: (n,) f⁺.
-        shift: (nc,) s.
-
-    Returns:
-        the largest of r|f⁺ − f| and of |μ|u_t| − s| [m/s]; whether the latter, over r, is too large a part of
-        the largest impulse.
-    """
-    change = swing = pushed = drift = 0.0
-    for a in range(len(f)):
-        change, pushed = max(change, r[a] * abs(f[a] - before[a])), max(pushed, abs(f[a]))
-    for i in range(len(mu)):
-        lag = abs(mu[i] * length(u[3 * i], u[3 * i + 1]) - shift[i])
-        swing = max(swing, lag)
-        if f[3 * i + 2] > 0.0:
-            drift = max(drift, lag / r[3 * i + 2])
-    return max(change, swing), drift > DRIFT * pushed
 
 
 @inlined
@@ -414,8 +348,8 @@ def residual_of(problem, diagonal, x, now):
 
     It is W_aa|f⁺ − f|, with the diagonal (n,) of W as r; infinite if x (n,) is not finite.
     """
-    w, u, f, shift, momentum, _ = now
-    values, columns, counts, mu = problem.values, problem.columns, problem.counts, problem.friction
+    w, u, f, momentum, _ = now
+    values, columns, counts = problem.values, problem.columns, problem.counts
     for a in range(len(w)):
         momentum[a] = 0.0
     add_transposed(values, columns, counts, x, momentum)
@@ -423,8 +357,7 @@ def residual_of(problem, diagonal, x, now):
     rates(values, columns, counts, w, u)
     for a in range(len(u)):
         u[a] += problem.free[a]
-    slip(u, mu, shift)
-    impulses(u, shift, x, mu, problem.lower, problem.upper, diagonal, f)
+    impulses(u, x, problem.friction, problem.lower, problem.upper, diagonal, f)
     missed = total = 0.0
     for a in range(len(u)):
         part = diagonal[a] * abs(f[a] - x[a])
@@ -435,12 +368,12 @@ def residual_of(problem, diagonal, x, now):
 
 @declared(VelocityProblem, float, float, FLOATS, FLOATS, FLOATS, result=float)
 @external
-def solve_velocities(problem, proximal, accuracy, begin, w, x):
+def solve_velocities(problem, part, accuracy, begin, w, x):
     """Fill x with impulses that satisfy the law.
 
     Args:
         problem: The `VelocityProblem`.
-        proximal: The largest r, relative to the largest of W, see `tolerances.PROXIMAL`.
+        part: The largest r, relative to the largest of W, see `tolerances.SOFTEST`.
         accuracy: Part of u_free by which f⁺ − f may change velocities at the end; see `tolerances.SETTLED`.
         begin: (m,) initial change of the velocities; takes that of the first iteration, which is the best
             start for a nearly equal problem.
@@ -451,8 +384,8 @@ def solve_velocities(problem, proximal, accuracy, begin, w, x):
     Returns:
         The residual of the law, relative to u_free; infinite if the iteration has diverged.
     """
-    free, mu = problem.free, problem.friction
-    n, m, nc, size = len(free), len(w), len(mu), 0.0
+    free = problem.free
+    n, m, size = len(free), len(w), 0.0
     for a in range(n):
         x[a] = 0.0
         size = max(size, abs(free[a]))
@@ -463,35 +396,26 @@ def solve_velocities(problem, proximal, accuracy, begin, w, x):
     start, last = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     find_profile(problem, start, last)
     diagonal, r, system = np.empty(n), np.empty(n), np.empty((m, m))
-    fill_compliances(problem, proximal, diagonal, r)
-    u, f, shift, slipped, gain = np.empty(n), np.empty(n), np.zeros(nc), np.zeros(nc), np.zeros(nc)
-    now = Iterate(w, u, f, shift, np.empty(m), np.empty(m))
+    fill_compliances(problem, part, diagonal, r)
+    f = np.empty(n)
+    now = Iterate(w, np.empty(n), f, np.empty(m), np.empty(m))
     assign(w, begin)
-    rates(problem.values, problem.columns, problem.counts, w, u)
-    for a in range(n):
-        u[a] += free[a]
     balanced = max(BALANCED, 0.1 * accuracy)
-    lowest, since, reached, waited, finer = math.inf, 0, 1.0, 0, False
+    lowest, reached, finer = math.inf, 1.0, False
     for iteration in range(ITERATIONS):
-        extrapolate(u, mu, iteration, shift, slipped, gain)
-        minimize(problem, (start, last), r, x, (balanced, max(balanced, INEXACT * reached)), now, system)
+        enough = max(balanced, INEXACT * reached)
+        solve_compliances(problem, (start, last), r, x, (balanced, enough), now, system)
         if iteration == 0:
             assign(begin, w)
-        change, drifts = changes(mu, r, x, u, f, shift)
-        reached = change / size
-        if drifts and waited < WAITS:
-            waited += 1
-            continue
-        waited = 0
+        reached = 0.0
+        for a in range(n):
+            reached = max(reached, r[a] * abs(f[a] - x[a]) / size)
         assign(x, f)
-        since = since + 1 if reached > 0.5 * lowest else 0
-        lowest = min(lowest, reached)
-        if reached <= accuracy:
+        if reached <= accuracy or (reached <= STALLED and reached > 0.5 * lowest):
             break
-        if since >= PATIENCE and reached <= STALLED:
-            if finer:
-                break
-            finer, lowest, since = True, math.inf, 0
+        if reached > 0.5 * lowest and not finer:
+            finer, lowest = True, math.inf
             for a in range(n):
                 r[a] *= FINER
+        lowest = min(lowest, reached)
     return residual_of(problem, diagonal, x, now) / size
