@@ -144,7 +144,7 @@ def test_a_start_within_rounding_below_a_plane_rests_on_it():
 def test_a_start_further_below_is_an_error_still():
     robot, scene, q = standing(-1e-8)
     with pytest.raises(pinimpact.InputError, match=r"starts 1e-08 m below its surface"):
-        pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05)
+        pinimpact.simulate(scene, q, np.zeros(robot.nv), 0.05, scheme="event-driven")
 
 
 def test_a_start_within_rounding_beyond_a_joint_limit_is_at_it():
@@ -156,4 +156,4 @@ def test_a_start_within_rounding_beyond_a_joint_limit_is_at_it():
     assert trajectory.q[0, 3] == robot.model.upperPositionLimit[3]
     q[3] += 1e-8
     with pytest.raises(pinimpact.InputError, match="beyond its limit"):
-        pinimpact.simulate(scene, q, np.zeros(9), 0.01)
+        pinimpact.simulate(scene, q, np.zeros(9), 0.01, scheme="event-driven")

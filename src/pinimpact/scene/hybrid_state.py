@@ -44,6 +44,7 @@ class HybridState:
         q, v: (nq,) configuration and (nv,) velocity.
         works: (4,) integrated works, see `dense_step.WORKS` [J].
         impact_energy: Change of kinetic energy in impacts so far [J].
+        overlap: What overlaps at the start by more than rounding, as a sentence, or None.
         ended_by: Name of the event that has ended the motion, or None.
         closed: What is closed, or None.
         forces_found: Whether forces were found to the usual accuracy where modes were set last.
@@ -79,6 +80,7 @@ class HybridState:
     v: Array
     works: Array = field(default_factory=lambda: np.zeros(WORKS))
     impact_energy: float = 0.0
+    overlap: str | None = None
     ended_by: str | None = None
 
     closed: ClosedSet | None = None

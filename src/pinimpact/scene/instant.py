@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from .rims import Rims
 from .scene import STANDARD_GRAVITY, Scene
 from .scene_impacts import SceneImpacts
 from .shape_watch import ShapeWatch
-from .start import check_start
+from .start import check_start, left_by_steps
 from .switched_off import altered, held_contacts
 
 Array = NDArray[np.float64]
@@ -68,6 +69,7 @@ class Instant:
         data: Its data.
         state: The state of the motion.
         starts: Whether the motion starts in it, so that it is checked.
+        dt: The length of time steps [s].
 
     Attributes:
         data: That of the arguments.
@@ -81,7 +83,7 @@ class Instant:
     """
 
     def __init__(
-        self, scene: Scene, model: pin.Model, data: pin.Data, state: HybridState, starts: bool
+        self, scene: Scene, model: pin.Model, data: pin.Data, state: HybridState, starts: bool, dt: float
     ) -> None:
         without = scene.without
         self.data, self.state = data, state
@@ -118,9 +120,10 @@ class Instant:
         self.record = Recorder(model, data, ModeIntervals(model, contact_names, limit_names))
         if starts:
             self._impacts.compile_kernels(state.q)
-            check_start(model, data, self.dynamics, state, self.names, extent)
+            left = partial(left_by_steps, dt, extent, gravity)
+            check_start(model, data, self.dynamics, state, self.names, extent, left)
             if self.shapes:
-                self.shapes.start(state.q, START_ROUNDING)
+                self.shapes.start(state.q, state.v, START_ROUNDING, left)
             self._tell_modes()
 
     def _tell_modes(self) -> None:

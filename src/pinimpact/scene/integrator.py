@@ -99,7 +99,7 @@ class Integrator:
         layout = scene.layout()
         self.data = layout.data_for(self, model)
         self.state = state_at(model, self.data, q0, v0) if state is None else state.kept(memory=None)
-        self.instant = Instant(scene, model, self.data, self.state, state is None)
+        self.instant = Instant(scene, model, self.data, self.state, state is None, self.options.dt)
         self.record, self.shapes, self.dynamics = (
             self.instant.record,
             self.instant.shapes,
@@ -169,6 +169,8 @@ class Integrator:
             tau = self.sampled.at(self.state.t, self.state.q, self.state.v)
         if tau is not None:
             self.work.control_force[:] = tau
+        if self.state.overlap is not None:
+            raise IrregularMotionError(self.state.overlap, field="q0")
         self.instant.settle(starting=True)
         self._let_events_happen()
         self._begin_motion()

@@ -8,7 +8,7 @@ from typing import NoReturn
 from numpy.typing import ArrayLike
 
 from ..checks import choice, function
-from ..errors import PinimpactError, SimulationError
+from ..errors import InputError, PinimpactError, SimulationError
 from ._kernels.tolerances import ATOL, DT, RTOL
 from .alternating import Alternating
 from .control_slopes import HeldForces, jacobian_of
@@ -48,7 +48,8 @@ def simulate(
 
     Args:
         scene: The robot, its contacts and its control.
-        q0: (nq,) initial configuration, with no contact below its surface.
+        q0: (nq,) initial configuration, with no contact below its surface, but for what time steps leave: a
+            state of a trajectory is a valid start, except for "event-driven". (theory.md, 16)
         v0: (nv,) initial velocity.
         duration: Time to simulate [s].
         rtol: Relative tolerance of each step.
@@ -103,7 +104,15 @@ def integrator_of(scheme: str, scene: Scene, q0: ArrayLike, v0: ArrayLike, optio
     """Return the integrator of a scheme; arguments and errors as of `simulate`."""
     choice("scheme", scheme, SCHEMES, "a scheme")
     if scheme == "event-driven":
-        return Integrator(scene, q0, v0, options)
+        integrator = Integrator(scene, q0, v0, options)
+        if integrator.state.overlap is not None:
+            raise InputError(
+                f"{integrator.state.overlap}; start with every contact on or above its surface and every "
+                'joint within its limits, or with scheme="auto", which removes what time steps leave',
+                field="q0",
+                value=q0,
+            )
+        return integrator
     if scheme == "auto":
         return Alternating(scene, q0, v0, options)
     return TimeStepping(scene, q0, v0, Options(max_impacts=options.max_impacts, dt=options.dt))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..robot.data_cache import checked_configuration, data_cache
 from ..robot.inverse_kinematics import closed_by_rounding
 from ..robot.joint_limits import degrees_hint
-from ._kernels.tolerances import HELD_GAP, HELD_SPEED, START_ROUNDING
+from ._kernels.tolerances import HELD_GAP, HELD_SPEED, START_ROUNDING, STEPS_SLACK, STEPS_TOUCH
 from .dynamics import SceneDynamics
 from .hybrid_state import HybridState
 
@@ -28,8 +28,11 @@ def check_start(
     state: HybridState,
     names: Sequence[str],
     extent: float,
+    left: Callable[[Array], Array],
 ) -> None:
     """Check the state in which a motion starts; put it onto surfaces and limits that it is off by rounding.
+
+    What overlaps by more, but by no more than time steps may leave, is told in `overlap` of the state.
 
     Args:
         model: The robot.
@@ -38,6 +41,7 @@ def check_start(
         state: The state.
         names: Of contacts and limits.
         extent: The robot's size [m].
+        left: Returns the overlaps that time steps may leave, of the rates of gaps, see `left_by_steps`.
 
     Raises:
         InputError: A contact below its surface, a joint beyond its limit, a held contact that moves or is off
@@ -45,33 +49,44 @@ def check_start(
     """
     count = len(dynamics.contacts)
     free = count - int(dynamics.work.bilateral.sum())
-    gaps = dynamics.gaps_at(state.q, state.v)[:, 0]
+    gaps, rates = dynamics.gaps_at(state.q, state.v).T
     acting = np.append(np.arange(count, len(gaps)), np.arange(free))  # an angle in degrees is met first
     below = -dynamics.work.touching_gap
     if ((gaps[acting] < below) & (gaps[acting] >= -START_ROUNDING)).any():
         _begin_at(model, data, dynamics, state, acting[np.abs(gaps[acting]) <= START_ROUNDING])
-        gaps = dynamics.gaps_at(state.q, state.v)[:, 0]
-    for i in acting[~(gaps[acting] >= below)].tolist():
+        gaps, rates = dynamics.gaps_at(state.q, state.v).T
+    for i in acting[~(gaps[acting] >= -START_ROUNDING)].tolist():
         gap = float(gaps[i])
         if i < count:
             contact = dynamics.contacts[i]
             where = f"frame {contact.frame!r}" if contact.shape is None else f"shape {contact.shape!r}"
-            raise InputError(
-                f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m "
-                "below its surface; start with every contact on or above its surface",
-                field="q0",
-                value=gap,
-            )
-        limit = dynamics.limits[i - count]
-        raise InputError(
-            f"q0: the joint starts {-gap:.6g} beyond its limit {names[i]!r} "
-            f"({limit.bound:.6g}){degrees_hint(state.q[limit.index_q])}; start within the limits, or "
-            'leave them out with without=("joint limits",)',
-            field="q0",
-            value=gap,
-        )
+            overlap = f"q0: the contact {contact.label!r} at {where} starts {-gap:.6g} m below its surface"
+            advice = "start with every contact on or above its surface"
+        else:
+            limit = dynamics.limits[i - count]
+            overlap = f"q0: the joint starts {-gap:.6g} beyond its limit {names[i]!r} ({limit.bound:.6g})"
+            overlap += degrees_hint(state.q[limit.index_q])
+            advice = 'start within the limits, or leave them out with without=("joint limits",)'
+        if not -gap <= left(rates[i]):
+            raise InputError(f"{overlap}; {advice}", field="q0", value=gap)
+        state.overlap = overlap
     if free < count:
         _check_held(dynamics, state, gaps[:count], range(free, count), extent)
+
+
+def left_by_steps(dt: float, extent: float, gravity: float, rates: Any) -> Any:
+    """Return the overlap that a time step may leave within it [m or rad], for a rate of the gap.
+
+    A step sees to the gaps at its end, which it leads to from anywhere in it by their rates and what they
+    change by, see `STEPS_SLACK`.
+
+    Args:
+        dt: Length of the step [s].
+        extent: The robot's size [m].
+        gravity: The acceleration of gravity [m/s²].
+        rates: Rates of gaps, a number or an array [m/s or rad/s].
+    """
+    return STEPS_TOUCH * extent + dt * (np.maximum(-rates, 0.0) + STEPS_SLACK * dt * gravity)
 
 
 def _begin_at(

@@ -25,6 +25,7 @@ from ._kernels.midpoint_step import midpoint_step, near_rows, rows_at
 from ._kernels.step_impulses import USABLE, invert_trees, step_impulses
 from ._kernels.step_report import report_step
 from ._kernels.step_rows import MeanForces, StepResult, StepRows, StepSystem
+from ._kernels.tolerances import STEPS_SLACK, STEPS_TOUCH
 from ._kernels.workspace import DENSE_TERMS
 from .dense_step import WORKS, DenseStep
 from .facing_shapes import FacingShapes
@@ -35,13 +36,6 @@ from .step_taken import Removal, StepTaken
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-TOUCHING = 1e-8
-"""Part of the robot's size within which what approaches takes part in an impact: the drift that the midpoint
-rule leaves in a step of a millisecond, which would otherwise put impacts of one instant one after another."""
-
-SLACK = 4.0
-"""What gaps may close by within a step beside their rates, in parts of h² g."""
 
 TOGETHER = 1e-2
 """Part of a step within which what closes collides together: gaps are extrapolated from the midpoint."""
@@ -79,13 +73,14 @@ class TimeStepping(Integrator):
     def _prepare(self) -> None:
         self._dt = self.options.dt
         self.max_step = min(self.max_step, self._dt)
+        self.shapes.clear()  # their places are filled with patches
         self._prepare_steps()
         self.work.sliding_friction[:] = 0.0
 
     def _prepare_steps(self) -> None:
         """Prepare time steps."""
         scene, model, work, state = self.scene, self.model, self.work, self.state
-        self._touching = max(work.touching_gap, TOUCHING * self.extent)
+        self._touching = max(work.touching_gap, STEPS_TOUCH * self.extent)
         self._rest, self._widest = Rest(model, work, state), _widest(work.velocity_parent)
         self._tree, self._trees = self._rest.tree, int(self._rest.tree.max()) + 1
         self._still = REST * (work.resting_speed or 1.0)
@@ -214,7 +209,7 @@ class TimeStepping(Integrator):
         Returns:
             Its rows, matrices and result, and what `close_gaps` returns.
         """
-        state, v, slack = self.state, self.state.v, SLACK * h * h * self._gravity
+        state, v, slack = self.state, self.state.v, STEPS_SLACK * h * h * self._gravity
         softened, pushed = self._softening(h), state.pushed
         self._invert(middle, softened)
         system = StepSystem(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -137,19 +137,21 @@ class TouchingPoints:
     def _set(self, q: Array) -> None:
         forward_kinematics(self._model, self._data, q)
 
-    def start(self, q: Array, rounding: float) -> None:
-        """Let the pairs touch that do at the start.
+    def start(self, q: Array, v: Array, rounding: float, left: Callable[[Any], Any]) -> None:
+        """Let the pairs touch that do at the start; the state takes the overlap of others.
 
         Args:
             q: (nq,) configuration.
+            v: (nv,) velocity.
             rounding: Overlap that is none [m].
+            left: Returns the overlap that time steps may leave, of the rate of a gap.
 
         Raises:
-            InputError: A pair that overlaps.
+            InputError: A pair that overlaps by more.
         """
         if not self._pairs:
             return
-        self._set(q)
+        forward_kinematics(self._model, self._data, q, v)
         near = self._apart.at(q) <= rounding
         for number in np.flatnonzero(near).tolist():
             watched = self._pairs[number]
@@ -157,14 +159,24 @@ class TouchingPoints:
             found = gap(*placed)
             if found.value < -rounding:
                 a, b = watched.pair.a.name, watched.pair.b.name
-                raise InputError(
-                    f"q0: {a!r} starts {-found.value:.6g} m inside {b!r}; start with the shapes apart, or "
-                    f"leave out the contact {watched.label!r}",
-                    field="q0",
-                    value=found.value,
-                )
+                overlap = f"q0: {a!r} starts {-found.value:.6g} m inside {b!r}"
+                if -found.value > left(self._fastest(watched, placed, found.normal)):
+                    raise InputError(
+                        f"{overlap}; start with the shapes apart, or leave out the contact {watched.label!r}",
+                        field="q0",
+                        value=found.value,
+                    )
+                self._state.overlap = overlap
             if found.value <= rounding:
                 self._fill(watched, touches(*placed, found.normal, rounding), placed, found.normal)
+
+    def _fastest(self, watched: Watched, placed: Placed, normal: Array) -> float:
+        """Return the rate at which a corner of a pair moves into the other shape, the least of all [m/s]."""
+        data, pair = self._data, watched.pair
+        a, b = (data.oMi[joint].act(data.v[joint]).vector for joint in (pair.a.joint, pair.b.joint))
+        linear, angular = np.split(a - b, 2)
+        corners = np.concatenate([placed[0].vertices, placed[1].vertices])
+        return float(((linear + np.cross(angular, corners)) @ normal).min())
 
     def clear(self) -> None:
         """Let nothing touch."""

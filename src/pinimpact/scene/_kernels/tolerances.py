@@ -113,6 +113,15 @@ FIRST_STEP = 1e-4
 """Part of a time step that the first one of a crossing takes: what arrives without restitution is stopped in
 it, where it is."""
 
+STEPS_TOUCH = 1e-8
+"""Part of the robot's size within which what approaches takes part in an impact in time steps, and up to
+which overlap at the end of one is left: the drift of the midpoint rule in a step of a millisecond, which
+would otherwise put impacts of one instant one after another."""
+
+STEPS_SLACK = 4.0
+"""What gaps may close by within a time step beside their rates, in parts of h² g. Within a step nothing keeps
+what closes from overlapping by as much; its end takes it away."""
+
 TURN = 1e-2
 """Angle [rad] below which functions of it are series, whose next terms are below rounding."""
 
@@ -131,7 +140,8 @@ SHORT_WHILE = 1e-3
 # ---- starts
 
 START_ROUNDING = 2e-9
-"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding."""
+"""A start that is this far [m or rad] below a surface or beyond a limit is one at it, but for rounding. Time
+steps may leave more, see `STEPS_SLACK`; the event-driven scheme does not start there."""
 
 HELD_GAP = 1e-3
 """Held contacts start within this part of the robot's size from their surfaces; what gap is left is kept."""
